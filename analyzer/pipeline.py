@@ -19,16 +19,18 @@ import msgspec
 
 from analyzer import events
 from analyzer.catalogue import Dialect, Role
-from analyzer.columns.block import CanBlock
+from analyzer.columns.block import ByteBlock, CanBlock, FrameBlock
 from analyzer.errors import UsageError
 from analyzer.findings import Issue, finding, is_plain, of_junk, of_message
 from analyzer.foreign import CAN_ID_LIMIT
+from analyzer.framer import Framer
 from analyzer.port import Options, Port, PortSetup, topic_name, usual_setup
 from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Junk, JunkReason, Lane, Message, Silence
 from analyzer.transactions import Late
 from analyzer.values import counted
 
 if TYPE_CHECKING:
+    from analyzer.columns.framing import Framing
     from analyzer.columns.pairs import Pairing, Plain
 
 __all__ = [
@@ -37,7 +39,7 @@ __all__ = [
 ]  # fmt: skip
 
 #: What can be fed.
-Item = Chunk | CanFrame | CanBlock | Comment | Silence | Event
+Item = Chunk | CanFrame | CanBlock | ByteBlock | Comment | Silence | Event
 
 #: Data bits of a CAN frame besides its payload, for made-up times: standard frame with its gap.
 CAN_OVERHEAD_BITS = 47
@@ -127,6 +129,7 @@ class Pipeline:
         if len(self._run_sinks) < len(self.sinks):
             self._run_sinks.clear()
         self._pairings: dict[str, Pairing] = {}
+        self._framings: dict[str, Framing] = {}
         self._event_sinks = [s for s in self.sinks if isinstance(s, EventSink)]
         self._setups = dict(ports or {})
         self._on_setup = on_setup
@@ -152,13 +155,15 @@ class Pipeline:
             self.silence(item.port)
         elif isinstance(item, CanBlock):
             self._feed_block(item)
+        elif isinstance(item, ByteBlock):
+            self._feed_bytes(self._port(item), item)
         elif isinstance(item, Event):
             self._feed_event(item)
         else:
             for sink in self.sinks:
                 sink.comment(item)
 
-    def _port(self, item: Chunk | CanFrame) -> Port:
+    def _port(self, item: Chunk | CanFrame | ByteBlock) -> Port:
         """Return the port of an item, its bytes counted."""
         port = self.ports.get(item.port)
         if port is None:
@@ -237,12 +242,44 @@ class Pipeline:
     # --- serial ---------------------------------------------------------------------------------------------------
 
     def _feed_chunk(self, port: Port, chunk: Chunk) -> None:
-        if port.framer is None:
-            raise UsageError(f"{port.name} is a serial line, and {self.dialects[0].name} is a CAN dialect")
         if chunk.t_ns is None:
             port.clock_ns += len(chunk.data) * self.options.synthetic_byte_ns
             chunk = Chunk(port.clock_ns, chunk.port, chunk.data, chunk.direction, chunk.burst)
-        self._take(port, port.framer.feed(chunk))
+        self._take(port, self._framer(port).feed(chunk))
+
+    def _framer(self, port: Port) -> Framer:
+        if port.framer is None:
+            raise UsageError(f"{port.name} is a serial line, and {self.dialects[0].name} is a CAN dialect")
+        return port.framer
+
+    def _feed_bytes(self, port: Port, block: ByteBlock) -> None:
+        """Pass rows of frames on together, all else one by one."""
+        from analyzer.columns.framing import Framing
+
+        framer, framing = self._framer(port), self._framings.get(port.name)
+        if framing is None or framing.framer is not framer:
+            framing = self._framings[port.name] = Framing(framer, timed=self.options.timed)
+        if block.t_ns is None:
+            block.t_ns = port.clock_ns + block.stops * self.options.synthetic_byte_ns
+            port.clock_ns = int(block.t_ns[-1])
+        for event in framing.feed(block):
+            if isinstance(event, Frame):
+                self._frame(port, event)
+            elif isinstance(event, Junk):
+                self._junk(port, event)
+            else:
+                self._feed_frames(port, block, event)
+
+    def _feed_frames(self, port: Port, block: ByteBlock, frames: FrameBlock) -> None:
+        """Pass plain exchanges of a row of frames on together, all other frames one by one."""
+
+        def one_by_one(start: int, stop: int) -> None:
+            for row in range(start, stop):
+                block.taken = int(frames.decided[row])
+                self._frame(port, frames.frame_of(row, framer.dialects[0]))
+
+        framer = self._framer(port)
+        self._feed_runs(port, frames, 0, int(frames.starts[0]) + frames.offset, one_by_one)
 
     def _take(self, port: Port, events: Iterator[Frame | Junk]) -> None:
         """Take the framer's events one at a time: each may change what it makes of the next."""
@@ -276,39 +313,54 @@ class Pipeline:
 
     def _feed_block(self, block: CanBlock) -> None:
         """Pass plain exchanges on together, all other frames one by one."""
-        from analyzer.columns.pairs import AFTER_REFUSAL, Pairing
+
+        def one_by_one(start: int, stop: int) -> None:
+            for frame in block.frames(start, stop):
+                self._feed_can(self._port(frame), frame)
 
         # The first frame opens the bus, if it is a new one.
-        self._feed_rows(block, 0, 1)
-        port, at = self.ports[block.port], 1
-        if not self._run_sinks or not self.options.timed or not Pairing.serves(port):
-            self._feed_rows(block, at, len(block))
+        one_by_one(0, 1)
+        port = self.ports[block.port]
+        if self.options.timed:
+            self._feed_runs(port, block, 1, port.bytes_in - int(block.sizes[0]), one_by_one)
+        else:
+            one_by_one(1, len(block))
+
+    # --- by columns -----------------------------------------------------------------------------------------------
+
+    def _feed_runs(
+        self, port: Port, block: CanBlock | FrameBlock, at: int, offset: int, one_by_one: Callable[[int, int], None]
+    ) -> None:
+        """Pass frames on from a row to the end. `offset`: bytes of the bus before the block."""
+        from analyzer.columns.pairs import AFTER_REFUSAL, SHORTEST_RUN, Pairing
+
+        dialect = Pairing.dialect_of(port, block) if self._run_sinks and len(block) >= SHORTEST_RUN else None
+        if dialect is None:
+            one_by_one(at, len(block))
             return
         pairing = self._pairings.get(port.name)
-        if pairing is None or not pairing.is_of(port):
-            pairing = self._pairings[port.name] = Pairing(port, self.options.late_ns)
-        plain = pairing.look(block, self.sequence, port.bytes_in - int(block.sizes[0]))
+        if pairing is None or not pairing.is_of(port, dialect):
+            pairing = self._pairings[port.name] = Pairing(port, dialect, self.options.late_ns)
+        # The first frame of the block has this number.
+        plain = pairing.look(block, self.sequence + 1 - at, offset)
         if pairing.next_run(at)[0] < len(block):
             for sink in self._run_sinks:
                 sink.begin(plain)
         while at < len(block):
             start, stop = pairing.next_run(at)
-            self._feed_rows(block, at, start)
+            one_by_one(at, start)
             at = pairing.take(start, stop) if start < stop else stop
             if start < at:
                 self.sequence += at - start
                 self.in_runs += at - start
-                port.bytes_in += int(block.sizes[start:at].sum())
+                if isinstance(block, CanBlock):
+                    port.bytes_in += int(block.sizes[start:at].sum())
                 for sink in self._run_sinks:
                     sink.run(start, at)
             if at < stop:
                 refused = min(at + AFTER_REFUSAL, stop)
-                self._feed_rows(block, at, refused)
+                one_by_one(at, refused)
                 at = refused
-
-    def _feed_rows(self, block: CanBlock, start: int, stop: int) -> None:
-        for frame in block.frames(start, stop):
-            self._feed_can(self._port(frame), frame)
 
     # --- what both share ------------------------------------------------------------------------------------------
 

@@ -71,6 +71,7 @@ class Port:
         self.decoders: dict[str, Decoder] = {}
         self.framer: Framer | None = None
         self.can: list[Dialect] = []
+        self.serial: list[Dialect] = []
         self._by_evidence: list[Dialect] = []
         self._alike: dict[str, Likeness] = {}
         self.nodes = Nodes(options.listed)
@@ -91,7 +92,7 @@ class Port:
             known = self.decoders.get(dialect.name)
             if known is None or known.dialect is not dialect:
                 self.decoders[dialect.name] = Decoder(dialect)
-        serial = [d for d in setup.dialects if d.bus == "serial"]
+        serial = self.serial = [d for d in setup.dialects if d.bus == "serial"]
         self.can = [d for d in setup.dialects if d.bus == "can"]
         # What no check speaks for comes last.
         self._by_evidence = sorted(self.can, key=lambda d: not d.link.checked)

@@ -16,7 +16,7 @@ from inspect import unwrap
 import numpy as np
 
 from analyzer.catalogue import Command, Dialect, Role
-from analyzer.columns.block import DIRECTIONS, CanBlock
+from analyzer.columns.block import DIRECTIONS, WIDEST_ROW, CanBlock, FrameBlock
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
 from analyzer.columns.groups import groups, ranks
 from analyzer.context import Request, RequestOutcome, State
@@ -43,7 +43,7 @@ class Plain:
     """
 
     dialect: Dialect
-    block: CanBlock
+    block: CanBlock | FrameBlock
     lanes: tuple[Lane, ...]
     lane: Integers
     offsets: Integers
@@ -51,40 +51,39 @@ class Plain:
 
     def frame(self, row: int) -> Frame:
         """Return one frame."""
-        can = self.block.frame(row)
-        t_ns = int(self.block.t_ns[row])
-        return Frame(can.port, t_ns, t_ns, int(self.offsets[row]), can.data, self.dialect, can.direction, True, can)
+        return self.block.frame_of(row, self.dialect, int(self.offsets[row]))
 
     @cached_property
     def latencies(self) -> Integers:
         """The time from the frame before to each; not above 0: it is not known."""
-        return np.diff(self.block.t_ns, prepend=self.block.t_ns[:1])
+        return self.block.waits_ns
 
 
 class Pairing:
     """Finds the plain exchanges in the blocks of one bus."""
 
-    def __init__(self, port: Port, late_ns: int) -> None:
+    def __init__(self, port: Port, dialect: Dialect, late_ns: int) -> None:
         self._port = port
         self._late_ns = late_ns
-        self._dialect = port.can[0]
+        self._dialect = dialect
         self._decoder = port.decoders[self._dialect.name]
         self._lanes: list[Lane] = []
-        #: By identifier, length and code: places in `_lanes` of what a frame can be, requests and replies.
-        self._known: dict[int, tuple[list[int], list[int]]] = {}
+        #: By identifier, length and first bytes: places in `_lanes` of what a frame can be, requests and replies.
+        self._known: dict[tuple[int | None, int, bytes], tuple[list[int], list[int]]] = {}
         self._codecs: list[ColumnCodec] = []
         self._finals: list[dict[bytes, bool]] = []
 
     @staticmethod
-    def serves(port: Port) -> bool:
-        """Say whether blocks of a bus can be looked at: it has one dialect, whose frames name their lanes."""
-        return len(port.can) == 1 and bool(port.can[0].link.deciding_bytes) and port.nodes.listed is None
+    def dialect_of(port: Port, block: CanBlock | FrameBlock) -> Dialect | None:
+        """Return the dialect that blocks of a bus can be looked at in: the only one, if its frames name their lanes."""
+        spoken = port.can if isinstance(block, CanBlock) else port.serial
+        return spoken[0] if len(spoken) == 1 and spoken[0].link.deciding_bytes and port.nodes.listed is None else None
 
-    def is_of(self, port: Port) -> bool:
+    def is_of(self, port: Port, dialect: Dialect) -> bool:
         """Say whether this was made for a bus as it is now."""
-        return port is self._port and [self._dialect] == port.can and port.decoders[self._dialect.name] is self._decoder
+        return port is self._port and dialect is self._dialect and port.decoders[dialect.name] is self._decoder
 
-    def look(self, block: CanBlock, first: int, offset: int) -> Plain:
+    def look(self, block: CanBlock | FrameBlock, first: int, offset: int) -> Plain:
         """Return what is plain in the next block: its first frame has the number `first` and `offset` bytes before it."""
         requests, replies = self._roles(block)
         begins = _first_of_two(self._pairs(block, requests, replies))
@@ -116,7 +115,7 @@ class Pairing:
     def take(self, start: int, stop: int) -> int:
         """Tell the bus of as many exchanges of a run as can be passed on whole. Return where they end."""
         context, transactions, plain = self._port.context, self._port.transactions, self._plain
-        if context.borrowed or not transactions.may_follow(plain.block.frame(start).data):
+        if context.borrowed or not transactions.may_follow(plain.frame(start).data):
             return start
         own = plain.lane[start:stop]
         refused = [n for n in np.flatnonzero(np.bincount(own)).tolist() if not self._allowed(plain.lanes[n])]
@@ -142,7 +141,7 @@ class Pairing:
         addresses = np.array([lane.address for lane in plain.lanes])[plain.lane[start + 1 : stop : 2]]
         known, rows = np.unique(addresses[::-1], return_index=True)
         lasts = (stop - 1 - 2 * rows).tolist()
-        replies = {a: plain.block.frame(row).data for a, row in zip(known.tolist(), lasts, strict=True)}
+        replies = {a: plain.frame(row).data for a, row in zip(known.tolist(), lasts, strict=True)}
         ended = (plain.lanes[n] for n in np.unique(plain.lane[start + 1 : stop : 2]).tolist())
         moved = {lane.address for lane in ended if lane.command.silenced}
         self._port.transactions.were_answered(request, told, replies, moved, plain.block.t_ns[start:stop])
@@ -150,8 +149,9 @@ class Pairing:
     def _allowed(self, lane: Lane) -> bool:
         """Say whether what is known of the drives lets frames of a lane be plain."""
         context, address, command = self._port.context, lane.address, lane.command
+        identifier = self._dialect.link.identifier(command, address)
         return (
-            self._dialect.link.identifier(command, address) in self._port.nodes.drives
+            (identifier is None or identifier in self._port.nodes.drives)
             and address not in context.groups
             and not (command.silenced and address in context.silenced)
             and context.speaks.get(address, lane.dialect) == lane.dialect
@@ -167,16 +167,13 @@ class Pairing:
 
     # --- what each frame can be -----------------------------------------------------------------------------------
 
-    def _roles(self, block: CanBlock) -> tuple[Integers, Integers]:
+    def _roles(self, block: CanBlock | FrameBlock) -> tuple[Integers, Integers]:
         """Return the lane that each frame has as a request, and as a reply to the frame before it; -1: none."""
-        ids, places = ranks(block.ids)
-        # The rank of an identifier instead of itself: so keys are small numbers, of which groups are found fast.
-        alike = groups(places.astype(np.int64) << 12 | block.sizes << 8 | block.data[:, 0])
-        keyed = [(int(ids[key >> 12]) << 12 | key & 0xFFF, rows) for key, rows in alike]
         sound = self._checked(block)
         requests = np.full(len(block), -1, dtype=np.int64)
         replies = np.full(len(block), -1, dtype=np.int64)
-        kinds = [(*self._kinds(key, block, int(rows[0])), rows) for key, rows in keyed]
+        alike = groups(block.alike(self._dialect.link.deciding_bytes))
+        kinds = [(*self._kinds(block, int(rows[0])), rows) for _, rows in alike]
         for asking, _, group in kinds:
             left = group[sound[group] & (block.directions[group] != _REPLY)]
             for number in asking:
@@ -202,7 +199,7 @@ class Pairing:
     def _asks(request: Lane, reply: Lane) -> bool:
         return request.command is reply.command and request.address == reply.address and request.plain
 
-    def _pairs(self, block: CanBlock, requests: Integers, replies: Integers) -> Flags:
+    def _pairs(self, block: CanBlock | FrameBlock, requests: Integers, replies: Integers) -> Flags:
         """Say of each row whether a plain exchange begins there."""
         pairs = np.zeros(len(block), dtype=np.bool_)
         if len(block) < 2:
@@ -214,8 +211,11 @@ class Pairing:
         result: Flags = pairs & ~repeated
         return result
 
-    def _checked(self, block: CanBlock) -> Flags:
+    def _checked(self, block: CanBlock | FrameBlock) -> Flags:
         link = self._dialect.link
+        if isinstance(block, FrameBlock):
+            # Found by their checks; what is too long for a row is left out.
+            return block.sizes <= WIDEST_ROW
         if not link.checked:
             fits: Flags = np.ones(len(block), dtype=np.bool_)
         elif unwrap(type(link).fits) is CanLink.fits and not link.left_out:
@@ -226,11 +226,11 @@ class Pairing:
             fits = np.array([link.fits(frame.data, frame.id) for frame in block.frames()], dtype=np.bool_)
         return fits & (block.sizes >= link.shortest)
 
-    def _kinds(self, key: int, block: CanBlock, row: int) -> tuple[list[int], list[int]]:
+    def _kinds(self, block: CanBlock | FrameBlock, row: int) -> tuple[list[int], list[int]]:
+        frame = block.frame_of(row, self._dialect, 0)
+        key = frame.can and frame.can.id, len(frame.data), frame.data[: self._dialect.link.deciding_bytes]
         known = self._known.get(key)
         if known is None:
-            can = block.frame(row)
-            frame = Frame(self._port.name, 0, 0, 0, can.data, self._dialect, Role.UNKNOWN, True, can)
             known = self._known[key] = ([], [])
             for lane in self._decoder.lanes(frame):
                 if not ColumnCodec.fits(lane.form.layout) or lane.command.borrows:
