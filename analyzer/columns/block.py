@@ -158,7 +158,8 @@ class FrameBlock:
         width = min(int(self.sizes.max(initial=0)), WIDEST_ROW)
         codes = np.frombuffer(self.whole[int(self.starts[0]) : int(self.starts[-1]) + WIDEST_ROW] + bytes(width), dtype=np.uint8)
         rows = np.lib.stride_tricks.sliding_window_view(codes, width)[self.starts - self.starts[0]]
-        return rows * (np.arange(width) < self.sizes[:, None])
+        result: Bytes = rows * (np.arange(width) < self.sizes[:, None])
+        return result
 
     @property
     def bytes(self) -> int:

@@ -189,7 +189,11 @@ class Pairing:
                 asked = [n for n, each in enumerate(self._lanes) if each.is_request and self._asks(each, lane)]
                 fitting = rows[np.isin(requests[rows - 1], asked)] if asked else rows[:0]
                 own = block.data[fitting, lane.start : lane.stop]
-                good = self._codecs[number].matches(own) & self._codecs[number].valid(own)
+                matches = self._codecs[number].matches(own)
+                good = matches & self._codecs[number].valid(own)
+                if len(telling) > 1:
+                    # Of several forms of one reply, the first that matches counts.
+                    rows = np.setdiff1d(rows, fitting[matches], assume_unique=True)
                 if lane.command.judged:
                     good &= self._final(number, own)
                 replies[fitting[good]] = number
@@ -228,7 +232,7 @@ class Pairing:
 
     def _kinds(self, block: CanBlock | FrameBlock, row: int) -> tuple[list[int], list[int]]:
         frame = block.frame_of(row, self._dialect, 0)
-        key = frame.can and frame.can.id, len(frame.data), frame.data[: self._dialect.link.deciding_bytes]
+        key = None if frame.can is None else frame.can.id, len(frame.data), frame.data[: self._dialect.link.deciding_bytes]
         known = self._known.get(key)
         if known is None:
             known = self._known[key] = ([], [])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from analyzer.catalogue import Role
 from analyzer.columns import text
-from analyzer.columns.block import DIRECTIONS
+from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
 from analyzer.columns.groups import groups
 from analyzer.columns.pairs import Plain
@@ -96,7 +96,7 @@ class Rows:
             headers["channel"] = channels[:, place]
             headers["sequence"] = np.arange(plain.first + start, plain.first + stop) & 0xFFFFFFFF
             headers["log_ns"] = log_ns
-            headers["publish_ns"] = np.maximum(plain.block.t_ns[start:stop], 0)
+            headers["publish_ns"] = np.maximum(plain.block.first_ns[start:stop], 0)
             rows[:, at : at + head] = headers.view(np.uint8).reshape(stop - start, head)
         there = np.stack((np.ones(stop - start, dtype=np.bool_), has_state), axis=1)
         return Messages(
@@ -144,10 +144,11 @@ def _fields(plain: Plain, rows: Integers, lane: Lane) -> Bytes:
     pieces.append(text.naturals(plain.offsets[rows]))
     if not lane.is_request:
         pieces += _reply(plain, rows)
-    pieces += [b',"_can_id":', text.naturals(block.ids[rows])]
-    marks = block.directions[rows]
-    if marks.any():
-        pieces.append(text.of_table(marks, _MARKS))
+    if isinstance(block, CanBlock):
+        pieces += [b',"_can_id":', text.naturals(block.ids[rows])]
+        marks = block.directions[rows]
+        if marks.any():
+            pieces.append(text.of_table(marks, _MARKS))
     return text.joined([*pieces, b"}"], len(rows))
 
 

@@ -7,7 +7,10 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from analyzer.catalogue import Dialect
+from analyzer.columns.block import ByteBlock
 from analyzer.diagnosis.scene import Piece, Read, Scene
 from analyzer.pipeline import Entry, Item
 from analyzer.records import Chunk, Comment, Finding, Frame, Junk, Lane, Message
@@ -43,6 +46,10 @@ class Watch:
         self._kept: list[_Kept] = []
         self._reads_near: deque[tuple[Chunk, int]] = deque(maxlen=2 * _NEAR)
         self._reads: list[tuple[Chunk, int]] = []
+        #: The last block of bytes: where it begins on its bus, and how many of its chunks are among the reads that are near.
+        self._block: ByteBlock | None = None
+        self._block_offset = self._block_read = 0
+        self._block_timed = False
         self._offsets: dict[str, int] = {}
         self._findings: list[Finding] = []
         self._said: list[str] = []
@@ -54,14 +61,32 @@ class Watch:
     def take(self, item: Item, offset: int | None = None) -> None:
         """Take an item of the source. `offset`: its first byte on its bus; None: it follows the item before."""
         # Each item of a capture comes by here: what costs nothing stands first.
-        if isinstance(item, Chunk):
+        if isinstance(item, (Chunk, ByteBlock)):
+            if self._block is not None:
+                self._read_block(len(self._block))
+                self._block = None
             port = item.port
             if offset is None:
                 offset = self._offsets.get(port, 0)
             self._offsets[port] = offset + len(item.data)
-            self._reads_near.append((item, offset))
+            if isinstance(item, Chunk):
+                self._reads_near.append((item, offset))
+            else:
+                self._block, self._block_offset, self._block_read = item, offset, 0
+                self._block_timed = item.t_ns is not None
         if not self.timed and item.t_ns is not None:
             self.timed = True
+
+    def _read_block(self, chunks: int) -> None:
+        """Put the chunks of the present block that were needed so far among the reads."""
+        block = self._block
+        assert block is not None  # asked where there is one
+        for number in range(max(self._block_read, chunks - 2 * _NEAR), chunks):
+            chunk = block.chunk(number)
+            if not self._block_timed:
+                chunk = replace(chunk, t_ns=None)
+            self._reads_near.append((chunk, self._block_offset + int(block.stops[number]) - len(chunk.data)))
+        self._block_read = max(chunks, self._block_read)
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Take a frame that is in order."""
@@ -126,6 +151,8 @@ class Watch:
         self._findings.clear()
 
     def _keep(self) -> None:
+        if self._block is not None:
+            self._read_block(self._block.taken)
         if len(self._kept) < _MOST_KEPT:
             self._spread()
             self._kept.extend(each for each in self._near if not isinstance(each, range))

@@ -60,7 +60,8 @@ class Crc16:
             last = self._pairs.take(starts + size - 1) & np.uint16(0xFF)
             # A byte with a zero before it: with nothing behind, the zero gives nothing.
             total ^= self._share(0).take(last << 8)
-        return total == 0
+        result: Flags = total == 0
+        return result
 
     @classmethod
     def _share(cls, behind: int) -> NDArray[np.uint16]:
@@ -74,7 +75,7 @@ class Crc16:
     @classmethod
     def _shifted(cls, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
         for _ in range(8):
-            values = (values >> 1) ^ (values & 1) * np.uint16(cls._POLYNOMIAL)
+            values = (values >> np.uint16(1)) ^ (values & np.uint16(1)) * np.uint16(cls._POLYNOMIAL)
         return values
 
 

@@ -250,7 +250,7 @@ class _ModbusSlicer(Slicer):
 
         from analyzer.link.arrays import Crc16, Found
 
-        rules = (
+        rules: tuple[tuple[frozenset[int], Callable[[Bytes, Integers], tuple[Flags | bool, Bytes | int]]], ...] = (
             (READS, self._of_reads), (WRITE_ONE, self._of_write), (WRITE_MANY, self._of_writes), (_EXCEPTIONS, self._of_exceptions),
         )  # fmt: skip
         kinds = np.zeros(256, dtype=np.uint8)
@@ -272,10 +272,10 @@ class _ModbusSlicer(Slicer):
         rows = np.flatnonzero(eight)
         rows = rows[crc.fit(places[rows], 8)]
         # Of two lengths the shorter counts; where they are one apart, it is a tie.
-        found = sizes[rows]
-        sizes[rows] = np.where((found == 7) | (found == 9), 0, np.where((found > 0) & (found < 8), found, 8))
+        own = sizes[rows]
+        sizes[rows] = np.where((own == 7) | (own == 9), 0, np.where((own > 0) & (own < 8), own, 8))
         rows = np.flatnonzero(sizes)
-        found = sizes[rows].astype("i8")
+        found = sizes[rows].astype(np.int64)
         # Where two lengths are one apart, the longer was looked at, too.
         more = ((found == 7) & eight[rows]) | ((found == 8) & (other[rows] == 9))
         return Found(places[rows], found, found + more)

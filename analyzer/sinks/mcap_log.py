@@ -20,6 +20,7 @@ import msgspec
 from analyzer import __version__, events
 from analyzer.catalogue import Role
 from analyzer.codec import codec
+from analyzer.columns.block import CanBlock, FrameBlock
 from analyzer.decoder import physical
 from analyzer.framer import JUMP_BACK_NS
 from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, topic_name
@@ -30,7 +31,6 @@ from analyzer.sources.recording_parts import CLOCK_METADATA
 from analyzer.sources.times import Clock
 
 if TYPE_CHECKING:
-    from analyzer.columns.block import CanBlock
     from analyzer.columns.pairs import Plain
     from analyzer.columns.rows import Rows
 
@@ -474,12 +474,13 @@ def _backward_ns(t_ns: int, log_ns: int) -> int:
     return log_ns - t_ns if t_ns < log_ns - JUMP_BACK_NS else 0
 
 
-def _count(second: Second, block: CanBlock, start: int, stop: int) -> None:
+def _count(second: Second, block: CanBlock | FrameBlock, start: int, stop: int) -> None:
     """Count frames of a block."""
     frames, size = stop - start, int(block.sizes[start:stop].sum())
     second.frames += frames
     second.bytes += size
-    second.wire_ns += (CAN_OVERHEAD_BITS * frames + 8 * size) * second.speed.bit_ns
+    byte_ns, bit_ns = second.speed
+    second.wire_ns += (CAN_OVERHEAD_BITS * frames + 8 * size) * bit_ns if isinstance(block, CanBlock) else size * byte_ns
 
 
 def can_flags(can: CanFrame) -> list[str]:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from analyzer import events
 from analyzer.catalogue import Command, Dialect, Role
-from analyzer.columns.block import DIRECTIONS
+from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import ColumnCodec, Integers
 from analyzer.columns.rows import alike, physical_column, states
 from analyzer.decoder import physical
@@ -150,12 +150,13 @@ class ParquetTables:
             "_raw": pa.Array.from_buffers(pa.binary(), count, [None, pa.py_buffer(places), pa.py_buffer(data)]),
             "_checksum_ok": pa.repeat(True, count),
             "_offset": pa.array(plain.offsets[rows]),
-            "_can_id": pa.array(block.ids[rows]),
         }
-        marks = block.directions[rows]
-        if marks.any():
-            names = pa.array([None if role is Role.UNKNOWN else role.value for role in DIRECTIONS])
-            columns["_direction"] = names.take(pa.array(marks))
+        if isinstance(block, CanBlock):
+            columns["_can_id"] = pa.array(block.ids[rows])
+            marks = block.directions[rows]
+            if marks.any():
+                names = pa.array([None if role is Role.UNKNOWN else role.value for role in DIRECTIONS])
+                columns["_direction"] = names.take(pa.array(marks))
         if not lane.is_request:
             latencies = plain.latencies[rows]
             columns["_latency"] = pa.array(latencies / _SECOND, mask=latencies <= 0)

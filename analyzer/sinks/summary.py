@@ -143,7 +143,7 @@ class Summary:
         assert self._plain is not None  # a run is of a block
         block = self._plain.block
         if self.first_ns is None:
-            self.first_ns = int(block.t_ns[start])
+            self.first_ns = int(block.first_ns[start])
         self.frames += stop - start
         self.frame_bytes += int(block.sizes[start:stop].sum())
         self.last_ns = max(self.last_ns, int(block.t_ns[stop - 1]))
@@ -165,7 +165,8 @@ class Summary:
             row = self._known.get(lane.topic)
             if row is None:
                 message = lane.message(plain.frame(int(each[0])))
-                self._sound.add((plain.block.port, message.who))
+                if message.frame.can is not None:
+                    self._sound.add((plain.block.port, message.who))
                 row = self._row(Entry(message, 0, lane.topic))
             if lane.is_request:
                 row.requests += len(each)

@@ -23,7 +23,7 @@ from typing import cast
 
 import msgspec
 
-from analyzer.columns.block import CanBlock
+from analyzer.columns.block import ByteBlock, CanBlock
 from analyzer.errors import ServotapError, UnreadableError
 from analyzer.records import CanFrame, Chunk, Comment, Event, Silence
 from analyzer.sources.stream import Stream
@@ -50,6 +50,8 @@ _HEAD_LIMIT = 1000
 SECOND_NS = 1_000_000_000
 #: Bytes that are read together where records become blocks.
 TOGETHER = 1 << 20
+#: Chunks that are read together, and the fewest bytes for which that is worth it.
+_CHUNKS, SHORTEST_BLOCK = 1 << 15, 512
 #: 2100-01-01: what lies behind it is noted.
 FAR_NS = 4_102_444_800 * SECOND_NS
 #: The greatest time that every part of the program can hold.
@@ -111,7 +113,7 @@ class Source:
         self._parts: list[Path] = []
         self._passed = 0
         self.head = b""
-        self._records: Iterator[Record | CanBlock] = iter(())
+        self._records: Iterator[Record | CanBlock | ByteBlock] = iter(())
         self._ports: dict[tuple[str | None, str], str] = {}
         self._backward = 0
         self._backward_ns = 0
@@ -128,7 +130,7 @@ class Source:
         # Blocks come only to those who set `in_blocks`, and they use `items`.
         return cast(Iterator[Record], self._records)
 
-    def items(self) -> Iterator[Record | CanBlock]:
+    def items(self) -> Iterator[Record | CanBlock | ByteBlock]:
         """Return what iterating yields, with blocks once they are wanted."""
         return self._records
 
@@ -244,9 +246,9 @@ class Source:
 
     # --- reading --------------------------------------------------------------------------------------------------
 
-    def _run(self, records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock]:
+    def _run(self, records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock | ByteBlock]:
         try:
-            yield from self._timed(_with_times_of_heads(records))
+            yield from self._joined(self._timed(_with_times_of_heads(records)))
         except ServotapError:
             raise
         # A damaged file can make a library's parser raise any exception.
@@ -298,6 +300,28 @@ class Source:
             yield record
         self._last_ns = last_ns
 
+    def _joined(self, records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock | ByteBlock]:
+        """Yield chunks that follow each other on one line as blocks, once those are wanted."""
+        held: list[Chunk] = []
+        size = 0
+        try:
+            for record in records:
+                joins = self.in_blocks and isinstance(record, Chunk) and bool(record.data)
+                if held and not (joins and size < TOGETHER and len(held) < _CHUNKS and _follows(held[-1], record)):
+                    yield from _block_of(held)
+                    held, size = [], 0
+                if joins:
+                    assert isinstance(record, Chunk)
+                    held.append(record)
+                    size += len(record.data)
+                else:
+                    yield record
+        except Exception:
+            # What came before the fault is given first.
+            yield from _block_of(held)
+            raise
+        yield from _block_of(held)
+
     def _odd_time(self, record: Record, t_ns: int, last_ns: int | None) -> Record:
         if abs(t_ns) > LATEST_NS:
             self._impossible += 1
@@ -329,6 +353,20 @@ class Source:
         left = self.problem_count - SHOWN_PROBLEMS
         places = "1 problem" if self.problem_count == 1 else f"{self.problem_count} problems"
         yield f"{places}: {shown}" + (f"; and {left} more" if left > 0 else "")
+
+
+def _follows(chunk: Chunk, other: Record | CanBlock) -> bool:
+    """Say whether a record can stand in a block behind a chunk."""
+    if not isinstance(other, Chunk) or other.port != chunk.port or (chunk.t_ns is None) is not (other.t_ns is None):
+        return False
+    return chunk.t_ns is None or other.t_ns is None or chunk.t_ns <= other.t_ns
+
+
+def _block_of(chunks: Sequence[Chunk]) -> Iterator[Chunk | ByteBlock]:
+    if sum(len(chunk.data) for chunk in chunks) < SHORTEST_BLOCK:
+        yield from chunks
+    else:
+        yield ByteBlock.of(chunks)
 
 
 def _with_times_of_heads(records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock]:

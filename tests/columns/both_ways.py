@@ -8,13 +8,14 @@ import json
 from collections import deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 from analyzer.catalogue import Dialect
-from analyzer.columns import pairs
+from analyzer.columns import framing, pairs
 from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.context import Request
 from analyzer.diagnosis.watch import Watch
@@ -23,7 +24,7 @@ from analyzer.pipeline import Item, Options, Pipeline
 from analyzer.records import CanFrame
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.summary import Summary
-from analyzer.sources import blf_blocks, candump_blocks, found, open_source
+from analyzer.sources import blf_blocks, candump_blocks, found, open_source, source
 
 
 @contextlib.contextmanager
@@ -33,6 +34,8 @@ def short_runs() -> Iterator[None]:
         patch.setattr(pairs, "SHORTEST_RUN", 2)
         patch.setattr(pairs, "LEAST_SHARE", 0)
         patch.setattr(pairs, "AFTER_REFUSAL", 2)
+        patch.setattr(framing, "SHORTEST_ROW", 1)
+        patch.setattr(source, "SHORTEST_BLOCK", 1)
         for module in (found, blf_blocks, candump_blocks):
             patch.setattr(module, "SHORTEST", 2)
         yield
@@ -47,18 +50,23 @@ def messages(log: bytes) -> list[tuple[object, ...]]:
     ]
 
 
-def outcome(items: Sequence[Item], dialect: Dialect) -> tuple[dict[str, object], Pipeline]:
+def outcome(items: Sequence[Item], dialect: Dialect, *, timed: bool = True) -> tuple[dict[str, object], Pipeline]:
     """Return all that comes out of a pipeline that is fed these items."""
     stream, summary, watch = io.BytesIO(), Summary(), Watch()
     log = McapLog(stream, bit_ns=2000)
-    pipeline = Pipeline([dialect], [log, summary, watch], Options())
+    pipeline = Pipeline([dialect], [log, summary, watch], Options(timed=timed))
     for item in items:
         watch.take(item)
         pipeline.feed(item)
-    before = {name: plain_values(port.state()) for name, port in pipeline.ports.items()}
+    before = {}
+    for name, port in pipeline.ports.items():
+        state = port.state()
+        if state["framer"] is not None:
+            state["framer"] = standing(state["framer"])
+        before[name] = plain_values(state)
     pipeline.close()
     log.finish({})
-    shown = [repr((s.bus, s.pieces, s.findings, s.frames, s.timed)) for s in watch.scenes([dialect])]
+    shown = [repr((s.bus, s.pieces, s.reads, s.findings, s.frames, s.timed)) for s in watch.scenes([dialect])]
     return {
         "messages": messages(stream.getvalue()),
         "summary": summary.settle().as_object(),
@@ -67,6 +75,18 @@ def outcome(items: Sequence[Item], dialect: Dialect) -> tuple[dict[str, object],
         "sequence": pipeline.sequence,
         "ports": before,
     }, pipeline  # fmt: skip
+
+
+def standing(state: dict[str, Any]) -> dict[str, Any]:
+    """Return of the state of a framer what tells how it goes on: what it holds, without what has been given away."""
+    offset = state["_base"] + state["_junk_from"]
+    shown: dict[str, Any] = {name: state[name] for name in ("_direction", "_last_ns", "_timed", "_step")}
+    shown["held"] = state["_buffer"][state["_junk_from"] :]
+    shown["at"] = state["_base"] + state["_at"]
+    shown["bursts"] = [b for b in state["_bursts"] if b >= offset]
+    shown["firm"] = {b for b in state["_firm"] if b >= offset}
+    shown["marks"] = [m for m in state["_marks"] if m.stop > offset]
+    return shown
 
 
 def plain_values(value: object) -> object:

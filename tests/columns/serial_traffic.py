@@ -15,20 +15,20 @@ _PAUSES = (0, 0, 0, 0, 300_000, 2_000_000, SILENCE_NS // 2, 2 * SILENCE_NS)
 
 
 def chunks_of(
-    line: bytes, chance: random.Random, ends: Sequence[int] = (), *, longest: int = 4096, byte_ns: int = 86_806
+    line: bytes, chance: random.Random, ends: Sequence[int] = (), *, longest: int = 4096, byte_ns: int = 86_806, steady: bool = False
 ) -> Iterator[Chunk]:
     """Yield a line in chunks. `ends`: where its frames end: some captures cut there, and only they know who sent."""
     t_ns, at, direction = 1_772_442_000_000_000_000, 0, Role.UNKNOWN
     by_frames = bool(ends) and chance.random() < 0.5
-    marked, bursting = chance.random() < 0.3, chance.random() < 0.5
-    quiet = chance.random() < 0.5
+    marked, bursting = not steady and chance.random() < 0.3, chance.random() < 0.5
+    quiet = steady or chance.random() < 0.5
     stops = [*ends, len(line)] if by_frames else []
     while at < len(line):
         stop = next(s for s in stops if s > at) if by_frames and chance.random() < 0.98 else at + chance.randint(1, longest)
         data = line[at:stop]
         at = stop
         t_ns += len(data) * byte_ns + (0 if quiet else chance.choice(_PAUSES))
-        if chance.random() < 0.002:
+        if not steady and chance.random() < 0.002:
             t_ns -= chance.choice((1_000, 40_000_000, 3_000_000_000))
         if marked and chance.random() < 0.05:
             direction = chance.choice(tuple(Role)[:3])

@@ -13,6 +13,7 @@ from analyzer.columns.framing import Framing
 from analyzer.context import Context
 from analyzer.framer import Framer
 from benchmarks.framing_noise import damage, traffic
+from tests.columns.both_ways import standing
 from tests.columns.serial_traffic import byte_blocks, chunks_of
 
 SERIAL = ("mks-rs485", "lk-rs485", "mks-modbus")
@@ -40,18 +41,6 @@ def by_arrays(chunks, framer, most):
         before += len(block)
     state = framer.state()
     return events + [(event, len(chunks)) for event in framer.close()], standing(state), in_rows
-
-
-def standing(state):
-    """Return what tells how a framer goes on: of what it holds, without what has been given away."""
-    offset = state["_base"] + state["_junk_from"]
-    shown = {name: state[name] for name in ("_direction", "_last_ns", "_timed", "_step")}
-    shown["held"] = state["_buffer"][state["_junk_from"] :]
-    shown["at"] = state["_base"] + state["_at"]
-    shown["bursts"] = [b for b in state["_bursts"] if b >= offset]
-    shown["firm"] = {b for b in state["_firm"] if b >= offset}
-    shown["marks"] = [m for m in state["_marks"] if m.stop > offset]
-    return shown
 
 
 def check(name, chunks, most, byte_ns):

@@ -1,0 +1,78 @@
+"""Captures of serial lines come out the same by blocks of bytes as chunk by chunk."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from analyzer import dialects
+from analyzer.catalogue import Risk, Role
+from benchmarks.framing_noise import damage, traffic
+from tests.columns.both_ways import outcome, same_capture, short_runs
+from tests.columns.can_traffic import data_of
+from tests.columns.serial_traffic import byte_blocks, chunks_of
+from benchmarks.framing_noise import SentFrame
+
+SERIAL = ("mks-rs485", "lk-rs485", "mks-modbus")
+CAPTURES = Path(__file__).parents[2] / "captures"
+
+
+@pytest.fixture(name="short_runs")
+def with_short_runs():
+    with short_runs():
+        yield
+
+
+def polls(name, chance, count):
+    """Return exchanges that read, each with its reply."""
+    dialect = dialects.get(name)
+    reads = [c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.borrows and c.reply_forms and c.slots is None]
+    frames = []
+    while len(frames) < count:
+        command, address = chance.choice(reads[:6]), chance.choice((1, 2, 3))
+        for form, role in ((command.request_forms[0], Role.REQUEST), (command.reply_forms[0], Role.REPLY)):
+            data = data_of(form.layout, chance)
+            frames.append(SentFrame(dialect.link.build(command, form, address, data, role), role, dialect))
+    return frames
+
+
+def same(chunks, dialect, most, *, timed=True):
+    """Check that both ways give the same. Return how many frames went by runs."""
+    if not timed:
+        chunks = [msgspec.structs.replace(chunk, t_ns=None) for chunk in chunks]
+    streamed, _ = outcome(chunks, dialect, timed=timed)
+    columns, pipeline = outcome(list(byte_blocks(chunks, most)), dialect, timed=timed)
+    for name, value in streamed.items():
+        if isinstance(value, list):
+            for one, other in zip(value, columns[name], strict=False):
+                assert one == other, name
+        assert value == columns[name], name
+    return pipeline.in_runs
+
+
+@pytest.mark.parametrize("share", [0, 0.001, 0.05])
+@pytest.mark.parametrize("name", SERIAL)
+@pytest.mark.parametrize("seed", range(3))
+def test_exchanges(name, seed, share, short_runs):
+    chance = random.Random(f"{name} {seed} {share}")
+    frames = polls(name, chance, 150) + traffic([name], 150, chance) + polls(name, chance, 150)
+    line, placed = damage(frames, share, chance)
+    chunks = list(chunks_of(line, chance, [p.stop for p in placed], longest=chance.choice((3, 40, 5000)), steady=not seed))
+    in_runs = same(chunks, dialects.get(name), chance.choice((5, 50, 10_000)) if seed else 10_000, timed=seed != 1)
+    assert in_runs > 100 or seed or share
+
+
+SERIAL_CAPTURES = [
+    (path, dialect)
+    for dialect in SERIAL
+    for path in sorted(CAPTURES.glob(dialect.replace("-", "_") + ".*"))
+    if path.suffix not in (".golden", ".mf4")
+]
+
+
+@pytest.mark.parametrize(("path", "dialect"), SERIAL_CAPTURES, ids=lambda each: getattr(each, "name", each))
+def test_captures(path, dialect, short_runs):
+    same_capture(path, dialects.get(dialect))
