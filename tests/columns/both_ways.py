@@ -96,6 +96,8 @@ def plain_values(value: object) -> object:
         return plain_values(kept)
     if isinstance(value, dict):
         return {repr(key): plain_values(each) for key, each in value.items()}
+    if isinstance(value, set):
+        return sorted(map(repr, value))
     if isinstance(value, (list, tuple, deque)):
         return [plain_values(each) for each in value]
     return repr(value)
