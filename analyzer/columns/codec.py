@@ -7,14 +7,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analyzer.codec import EXACT
 from analyzer.layout import Field, FieldKind, Layout, Order
 
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-#: Widest field: beyond it an integer is not exact as a JSON number, and the slow way writes a text twin.
-_WIDEST = 53
+#: Widest field of any kind. Of whole words the values up to `EXACT` are read: beyond it an integer is not exact as a JSON
+#: number, and the slow way writes a text twin.
+_WIDEST, _WORD = 53, 64
+#: Greatest divisor of a word's unit whose fractions are written without an exponent.
+_FINEST = 10_000
 
 
 class ColumnCodec:
@@ -27,7 +31,7 @@ class ColumnCodec:
     @staticmethod
     def fits(layout: Layout) -> bool:
         """Say whether a layout can be read by columns: all fields have a fixed width and are exact as JSON numbers."""
-        return all(0 < field.bit_width <= _WIDEST for field in layout.fields)
+        return all(0 < field.bit_width <= _WIDEST or _is_word(offset, field) for offset, field in layout)
 
     def wire(self, data: Bytes) -> dict[str, Integers]:
         """Return the integers as sent, by field name."""
@@ -40,6 +44,9 @@ class ColumnCodec:
             if field.fixed is not None:
                 continue
             lowest, highest, allowed = limits(field)
+            if field.bit_width > _WIDEST:
+                most = EXACT // field.scale.numerator
+                lowest, highest = max(lowest, -most), min(highest, most)
             if allowed is None and lowest <= field.wire_minimum and highest >= field.wire_maximum:
                 continue
             value = column(data, offset, field)
@@ -55,6 +62,11 @@ class ColumnCodec:
             if field.fixed is not None:
                 good &= column(data, offset, field) == field.fixed
         return good
+
+
+def _is_word(offset: int, field: Field) -> bool:
+    plain = field.kind is FieldKind.INT and field.choices is None and field.values is None and field.fixed is None
+    return field.bit_width == _WORD and offset % 8 == 0 and plain and field.scale.denominator <= _FINEST
 
 
 def limits(field: Field) -> tuple[int, int, list[int] | None]:
@@ -74,6 +86,10 @@ def column(data: Bytes, offset: int, field: Field) -> Integers:
     value: Any = np.zeros(len(data), dtype=np.int64)
     for place in places:
         value = value << 8 | data[:, place]
+    if field.bit_width == _WORD:
+        # All bits of the number are its own, the sign too.
+        word: Integers = value
+        return word
     value = value >> (last * 8 - offset - field.bit_width) & ((1 << field.bit_width) - 1)
     if field.kind is FieldKind.INT:
         half = 1 << (field.bit_width - 1)
