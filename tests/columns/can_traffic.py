@@ -25,7 +25,9 @@ def data_of(layout: Layout, chance: random.Random) -> bytes:
         elif listed:
             values[field.name] = chance.choice(listed)
         else:
-            values[field.name] = chance.choice((field.low, field.high, 0, chance.randint(field.low, field.high)))
+            # A number that is exact in JSON.
+            low, high = max(field.low, -(1 << 53)), min(field.high, 1 << 53)
+            values[field.name] = chance.choice((low, high, 0, chance.randint(low, high)))
             values[field.name] = values[field.name] if field.allows(values[field.name]) else field.low
     return codec(layout).encode(values)
 

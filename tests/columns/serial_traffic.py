@@ -5,13 +5,36 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Sequence
 
+from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.columns.block import ByteBlock
 from analyzer.framer import SILENCE_NS
 from analyzer.records import Chunk
+from benchmarks.framing_noise import SentFrame
+from tests.columns.can_traffic import data_of
+
+#: What is asked of drives again and again.
+POLLS = {
+    "mks-rs485": ("read_encoder_carry", "read_speed", "read_pulses", "read_position", "read_angle_error", "read_io"),
+    "lk-rs485": ("read_state_1", "read_state_2", "read_state_3", "read_encoder", "read_position"),
+    "mks-modbus": ("read_encoder_carry", "read_speed", "read_pulses", "read_position", "read_angle_error", "read_io"),
+}
 
 #: Pauses before a chunk, in nanoseconds, most of them none beyond the time of its bytes.
 _PAUSES = (0, 0, 0, 0, 300_000, 2_000_000, SILENCE_NS // 2, 2 * SILENCE_NS)
+
+
+def polls(name: str, chance: random.Random, count: int) -> list[SentFrame]:
+    """Return exchanges that read, each with its reply."""
+    dialect = dialects.get(name)
+    reads = [command for command in dialect.commands if command.name in POLLS[name]]
+    frames: list[SentFrame] = []
+    while len(frames) < count:
+        command, address = chance.choice(reads), chance.choice((1, 2, 3))
+        for form, role in ((command.request_forms[0], Role.REQUEST), (chance.choice(command.reply_forms), Role.REPLY)):
+            data = data_of(form.layout, chance)
+            frames.append(SentFrame(dialect.link.build(command, form, address, data, role), role, dialect))
+    return frames
 
 
 def chunks_of(

@@ -9,12 +9,9 @@ import msgspec
 import pytest
 
 from analyzer import dialects
-from analyzer.catalogue import Risk, Role
 from benchmarks.framing_noise import damage, traffic
 from tests.columns.both_ways import outcome, same_capture, short_runs
-from tests.columns.can_traffic import data_of
-from tests.columns.serial_traffic import byte_blocks, chunks_of
-from benchmarks.framing_noise import SentFrame
+from tests.columns.serial_traffic import byte_blocks, chunks_of, polls
 
 SERIAL = ("mks-rs485", "lk-rs485", "mks-modbus")
 CAPTURES = Path(__file__).parents[2] / "captures"
@@ -24,19 +21,6 @@ CAPTURES = Path(__file__).parents[2] / "captures"
 def with_short_runs():
     with short_runs():
         yield
-
-
-def polls(name, chance, count):
-    """Return exchanges that read, each with its reply."""
-    dialect = dialects.get(name)
-    reads = [c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.borrows and c.reply_forms and c.slots is None]
-    frames = []
-    while len(frames) < count:
-        command, address = chance.choice(reads[:6]), chance.choice((1, 2, 3))
-        for form, role in ((command.request_forms[0], Role.REQUEST), (command.reply_forms[0], Role.REPLY)):
-            data = data_of(form.layout, chance)
-            frames.append(SentFrame(dialect.link.build(command, form, address, data, role), role, dialect))
-    return frames
 
 
 def same(chunks, dialect, most, *, timed=True):
