@@ -7,6 +7,7 @@ Without an open request the first form that fits is taken.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from analyzer.catalogue import Command, Dialect, Form, Role
@@ -90,10 +91,31 @@ class Decoder:
 
     def lanes(self, frame: Frame) -> tuple[Lane, ...]:
         """Return every lane that frames of this head and length can have; none if each must be looked at."""
-        found = self._new_lane(frame) if self._head_bytes else None
+        if not self._head_bytes:
+            return tuple(self._asked_lanes(frame))
+        found = self._new_lane(frame)
         if found is None or isinstance(found, Lane):
             return () if found is None else (found,)
         return found if isinstance(found, tuple) else found.lanes
+
+    def _asked_lanes(self, frame: Frame) -> Iterator[Lane]:
+        """Yield the lanes of frames of which a reply tells what it is only together with its request, right before it."""
+        head = self._link.parse(frame.data)
+        size, is_request = head.stop - head.start, head.role is Role.REQUEST
+        if head.role is Role.UNKNOWN or head.exception is not None or (is_request and head.code is None):
+            return
+        tables = self._requests if is_request else self._replies
+        for (function, code), entries in tables.items():
+            if function != head.function or head.code not in (None, code):
+                continue
+            for command, form, _ in entries:
+                if not form.layout.fits(size):
+                    continue
+                odd = form.layout.open_ended or command.slots is not None or (is_request and not _asks_all(command, head))
+                if odd or form.request_values:
+                    # Not told here: nor are those behind it, for the first that fits counts.
+                    break
+                yield Lane(self.dialect, head.role, head.address, command, form, head.start, head.stop)
 
     def _new_lane(self, frame: Frame) -> Lane | tuple[Lane, Lane] | _Several | None:
         """Return the lane of frames like this, or those that are chosen from.
@@ -378,6 +400,11 @@ def _chosen(lanes: tuple[Lane, Lane], data: bytes, context: Context) -> Lane | N
     if len(waiting) == 1 and waiting[0].command is reply.command and (reply.valid is None or reply.valid(own)):
         return reply
     return None
+
+
+def _asks_all(command: Command, head: Head) -> bool:
+    """Say whether a request asks for as much as the command has."""
+    return not command.quantity or head.quantity in (None, command.quantity)
 
 
 def _first(entries: list[_Entry] | tuple[_Entry, ...], data: bytes) -> _Entry | None:

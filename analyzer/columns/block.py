@@ -55,10 +55,10 @@ class CanBlock:
 
     def alike(self, count: int) -> Integers:
         """Return numbers that are the same where identifier, length and so many bytes at the beginning are."""
-        from analyzer.columns.groups import ranks
+        from analyzer.columns.groups import numbered, ranks
 
         # The rank of an identifier instead of itself: so numbers are small, of which groups are found fast.
-        return _alike(ranks(self.ids)[1].astype("i8") << 4 | self.sizes, self.data, count)
+        return numbered(self.data[:, :count], ranks(self.ids)[1].astype("i8") << 4 | self.sizes)
 
     def frame_of(self, row: int, dialect: Dialect, offset: int) -> Frame:
         """Return one frame as one of a dialect. `offset`: bytes of the bus before it."""
@@ -178,7 +178,9 @@ class FrameBlock:
 
     def alike(self, count: int) -> Integers:
         """Return numbers that are the same where length and so many bytes at the beginning are."""
-        return _alike(self.sizes, self.data, count)
+        from analyzer.columns.groups import numbered
+
+        return numbered(self.data[:, :count], self.sizes)
 
     def frame_of(self, row: int, dialect: Dialect, offset: int = 0) -> Frame:
         """Return one frame as one of a dialect; where it stands tells its offset."""
@@ -192,10 +194,3 @@ class FrameBlock:
         first, end = int(self.starts[0]), int(self.starts[-1] + self.sizes[-1])
         return vars(self) | {"whole": self.whole[first:end], "offset": self.offset + first, "starts": self.starts - first}
 
-
-def _alike(kinds: Integers, data: Bytes, count: int) -> Integers:
-    from analyzer.columns.groups import ranks
-
-    for place in range(min(count, data.shape[1])):
-        kinds = (ranks(kinds)[1].astype("i8") if place else kinds) << 8 | data[:, place]
-    return kinds

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer.columns.codec import Integers
+from analyzer.columns.codec import Bytes, Integers
 
 #: Values below this are counted in a table; greater ones are sorted.
 _DENSE = 1 << 20
@@ -37,3 +37,13 @@ def groups(values: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
     for value, count in zip(known.tolist(), np.bincount(places, minlength=len(known)).tolist(), strict=True):
         yield value, order[start : start + count]
         start += count
+
+
+def numbered(data: Bytes, numbers: Integers | None = None) -> Integers:
+    """Return numbers that are the same where rows of bytes are, and given numbers are, too."""
+    if numbers is None:
+        numbers = np.zeros(len(data), dtype=np.int64)
+    for place in range(data.shape[1]):
+        # Ranks keep them small.
+        numbers = ranks(numbers)[1].astype(np.int64) << 8 | data[:, place]
+    return numbers

@@ -9,6 +9,7 @@ that still wait for a reply. All other frames go one by one, in their order.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import unwrap
@@ -18,8 +19,9 @@ import numpy as np
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, WIDEST_ROW, CanBlock, FrameBlock
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
-from analyzer.columns.groups import groups, ranks
+from analyzer.columns.groups import groups, numbered, ranks
 from analyzer.context import Request, RequestOutcome, State
+from analyzer.link import Link
 from analyzer.link.can import CanLink
 from analyzer.port import Port
 from analyzer.records import Frame, Lane, Message
@@ -31,6 +33,8 @@ SHORTEST_RUN = 64
 LEAST_SHARE = 0.25
 #: Frames that are passed on one by one after a run that what is known of the drives forbids.
 AFTER_REFUSAL = 32
+#: Bytes by which the link says how many tell what a frame is.
+_FEW = 3
 _UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
 
 
@@ -77,7 +81,10 @@ class Pairing:
     def dialect_of(port: Port, block: CanBlock | FrameBlock) -> Dialect | None:
         """Return the dialect that blocks of a bus can be looked at in: the only one, if its frames name their lanes."""
         spoken = port.can if isinstance(block, CanBlock) else port.serial
-        return spoken[0] if len(spoken) == 1 and spoken[0].link.deciding_bytes and port.nodes.listed is None else None
+        if len(spoken) != 1 or port.nodes.listed is not None:
+            return None
+        link = spoken[0].link
+        return spoken[0] if link.deciding_bytes or type(link).deciding is not Link.deciding else None
 
     def is_of(self, port: Port, dialect: Dialect) -> bool:
         """Say whether this was made for a bus as it is now."""
@@ -155,6 +162,7 @@ class Pairing:
             and address not in context.groups
             and not (command.silenced and address in context.silenced)
             and context.speaks.get(address, lane.dialect) == lane.dialect
+            and (bool(self._dialect.link.deciding_bytes) or address not in context.open)
             and all(
                 # What a drive still does takes no reply of another code; a request that waits is overtaken by any.
                 other.state is State.RUNNING
@@ -172,8 +180,7 @@ class Pairing:
         sound = self._checked(block)
         requests = np.full(len(block), -1, dtype=np.int64)
         replies = np.full(len(block), -1, dtype=np.int64)
-        alike = groups(block.alike(self._dialect.link.deciding_bytes))
-        kinds = [(*self._kinds(block, int(rows[0])), rows) for _, rows in alike]
+        kinds = [(*self._kinds(block, int(rows[0])), rows) for rows in self._alike(block)]
         for asking, _, group in kinds:
             left = group[sound[group] & (block.directions[group] != _REPLY)]
             for number in asking:
@@ -230,9 +237,20 @@ class Pairing:
             fits = np.array([link.fits(frame.data, frame.id) for frame in block.frames()], dtype=np.bool_)
         return fits & (block.sizes >= link.shortest)
 
+    def _alike(self, block: CanBlock | FrameBlock) -> Iterator[Integers]:
+        """Yield the rows of each identifier, length and first bytes that tell what a frame is."""
+        link = self._dialect.link
+        few = link.deciding_bytes or _FEW
+        for _, rows in groups(block.alike(few)):
+            more = 0 if link.deciding_bytes else link.deciding(block.frame_of(int(rows[0]), self._dialect, 0).data)
+            if more <= few:
+                yield rows
+            else:
+                yield from (rows[own] for _, own in groups(numbered(block.data[rows, few:more])))
+
     def _kinds(self, block: CanBlock | FrameBlock, row: int) -> tuple[list[int], list[int]]:
-        frame = block.frame_of(row, self._dialect, 0)
-        key = None if frame.can is None else frame.can.id, len(frame.data), frame.data[: self._dialect.link.deciding_bytes]
+        frame, link = block.frame_of(row, self._dialect, 0), self._dialect.link
+        key = None if frame.can is None else frame.can.id, len(frame.data), frame.data[: link.deciding(frame.data)]
         known = self._known.get(key)
         if known is None:
             known = self._known[key] = ([], [])

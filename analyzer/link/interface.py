@@ -259,6 +259,13 @@ class Link(ABC):
         `expects(address, function)`: data bytes of the reply that an open request awaits, 0 for none.
         """
 
+    def deciding(self, frame: bytes) -> int:
+        """Return how many bytes at the beginning tell, with the length, what is asked, or what a reply can answer; 0: none do.
+
+        Frames of one length and the same first three bytes have the same number.
+        """
+        return self.deciding_bytes
+
     def silence_ns(self, byte_ns: int) -> int:
         """Return the silence that ends a frame, for bytes of `byte_ns` on the line; 0 where only its bytes tell its end."""
         return 0

@@ -61,6 +61,13 @@ class ModbusLink(Link):
 
     odd_counts: Mapping[int, int] = field(default_factory=dict)
 
+    def deciding(self, frame: bytes) -> int:
+        function, size = frame[1] if len(frame) > 2 else 0, len(frame)
+        if function in READS and (size == 8) is not (size == 5 + frame[2]):
+            return 6 if size == 8 else 3
+        # A write of one register is answered by itself: which is which, the requests tell.
+        return (4 if size == 8 else 7) if function in WRITE_MANY else 0
+
     def silence_ns(self, byte_ns: int) -> int:
         fast = byte_ns < 10_000_000_000 // _FAST_BAUD
         return _FAST_SILENCE_NS if fast else int(_SILENT_CHARACTERS * byte_ns)
