@@ -124,7 +124,7 @@ class ByteBlock:
         return map(self.chunk, range(start, len(self) if stop is None else stop))
 
 
-#: Bytes of a frame that stand in columns. A longer frame is none of a lane.
+#: Bytes of a frame that stand in columns at most. A longer frame is none of a lane.
 WIDEST_ROW = 40
 
 
@@ -152,12 +152,13 @@ class FrameBlock:
 
     @cached_property
     def data(self) -> Bytes:
-        """The bytes of the frames, of shape (frames, bytes of the longest, `WIDEST_ROW` at most), zeros behind a frame's own."""
+        """The bytes of the frames, of shape (frames, bytes of the longest), zeros behind a frame's own."""
         import numpy as np
 
         width = min(int(self.sizes.max(initial=0)), WIDEST_ROW)
-        codes = np.frombuffer(self.whole[int(self.starts[0]) : int(self.starts[-1]) + WIDEST_ROW] + bytes(width), dtype=np.uint8)
-        rows = np.lib.stride_tricks.sliding_window_view(codes, width)[self.starts - self.starts[0]]
+        first, last = int(self.starts[0]), int(self.starts[-1])
+        codes = np.frombuffer(self.whole[first : last + width] + bytes(width), dtype=np.uint8)
+        rows = np.lib.stride_tricks.sliding_window_view(codes, width)[self.starts - first]
         result: Bytes = rows * (np.arange(width) < self.sizes[:, None])
         return result
 
@@ -193,4 +194,3 @@ class FrameBlock:
         # What passes to another process is the frames alone.
         first, end = int(self.starts[0]), int(self.starts[-1] + self.sizes[-1])
         return vars(self) | {"whole": self.whole[first:end], "offset": self.offset + first, "starts": self.starts - first}
-

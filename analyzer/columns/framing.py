@@ -30,7 +30,7 @@ SHORTEST_ROW = 8
 
 
 class Framing:
-    """Frames blocks of bytes for a framer, which stands afterwards where it would without them. `timed`: times say something."""
+    """Frames blocks of bytes for a framer, which then stands where it would without them. `timed`: times say something."""
 
     def __init__(self, framer: Framer, *, timed: bool = True) -> None:
         self.framer = framer

@@ -258,8 +258,11 @@ class _ModbusSlicer(Slicer):
         from analyzer.link.arrays import Crc16, Found
 
         rules: tuple[tuple[frozenset[int], Callable[[Bytes, Integers], tuple[Flags | bool, Bytes | int]]], ...] = (
-            (READS, self._of_reads), (WRITE_ONE, self._of_write), (WRITE_MANY, self._of_writes), (_EXCEPTIONS, self._of_exceptions),
-        )  # fmt: skip
+            (READS, self._of_reads),
+            (WRITE_ONE, self._of_write),
+            (WRITE_MANY, self._of_writes),
+            (_EXCEPTIONS, self._of_exceptions),
+        )
         kinds = np.zeros(256, dtype=np.uint8)
         for kind, (functions, _) in enumerate(rules, 1):
             kinds[list(functions)] = kind

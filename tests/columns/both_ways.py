@@ -1,4 +1,4 @@
-"""The same CAN frames through the pipeline one by one and by blocks, and all that comes out."""
+"""The same traffic through the pipeline one by one and by blocks, and all that comes out."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -21,10 +22,11 @@ from analyzer.context import Request
 from analyzer.diagnosis.watch import Watch
 from analyzer.errors import ServotapError
 from analyzer.pipeline import Item, Options, Pipeline
-from analyzer.records import CanFrame
+from analyzer.records import CanFrame, Chunk
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.summary import Summary
 from analyzer.sources import blf_blocks, candump_blocks, found, open_source, source
+from tests.columns.serial_traffic import byte_blocks
 
 
 @contextlib.contextmanager
@@ -149,8 +151,19 @@ def same_capture(path: Path, dialect: Dialect) -> int:
 
 def same(frames: Sequence[CanFrame], dialect: Dialect, most: int) -> Pipeline:
     """Check that both ways give the same. Return the pipeline that took blocks."""
-    streamed, _ = outcome(frames, dialect)
-    columns, pipeline = outcome(list(blocks(frames, most)), dialect)
+    return _same(frames, list(blocks(frames, most)), dialect)
+
+
+def same_line(chunks: Sequence[Chunk], dialect: Dialect, most: int, *, timed: bool = True) -> int:
+    """Check that both ways give the same of a serial line, with its times or without. Return how many frames went by runs."""
+    if not timed:
+        chunks = [msgspec.structs.replace(chunk, t_ns=None) for chunk in chunks]
+    return _same(chunks, list(byte_blocks(chunks, most)), dialect, timed=timed).in_runs
+
+
+def _same(singly: Sequence[Item], together: Sequence[Item], dialect: Dialect, *, timed: bool = True) -> Pipeline:
+    streamed, _ = outcome(singly, dialect, timed=timed)
+    columns, pipeline = outcome(together, dialect, timed=timed)
     for name, value in streamed.items():
         if isinstance(value, list):
             for one, other in zip(value, columns[name], strict=False):

@@ -38,7 +38,13 @@ def polls(name: str, chance: random.Random, count: int) -> list[SentFrame]:
 
 
 def chunks_of(
-    line: bytes, chance: random.Random, ends: Sequence[int] = (), *, longest: int = 4096, byte_ns: int = 86_806, steady: bool = False
+    line: bytes,
+    chance: random.Random,
+    ends: Sequence[int] = (),
+    *,
+    longest: int = 4096,
+    byte_ns: int = 86_806,
+    steady: bool = False,
 ) -> Iterator[Chunk]:
     """Yield a line in chunks. `ends`: where its frames end: some captures cut there, and only they know who sent."""
     t_ns, at, direction = 1_772_442_000_000_000_000, 0, Role.UNKNOWN

@@ -55,7 +55,9 @@ def check(layout: Layout, rows: list[bytes]) -> None:
     assert [{name: values[n] for name, values in wire.items()} for n in range(len(rows))] == [single.wire(row) for row in rows]
     assert columns.matches(data).tolist() == [single.matches(row) for row in rows]
     # What is no exact JSON number is left to the codec of single frames.
-    exact = [all(abs(v) * f.scale.numerator <= EXACT for v, f in zip(single.wire(row).values(), named, strict=True)) for row in rows]
+    exact = [
+        all(abs(v) * f.scale.numerator <= EXACT for v, f in zip(single.wire(row).values(), named, strict=True)) for row in rows
+    ]
     assert columns.valid(data).tolist() == [single.valid(row) and fits for row, fits in zip(rows, exact, strict=True)]
 
 

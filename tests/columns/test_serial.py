@@ -5,13 +5,12 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from analyzer import dialects
 from benchmarks.framing_noise import damage, traffic
-from tests.columns.both_ways import outcome, same_capture, short_runs
-from tests.columns.serial_traffic import byte_blocks, chunks_of, polls
+from tests.columns.both_ways import same_capture, same_line, short_runs
+from tests.columns.serial_traffic import chunks_of, polls
 
 SERIAL = ("mks-rs485", "lk-rs485", "mks-modbus")
 CAPTURES = Path(__file__).parents[2] / "captures"
@@ -23,20 +22,6 @@ def with_short_runs():
         yield
 
 
-def same(chunks, dialect, most, *, timed=True):
-    """Check that both ways give the same. Return how many frames went by runs."""
-    if not timed:
-        chunks = [msgspec.structs.replace(chunk, t_ns=None) for chunk in chunks]
-    streamed, _ = outcome(chunks, dialect, timed=timed)
-    columns, pipeline = outcome(list(byte_blocks(chunks, most)), dialect, timed=timed)
-    for name, value in streamed.items():
-        if isinstance(value, list):
-            for one, other in zip(value, columns[name], strict=False):
-                assert one == other, name
-        assert value == columns[name], name
-    return pipeline.in_runs
-
-
 @pytest.mark.parametrize("share", [0, 0.001, 0.05])
 @pytest.mark.parametrize("name", SERIAL)
 @pytest.mark.parametrize("seed", range(3))
@@ -45,7 +30,7 @@ def test_exchanges(name, seed, share, short_runs):
     frames = polls(name, chance, 150) + traffic([name], 150, chance) + polls(name, chance, 150)
     line, placed = damage(frames, share, chance)
     chunks = list(chunks_of(line, chance, [p.stop for p in placed], longest=chance.choice((3, 40, 5000)), steady=not seed))
-    in_runs = same(chunks, dialects.get(name), chance.choice((5, 50, 10_000)) if seed else 10_000, timed=seed != 1)
+    in_runs = same_line(chunks, dialects.get(name), chance.choice((5, 50, 10_000)) if seed else 10_000, timed=seed != 1)
     assert in_runs > 100 or seed or share
 
 

@@ -5,7 +5,7 @@ bounds time and memory. Some targets state more:
 
     framer    each byte stands in one frame or piece of junk, in order, however the bytes were cut
     pipeline  the same, for any capture, behind its source
-    columns   by blocks comes out what frame by frame does
+    columns   by blocks comes out what frame by frame does; of a serial line, what chunk by chunk does
     decode    the same, in the log as the library `mcap` reads it
     recover   the result is read by the library; each record that is whole in the spools stands in it (where bytes alone
               were changed, and no checksum made to fit)
@@ -49,7 +49,8 @@ from analyzer.transactions import Transactions
 from conformance.claim import RigFault
 from tests.bytestreams import SERIAL, vectors
 from tests.collect import Collect, sum8
-from tests.columns.both_ways import same_capture, short_runs
+from tests.columns.both_ways import same_capture, same_line, short_runs
+from tests.columns.serial_traffic import chunks_of
 from tests.fuzz.corpus import CAPTURES, INPUT, Input, captures, lay_out, quick
 from tests.fuzz.mutators import TOKENS, VALUES, bytes_changed, kind_of, mutated, text_changed
 from tests.fuzz.two_ends import beside, can_bus, datagrams, far_end, free_port, program, tcp_clients, viewed
@@ -313,6 +314,18 @@ def _columns(given: Input, place: Place) -> None:
     try:
         with short_runs():
             same_capture(path, dialects.get("mks-can"))
+    except AssertionError as error:
+        raise Fault(f"by blocks comes something else: {error}") from error
+
+
+def _columns_serial(given: Input, place: Place) -> None:
+    data = given[INPUT]
+    chance = random.Random(zlib.crc32(data))
+    dialect = dialects.get(chance.choice(SERIAL))
+    chunks = list(chunks_of(data, chance, longest=chance.choice((3, 40, 5000))))
+    try:
+        with short_runs():
+            same_line(chunks, dialect, chance.choice((2, 50, 10_000)), timed=chance.random() < 0.7)
     except AssertionError as error:
         raise Fault(f"by blocks comes something else: {error}") from error
 
@@ -700,6 +713,7 @@ TARGETS: dict[str, Target] = {
     "framer": Target(_framer, _bytes_seeds, _bytes_changed, 10.0, 5.0),
     "pipeline": Target(_pipeline, _file_seeds("decode"), _file_changed, 10.0),
     "columns": Target(_columns, _file_seeds("decode", kinds=("blf", "candump", "pcap")), _file_changed, 3.0),
+    "columns-serial": Target(_columns_serial, _bytes_seeds, _bytes_changed, 3.0),
     "decode": Target(_decode, _file_seeds("decode"), _file_changed, 3.0),
     "decode-parquet": _on_files("decode", INPUT, "--to", "parquet", "-o", "out.parquet", share=0.5),
     "show": _on_files("show", INPUT),
