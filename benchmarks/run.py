@@ -20,6 +20,7 @@ ROOT = HERE.parent
 RUNS = (
     ("decode_peers.py", ("--frames", "300000"), ("--frames", "30000", "--rounds", "1")),
     ("columns.py", ("--rounds", "1"), ("--frames", "30000", "--rounds", "1")),
+    ("serial_columns.py", (), ("--frames", "20000", "--rounds", "1")),
     ("framing_noise.py", ("--frames", "100000"), ("--frames", "5000")),
     ("diagnosis.py", (), ("--frames", "20000", "--rounds", "1")),
     ("drive_replies.py", (), ()),

@@ -47,8 +47,8 @@ class Framing:
             return
         fed = 0
         events: Iterator[Frame | Junk] = iter(())
+        span = rows.at(framer.standing)
         while True:
-            span = rows.at(framer.standing)
             if span is not None:
                 frames = rows.frames(*span, block.taken)
                 yield frames
@@ -56,12 +56,13 @@ class Framing:
                 fed, events = rows.go_on(framer, span[1])
             for event in events:
                 yield event
-                if rows.begins_at(framer.standing):
+                span = rows.at(framer.standing)
+                if span is not None:
                     break
             else:
                 if fed == chunks:
                     return
-                events = framer.feed(block.chunk(fed))
+                events, span = framer.feed(block.chunk(fed)), None
                 fed += 1
                 block.taken = max(block.taken, fed)
 
@@ -129,27 +130,19 @@ class _Rows:
 
     @staticmethod
     def _is_in(places: Integers, wanted: Integers) -> Flags:
+        if not len(places):
+            return np.zeros(len(wanted), dtype=np.bool_)
         result: Flags = np.isin(wanted, places)
         return result
 
     # --- where the framer stands --------------------------------------------------------------------------------------
 
-    def _row(self, offset: int) -> int:
-        """Return the row in which a place on the port lies, -1 for none."""
+    def at(self, offset: int) -> tuple[int, int] | None:
+        """Return which frames follow each other from a place on the port on, enough of them; None where there are none."""
         place = offset - self._line.offset
         row = bisect_right(self._places, place) - 1
-        return row if row >= 0 and place < self._limits[row] else -1
-
-    def begins_at(self, offset: int) -> bool:
-        """Say whether a row may go on at a place."""
-        return offset >= 0 and self._row(offset) >= 0
-
-    def at(self, offset: int) -> tuple[int, int] | None:
-        """Return which frames follow each other from a place on, enough of them; None where there are none."""
-        row = self._row(offset) if offset >= 0 else -1
-        if row < 0:
+        if row < 0 or place >= self._limits[row]:
             return None
-        place = offset - self._line.offset
         first, stop = self._firsts[row], self._stops_of_rows[row]
         if place != self._places[row]:
             first += int(self._starts[first:stop].searchsorted(place))
@@ -182,14 +175,19 @@ class _Rows:
         )
         marks = np.concatenate((np.full(len(held), DIRECTIONS.index(line.direction)), block.directions))
 
-        def time_of(places: Integers) -> tuple[Integers, Integers]:
-            chunks = stops.searchsorted(places, side="right")
-            return np.maximum(before[chunks], times[chunks] - (stops[chunks] - 1 - places) * line.byte_ns), chunks
+        def chunks_of(places: Integers) -> Integers:
+            if (places[1:] < places[:-1]).any():
+                return stops.searchsorted(places, side="right")
+            # In order, all of one chunk stand together.
+            return np.repeat(np.arange(len(stops)), np.diff(places.searchsorted(stops), prepend=0))
 
-        first_ns, chunks = time_of(self._starts)
-        last_ns, ended = time_of(self._ends - 1)
+        chunks, ended = chunks_of(self._starts), chunks_of(self._ends - 1)
+        # Counted from the end of its chunk, a byte came so much earlier; but not before the chunk before.
+        zero_ns = times - (stops - 1) * line.byte_ns
+        first_ns = np.maximum(before[chunks], zero_ns[chunks] + self._starts * line.byte_ns)
+        last_ns = np.maximum(before[ended], zero_ns[ended] + (self._ends - 1) * line.byte_ns)
         # A frame is told once it and the one behind it were looked at, or a boundary came.
-        looked = stops.searchsorted(self._starts + self._looks - 1, side="right")
+        looked = chunks_of(self._starts + self._looks - 1)
         decided = np.append(looked[1:], len(stops) - 1)[: len(ended)]
         for places, told in ((self._opened, ended + 1), (self._closed, ended)):
             decided = np.where(self._is_in(places, self._ends), np.minimum(decided, told), decided)
