@@ -27,6 +27,8 @@ from analyzer.records import Frame, Junk
 
 #: Fewer frames than this are found faster one by one.
 SHORTEST_ROW = 8
+#: A row of more frames is given away in parts, for the messages made of one stand in memory together.
+LONGEST_PART = 1 << 15
 
 
 class Framing:
@@ -50,9 +52,10 @@ class Framing:
         span = rows.at(framer.standing)
         while True:
             if span is not None:
-                frames = rows.frames(*span, block.taken)
-                yield frames
-                block.taken = int(frames.decided[-1])
+                for first in range(*span, LONGEST_PART):
+                    frames = rows.frames(first, min(first + LONGEST_PART, span[1]), block.taken)
+                    yield frames
+                    block.taken = int(frames.decided[-1])
                 fed, events = rows.go_on(framer, span[1])
             for event in events:
                 yield event
