@@ -9,12 +9,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import gc
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analyzer import __version__
+from analyzer.cli.option_types import positive
 from analyzer.cli.output import Output, OutputFolder, target_of
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, now_text, open_reading, progress
 from analyzer.cli.signals import Interrupt
@@ -23,14 +25,17 @@ from analyzer.diagnosis.watch import Watch
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.pipeline import Pipeline, Sink
 from analyzer.records import Severity
-from analyzer.sinks.mcap_log import McapLog
-from analyzer.sinks.process import SinkProcess, available
+from analyzer.sinks.forked import available
+from analyzer.sinks.mcap_file import McapFile
+from analyzer.sinks.mcap_log import LIBRARY, PROFILE, McapLog
+from analyzer.sinks.process import SinkProcess
 from analyzer.sinks.summary import Summary
 from analyzer.table.extras import needed
 from analyzer.values import printable
 
 if TYPE_CHECKING:
     from analyzer.sinks.parquet import ParquetTables
+    from analyzer.sinks.workers import Workers
 
 #: From this size on, in bytes, writing in a process of its own is worth starting one.
 LONG_CAPTURE = 1 << 20
@@ -48,6 +53,11 @@ examples:
 """
 
 
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument(
@@ -59,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strict", action="store_true", help="exit with 1 if there are findings of severity error")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON, one line per file")
     parser.add_argument("--force", action="store_true", help="replace a log that exists")
+    parser.add_argument("--jobs", type=positive, default=cores(), metavar="N", help="processes at most (default: the cores)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -144,25 +155,38 @@ def _target(path: str, arguments: argparse.Namespace, taken: Sequence[Path]) -> 
 
 
 class _Sinks:
-    """The log and the summary: in a process of their own for a long capture, else here."""
+    """The log and the summary of a capture. Where it is long, other processes have a share of the work.
 
-    def __init__(self, reading: OpenCapture, output: Output | OutputFolder) -> None:
-        options = reading.options
+    `jobs`: processes in all. Rows of a log are packed by workers; tables, and frames that come one by one, are written by
+    another process.
+    """
+
+    def __init__(self, reading: OpenCapture, output: Output | OutputFolder, jobs: int) -> None:
+        self._source, options = reading.source, reading.options
+        source = self._source
+        self._process: SinkProcess | None = None
+        self._workers: Workers | None = None
+        long = source.size is not None and source.size >= LONG_CAPTURE
+        source.in_blocks = long and source.gives_blocks and not reading.time_range.wanted
+        several = long and jobs > 1 and available()
+        if several and source.in_blocks and isinstance(output, Output):
+            # What is loaded before the workers begin, they share.
+            from analyzer.sinks.workers import MOST, Workers
+
+            self._workers = Workers(min(jobs - 1, MOST), reading.possible)
 
         def make() -> tuple[McapLog | ParquetTables, Summary]:
             if isinstance(output, OutputFolder):
                 from analyzer.sinks.parquet import ParquetTables
 
-                return ParquetTables(output.part, reading.source.clock), Summary()
+                return ParquetTables(output.part, source.clock), Summary()
             byte_ns, bit_ns = options.byte_ns, options.synthetic_bit_ns
-            return McapLog(output.stream, byte_ns=byte_ns, bit_ns=bit_ns, clock=reading.source.clock), Summary()
+            file = McapFile(output.stream, profile=PROFILE, library=LIBRARY, packer=self._workers)
+            return McapLog(file, byte_ns=byte_ns, bit_ns=bit_ns, clock=source.clock), Summary()
 
-        self._process: SinkProcess | None = None
-        size = reading.source.size
         self.given: tuple[Sink, ...]
-        if available() and size is not None and size >= LONG_CAPTURE:
+        if several and self._workers is None:
             self._process = SinkProcess(reading.possible, make)
-            reading.source.in_blocks = not reading.time_range.wanted
             self.given = (self._process,)
         else:
             self._log, self._summary = make()
@@ -170,6 +194,10 @@ class _Sinks:
 
     def summary(self) -> Summary:
         """Return the counts of everything so far."""
+        if self._workers is not None:
+            self._workers.settle()
+            for how in self._workers.died:
+                self._source.note(f"a process that packed the log ended early ({how}); what it was to do was done again")
         if self._process is None:
             return self._summary.settle()
         accounted: Summary = self._process.call(1, "settle")
@@ -207,7 +235,7 @@ def _decode(target: Path, reading: OpenCapture, arguments: argparse.Namespace, p
     # From before the log exists to when it is whole, Ctrl-C ends the reading and nothing else.
     with contextlib.closing(reading.source), Interrupt() as interrupt:
         output = (OutputFolder if arguments.to == "parquet" else Output)(target, arguments.force)
-        sinks = _Sinks(reading, output)
+        sinks = _Sinks(reading, output, arguments.jobs)
         watch = Watch()
         pipeline = reading.pipeline((*sinks.given, watch))
         stopped = ""

@@ -40,6 +40,11 @@ class CanBlock:
         """Data bytes of all frames."""
         return int(self.sizes.sum())
 
+    def part(self, rows: slice) -> CanBlock:
+        """Return some frames as a block."""
+        t_ns, ids, sizes, directions = (column[rows] for column in (self.t_ns, self.ids, self.sizes, self.directions))
+        return CanBlock(self.port, t_ns, ids, sizes, self.data[rows], directions)
+
     def frame(self, row: int) -> CanFrame:
         """Return one frame."""
         data = self.data[row, : self.sizes[row]].tobytes()

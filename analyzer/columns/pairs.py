@@ -9,6 +9,7 @@ that still wait for a reply. All other frames go one by one, in their order.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -38,7 +39,8 @@ class Plain:
     """The frames of a block that are part of plain exchanges.
 
     `lanes`: those that occur; `lane`: of each row, a place in `lanes`, -1 where a frame is not plain. `offsets`: bytes of the
-    bus before each frame. `first`: sequence number of the first row; the others count on from it.
+    bus before each frame. `first`: sequence number of the first row; the others count on from it. `before_ns`: time of the
+    frame before the first, if it is known.
     """
 
     dialect: Dialect
@@ -47,6 +49,7 @@ class Plain:
     lane: Integers
     offsets: Integers
     first: int
+    before_ns: int | None = None
 
     def frame(self, row: int) -> Frame:
         """Return one frame."""
@@ -57,7 +60,30 @@ class Plain:
     @cached_property
     def latencies(self) -> Integers:
         """The time from the frame before to each; not above 0: it is not known."""
-        return np.diff(self.block.t_ns, prepend=self.block.t_ns[:1])
+        return np.diff(self.block.t_ns, prepend=self.block.t_ns[0] if self.before_ns is None else self.before_ns)
+
+    def firsts(self, start: int, stop: int, wanted: Flags) -> list[int]:
+        """Return the first row of each lane that is wanted and occurs in some rows, in their order."""
+        own = self.lane[start:stop]
+        numbers = np.flatnonzero(wanted & (np.bincount(own, minlength=len(wanted)) > 0))
+        return sorted(start + int((own == number).argmax()) for number in numbers)
+
+    def part(self, first: int, runs: Sequence[tuple[int, int]]) -> tuple[Plain, Integers]:
+        """Return what is plain in some runs, with no other lanes, and the places of its lanes here.
+
+        `runs`: from which row to which, counted from the row `first`, which begins the part. They follow each other.
+        """
+        rows = slice(first, first + runs[-1][1])
+        lane = np.full(runs[-1][1], -1, dtype=np.int64)
+        for start, stop in runs:
+            lane[start:stop] = self.lane[first + start : first + stop]
+        used = np.flatnonzero(np.bincount(lane + 1)[1:])
+        places = np.full(len(self.lanes) + 1, -1, dtype=np.int64)
+        places[used] = np.arange(len(used))
+        lanes = tuple(self.lanes[n] for n in used.tolist())
+        before_ns = int(self.block.t_ns[first - 1]) if first else self.before_ns
+        block, offsets = self.block.part(rows), self.offsets[rows]
+        return Plain(self.dialect, block, lanes, places[lane], offsets, self.first + first, before_ns), used
 
 
 class Pairing:

@@ -21,7 +21,7 @@ from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
 from analyzer.columns.groups import groups
 from analyzer.columns.pairs import Plain
 from analyzer.layout import Field
-from analyzer.records import Lane, Message
+from analyzer.records import Lane
 
 HEADER = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
@@ -44,10 +44,14 @@ class Messages:
 
 
 class Rows:
-    """The messages of a block's plain frames, made once for all of them and given out by runs."""
+    """The messages of a block's plain frames, made once for all of them and given out by runs.
 
-    def __init__(self, plain: Plain) -> None:
+    `channels`: of each lane that is used, that of its topic and that of its state, 0 where it has none.
+    """
+
+    def __init__(self, plain: Plain, channels: Integers) -> None:
         self.plain = plain
+        self._channels = channels
         count, head = len(plain.lane), HEADER.itemsize
         groups = list(alike(plain))
         cells = [(rows, _fields(plain, rows, lane), _state(plain, rows, lane)) for rows, lane in groups]
@@ -65,27 +69,9 @@ class Rows:
         self._kept[:, self._second_head : self._second_head + head] = self._has_state[:, None]
         #: Bytes of the messages in each row.
         self._sizes = np.stack((_sizes(self._kept[:, : self._second_head]), _sizes(self._kept[:, self._second_head :])), axis=1)
-        self._channels = np.zeros((len(plain.lanes), 2), dtype=np.int64)
-
-    def new_lanes(self, start: int, stop: int) -> list[int]:
-        """Return the lanes in some rows that have no channel yet, in their order."""
-        numbers, firsts = np.unique(self.plain.lane[start:stop], return_index=True)
-        new = self._channels[numbers, 0] == 0
-        self._firsts = dict(zip(numbers.tolist(), (start + firsts).tolist(), strict=True))
-        result: list[int] = numbers[new][np.argsort(firsts[new])].tolist()
-        return result
-
-    def example(self, number: int) -> tuple[Lane, Message]:
-        """Return a lane and the first message of it in the rows that `new_lanes` was asked about."""
-        lane = self.plain.lanes[number]
-        return lane, lane.message(self.plain.frame(self._firsts[number]))
-
-    def set_channels(self, number: int, own: int, state: int) -> None:
-        """Say where the messages of a lane go: the channel of its topic, and of the state, 0 if it has none."""
-        self._channels[number] = own, state
 
     def messages(self, start: int, stop: int, log_ns: Integers) -> Messages:
-        """Return the messages of some rows; all their lanes have channels. `log_ns`: of each row, rising."""
+        """Return the messages of some rows. `log_ns`: of each row, rising."""
         plain, head = self.plain, HEADER.itemsize
         rows, has_state, sizes = self._rows[start:stop], self._has_state[start:stop], self._sizes[start:stop]
         channels = self._channels[plain.lane[start:stop]]

@@ -25,25 +25,29 @@ __all__ = ["FORMATS", "Format", "Problem", "Record", "Source", "open_source"]
 
 
 class Format(NamedTuple):
-    """A capture format. `endings` are for help only: what a file is called decides nothing."""
+    """A capture format. `endings` are for help only: what a file is called decides nothing.
+
+    `blocks`: long captures can be given in blocks.
+    """
 
     module: str
     title: str
     summary: str
     endings: tuple[str, ...]
     kind: str
+    blocks: bool = False
 
 
 #: Every format by name; the first of two that fit equally wins.
 FORMATS: dict[str, Format] = {
     "mcap": Format("mcap_log", "Servotap log", "a log of this program, to be decoded again", (".mcap",), "log"),
     "pcapng": Format("pcapng", "pcapng", "SocketCAN, USER and RTAC serial links", (".pcapng",), "serial"),
-    "pcap": Format("pcap", "pcap", "SocketCAN, USER and RTAC serial links", (".pcap",), "serial"),
-    "blf": Format("blf", "BLF", "Vector binary log, CAN", (".blf",), "can"),
+    "pcap": Format("pcap", "pcap", "SocketCAN, USER and RTAC serial links", (".pcap",), "serial", blocks=True),
+    "blf": Format("blf", "BLF", "Vector binary log, CAN", (".blf",), "can", blocks=True),
     "mf4": Format("mf4", "MF4", "ASAM measurement data, CAN bus logging (needs asammdf)", (".mf4",), "can"),
     "asc": Format("asc", "ASC", "Vector text log, CAN", (".asc",), "can"),
     "trc": Format("trc", "TRC", "PEAK text trace, CAN", (".trc",), "can"),
-    "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can"),
+    "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can", blocks=True),
     "can-state": Format("can_state", "CAN state", "what ip and the kernel say of a CAN controller", (".txt", ".log"), "can"),
     "can-csv": Format("can_csv", "python-can CSV", "CAN frames as python-can's CSV writer puts them", (".csv",), "can"),
     "can-text": Format(
@@ -104,7 +108,7 @@ def open_source(path: str | Path, *, format: str | None = None, baud: int | None
     try:
         name = _find(source) if format is None else _forced(source, format)
         entry = FORMATS[name]
-        source.format, source.title, source.kind = name, entry.title, entry.kind
+        source.format, source.title, source.kind, source.gives_blocks = name, entry.title, entry.kind, entry.blocks
         source.stream.unread(source.head)
         source.begin(_module(name).read(source))
     except BaseException:
