@@ -58,9 +58,13 @@ class Outcome:
 
 
 class Far:
-    """How far a process is with its present capture, in memory that its parent reads: bytes and frames."""
+    """How far a process is with its present capture, in memory that its parent reads: bytes and frames.
 
-    def __init__(self, memory: bytearray | mmap.mmap, place: int = 0) -> None:
+    `parent`: the process that waits for this one, 0 for none.
+    """
+
+    def __init__(self, memory: mmap.mmap, place: int) -> None:
+        self.parent = 0
         self._memory = memory
         self._at = place * _FAR.size
 
@@ -76,12 +80,12 @@ class Far:
     @contextlib.contextmanager
     def noting(self, position: Callable[[], int], frames: Callable[[], int]) -> Iterator[None]:
         """While this is entered, note both again and again; where the parent is gone, end as at a signal."""
-        done, parent = threading.Event(), os.getppid()
+        done = threading.Event()
 
         def note() -> None:
             while not done.wait(_LOOK):
                 self.put(position(), frames())
-                if os.getppid() != parent:
+                if self.parent and os.getppid() != self.parent:
                     os.kill(os.getpid(), signal.SIGTERM)
 
         watcher = threading.Thread(target=note, daemon=True)
@@ -193,6 +197,7 @@ class _Work:
                 child.give(number.to_bytes(4, "little"))
 
     def _serve(self, far: Far, ends: Ends) -> None:
+        far.parent = os.getppid()
         while data := ends.take():
             ends.give(pickle.dumps(self._attempt(int.from_bytes(data, "little"), far)))
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import mmap
 import os
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ from mcap.reader import make_reader
 
 from analyzer.cli import decode as command
 from analyzer.cli import decode_many, main
+from analyzer.cli.signals import handled
 from analyzer.errors import UnreadableError
 from analyzer.sinks.forked import available
 
@@ -204,3 +207,13 @@ def test_how_far_all_are_is_shown(monkeypatch):
     assert total == 150
     assert shown == [("decoding 2 captures, 0 done", 50, 7), ("decoding 2 captures, 1 done", 125, 7)]
     assert (what(), position(), frames()) == ("decoding 2 captures, 2 done", 150, 20)
+
+
+def test_a_process_without_its_parent_ends(monkeypatch):
+    monkeypatch.setattr(decode_many, "_LOOK", 0.001)
+    arrived = threading.Event()
+    far = decode_many.Far(mmap.mmap(-1, 16), 0)
+    far.parent = -1
+    with handled(lambda number, frame: arrived.set()), far.noting(lambda: 5, lambda: 6):
+        assert arrived.wait(20)
+    assert far.get() == (5, 6)
