@@ -4,7 +4,8 @@
 
 Two captures are made, each as candump lines and as pcap: polls (four drives, five reads, values that the manual allows) and
 plausible sessions (`captures/make.py`: polls, settings, motion). The peers: tshark, which decodes no drive, and the plain
-script of `decode_peers.py`, which pairs nothing and reports nothing. CPU seconds count all processes of a command.
+script of `decode_peers.py`, which pairs nothing and reports nothing. CPU seconds count all processes of a command. A second
+table has what `--jobs` gains: seconds of the clock by turns, for which the machine should have nothing else to do.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -51,6 +53,20 @@ def cpu(command: Sequence[str]) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
+def gained(ours: Sequence[str], rounds: int) -> str:
+    """Return a row of the second table: medians of one process and of two, by the clock and as CPU, and of their ratios."""
+    clock: dict[str, list[float]] = {"1": [], "2": []}
+    spent: dict[str, list[float]] = {"1": [], "2": []}
+    for _ in range(rounds):
+        for jobs in clock:
+            started = time.perf_counter()
+            spent[jobs].append(cpu([*ours, "--jobs", jobs]))
+            clock[jobs].append(time.perf_counter() - started)
+    ratio = statistics.median(one / two for one, two in zip(*clock.values(), strict=True))
+    cells = [statistics.median(times[jobs]) for jobs in clock for times in (clock, spent)]
+    return " | ".join([*(f"{cell:.2f}" for cell in cells), f"{ratio:.2f}"])
+
+
 def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -58,6 +74,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     arguments = parser.parse_args()
     print("| capture | by | CPU s | times ours |\n| --- | --- | --- | --- |")
+    jobs, ends = [], ("candump", "pcap")
     with tempfile.TemporaryDirectory() as folder:
         session = Path(folder, "made.log")
         make = [sys.executable, str(ROOT / "captures" / "make.py"), "--frames", str(arguments.frames)]
@@ -96,6 +113,9 @@ def main() -> None:
             for peer, times in spent.items():
                 taken = statistics.median(times)
                 print(f"| {name} | {peer} | {taken:.2f} | {taken / own:.1f} |", flush=True)
+            jobs += [f"| {name}, {end} | {gained(peers[f'servotap decode, {end}'], arguments.rounds)} |" for end in ends]
+    print("\n| capture | one process, s | its CPU s | two, s | their CPU s | times as fast |\n|" + 6 * " --- |")
+    print(*jobs, sep="\n")
 
 
 if __name__ == "__main__":
