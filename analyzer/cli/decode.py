@@ -113,7 +113,6 @@ class _Sinks:
         source.in_blocks = long and source.gives_blocks and not reading.time_range.wanted
         several = long and jobs > 1 and available()
         if several and source.in_blocks and isinstance(output, Output):
-            # What is loaded before the workers begin, they share.
             from analyzer.sinks.workers import MOST, Workers
 
             self._workers = Workers(min(jobs - 1, MOST), reading.possible)

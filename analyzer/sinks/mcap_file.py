@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
     from analyzer.columns.pairs import Plain
 
-#: Rows of a block that are packed together: their text fits into the cache of a core.
-ROWS = 1 << 13
+#: Rows of a block that are packed together: fewer cost more for each kind of frame, more need more memory.
+ROWS = 1 << 14
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 #: channel and place of its message index, for each;

@@ -15,6 +15,7 @@ import io
 import pickle
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import import_module
 from queue import SimpleQueue
 from threading import BoundedSemaphore
 from typing import Any
@@ -38,6 +39,8 @@ class Workers:
         #: How the workers that died ended.
         self.died: list[str] = []
         self.ahead = 2 * count * (1 + _AHEAD)
+        # What is loaded before the workers begin, they share.
+        import_module("analyzer.columns.rows")
         self._workers = [Forked(lambda ends: _work(ends, self._table)) for _ in range(count)]
         self._free: SimpleQueue[Forked] = SimpleQueue()
         for worker in self._workers:
