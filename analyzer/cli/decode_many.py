@@ -12,20 +12,17 @@ import argparse
 import contextlib
 import glob
 import json
-import mmap
 import os
 import pickle
 import selectors
 import shutil
 import signal
-import struct
 import sys
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -38,7 +35,6 @@ from analyzer.errors import ServotapError
 from analyzer.sinks.forked import Ends, Forked, available
 from analyzer.values import counted, printable
 
-_FAR = struct.Struct("<qq")
 #: Seconds between two looks at what the processes have done.
 _LOOK = 0.2
 
@@ -58,35 +54,30 @@ class Outcome:
 
 
 class Far:
-    """How far a process is with its present capture, in memory that its parent reads: bytes and frames.
+    """How far a process is with its present capture: bytes and frames. `tell`: told so, too."""
 
-    `parent`: the process that waits for this one, 0 for none.
-    """
-
-    def __init__(self, memory: mmap.mmap, place: int) -> None:
-        self.parent = 0
-        self._memory = memory
-        self._at = place * _FAR.size
+    def __init__(self, tell: Callable[[tuple[int, int]], None] | None = None) -> None:
+        self.position = self.frames = 0
+        self._tell = tell
 
     def put(self, position: int, frames: int) -> None:
         """Note it."""
-        _FAR.pack_into(self._memory, self._at, position, frames)
-
-    def get(self) -> tuple[int, int]:
-        """Return it."""
-        position, frames = _FAR.unpack_from(self._memory, self._at)
-        return position, frames
+        self.position, self.frames = position, frames
+        if self._tell is not None:
+            self._tell((position, frames))
 
     @contextlib.contextmanager
     def noting(self, position: Callable[[], int], frames: Callable[[], int]) -> Iterator[None]:
-        """While this is entered, note both again and again; where the parent is gone, end as at a signal."""
+        """While this is entered, note both again and again; where none is left to be told, end as at a signal."""
         done = threading.Event()
 
         def note() -> None:
             while not done.wait(_LOOK):
-                self.put(position(), frames())
-                if self.parent and os.getppid() != self.parent:
+                try:
+                    self.put(position(), frames())
+                except BrokenPipeError:
                     os.kill(os.getpid(), signal.SIGTERM)
+                    return
 
         watcher = threading.Thread(target=note, daemon=True)
         watcher.start()
@@ -132,9 +123,8 @@ class _Work:
         self._decode = decode
         # The longest first: so all processes end at about the same time.
         self._left = sorted(range(len(captures)), key=lambda n: captures[n].size)
-        memory = mmap.mmap(-1, jobs * _FAR.size)
-        self._far = [Far(memory, place) for place in range(jobs)]
-        self._children = [Forked(partial(self._serve, far)) for far in self._far] if jobs > 1 else []
+        self._far = [Far() for _ in range(jobs)]
+        self._children = [Forked(self._serve) for _ in range(jobs)] if jobs > 1 else []
 
     def arrived(self, number: int, frame: FrameType | None) -> None:
         """Take a signal: nothing more is begun."""
@@ -146,10 +136,10 @@ class _Work:
         return showing_progress(
             lambda: f"decoding {len(captures)} captures, {len(self.outcomes)} done",
             sum(capture.size for capture in captures),
-            lambda: sum(captures[n].size for n in list(self.outcomes)) + sum(far.get()[0] for far in self._far),
+            lambda: sum(captures[n].size for n in list(self.outcomes)) + sum(far.position for far in self._far),
             lambda: (
                 sum(outcome.whole.get("frames", 0) for outcome in list(self.outcomes.values()))
-                + sum(far.get()[1] for far in self._far)
+                + sum(far.frames for far in self._far)
             ),
         )
 
@@ -172,10 +162,14 @@ class _Work:
             while busy:
                 for key, _ in waiting.select(_LOOK):
                     child = self._children[key.data]
-                    number = busy.pop(child)
                     answer = child.take()
-                    if answer:
-                        self._ended(number, pickle.loads(answer), self._far[key.data])
+                    told: Outcome | tuple[int, int] | None = pickle.loads(answer) if answer else None
+                    if isinstance(told, tuple):
+                        self._far[key.data].put(*told)
+                        continue
+                    number = busy.pop(child)
+                    if told is not None:
+                        self._ended(number, told, self._far[key.data])
                         self._begin(child, busy)
                     else:
                         waiting.unregister(child.source)
@@ -196,8 +190,9 @@ class _Work:
             with contextlib.suppress(BrokenPipeError):
                 child.give(number.to_bytes(4, "little"))
 
-    def _serve(self, far: Far, ends: Ends) -> None:
-        far.parent = os.getppid()
+    def _serve(self, ends: Ends) -> None:
+        # It is told of while a capture is decoded, and the outcome follows: the two never write at once.
+        far = Far(lambda told: ends.give(pickle.dumps(told)))
         while data := ends.take():
             ends.give(pickle.dumps(self._attempt(int.from_bytes(data, "little"), far)))
 

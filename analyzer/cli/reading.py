@@ -327,9 +327,11 @@ def showing_progress(
         shown = TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TextColumn("{task.fields[rate]}")
         with Progress(*shown, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task("", total=total, rate="")
-            while not done.wait(0.2):
+            while True:
                 described = escape(what if isinstance(what, str) else what())
                 bar.update(task, description=described, completed=position(), rate=rate())
+                if done.wait(0.2):
+                    return
 
     if not sys.stderr.isatty():
         yield
