@@ -239,11 +239,12 @@ def _print_summary(outcomes: Sequence[tuple[Capture, Outcome]], count: int, seco
 
     good = [(capture, outcome) for capture, outcome in outcomes if outcome.whole]
     table = Table(box=None, pad_edge=False, header_style="bold")
+    # On a narrow terminal names go over several lines, and numbers stay whole.
     for name in ("capture", "format", "dialect"):
-        table.add_column(name, no_wrap=True)
+        table.add_column(name, overflow="fold")
     for name in ("frames", "junk bytes", "findings", "errors"):
-        table.add_column(name, justify="right")
-    table.add_column("log", no_wrap=True)
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("log", overflow="fold")
     rules: Counter[str] = Counter()
     severity: dict[str, str] = {}
     where: dict[str, Counter[str]] = {}
@@ -268,7 +269,7 @@ def _print_summary(outcomes: Sequence[tuple[Capture, Outcome]], count: int, seco
     if rules:
         listed = Table(box=None, pad_edge=False, header_style="bold")
         for name in ("finding", "severity", "count", "most of them in"):
-            listed.add_column(name, justify="right" if name == "count" else "left")
+            listed.add_column(name, justify="right" if name == "count" else "left", overflow="fold")
         for rule, times in rules.most_common():
             most, more = where[rule].most_common(1)[0][0], len(where[rule]) - 1
             also = f" and {counted(more, 'other')}" if more else ""
