@@ -36,18 +36,18 @@ _MARKS = [b"" if role is Role.UNKNOWN else f',"_direction":"{role}"'.encode() fo
 
 @dataclass(frozen=True, slots=True)
 class Messages:
-    """Messages as they stand in a chunk. `ends`: where each ends in `data`; `channels`, `log_ns`: likewise one entry each."""
+    """Messages as they stand in a chunk. `starts`, `ends`: places in `data`; these and the others have one entry each."""
 
     data: Bytes
+    starts: Integers
     ends: Integers
     channels: Integers
     log_ns: Integers
 
     def part(self, start: int, stop: int) -> Messages:
         """Return some of them, from one to another."""
-        own, first = slice(start, stop), int(self.ends[start - 1]) if start else 0
-        end = int(self.ends[stop - 1]) if stop else 0
-        return Messages(self.data[first:end], self.ends[own] - first, self.channels[own], self.log_ns[own])
+        own = slice(start, stop)
+        return Messages(self.data, self.starts[own], self.ends[own], self.channels[own], self.log_ns[own])
 
 
 class Rows:
@@ -112,11 +112,8 @@ class Rows:
             begins = ends[rows, place] - sizes[rows, place]
             text.put(self._data, begins + HEADER.itemsize, own.view(np.uint8).reshape(len(own), HEADER.itemsize))
         there = np.stack((np.ones(stop - start, dtype=np.bool_), has_state), axis=1)
-        first = int(ends[0, 0] - sizes[0, 0])
-        return Messages(
-            self._data[first : int(ends[-1, 1])], ends[there] - first, channels[there],
-            np.repeat(log_ns[:, None], 2, axis=1)[there],
-        )  # fmt: skip
+        ends, sizes = ends[there], sizes[there]
+        return Messages(self._data, ends - sizes, ends, channels[there], np.repeat(log_ns[:, None], 2, axis=1)[there])
 
 
 def alike(plain: Plain) -> Iterator[tuple[Integers, Lane]]:
@@ -157,7 +154,7 @@ def _reply(plain: Plain, rows: Integers) -> list[text.Piece]:
     pieces: list[text.Piece] = [b',"_latency":', text.naturals(seconds), b".", text.fixed_digits(rest, 9)]
     if not (known := latencies > 0).all():
         pieces = [text.only(known, piece) for piece in pieces]
-    return [*pieces, b',"_request_sequence":', text.naturals(plain.first + rows - 1)]
+    return [*pieces, b',"_request_sequence":', text.naturals(plain.asked[rows])]
 
 
 def _heads(plain: Plain) -> Iterator[_Part]:

@@ -40,12 +40,11 @@ from mcap.writer import MCAP0_MAGIC
 from analyzer.sinks.mcap_index import Index, MemoryIndex
 
 if TYPE_CHECKING:
+    from analyzer.columns.codec import Integers
     from analyzer.columns.rows import Messages
 
 #: Uncompressed bytes of a chunk.
 CHUNK_SIZE = 1 << 20
-#: Fewer messages than this are indexed faster one by one than by channels.
-_FEW = 256
 _MESSAGE = struct.Struct("<BQHIQQ")
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
@@ -107,12 +106,33 @@ class _Building:
     """A chunk under construction."""
 
     def __init__(self) -> None:
-        self.parts: list[bytes] = []
+        self.parts: list[bytes | memoryview] = []
         self.size = 0
         self.first_ns = 0
         self.last_ns = 0
         self.messages = 0
+        #: By channel: time and place of each message that came alone;
         self.index: dict[int, array[int]] = {}
+        #: channels, times and places of those that came together.
+        self.many: list[tuple[Integers, Integers, Integers]] = []
+
+    def whole_index(self) -> dict[int, array[int]]:
+        """Return times and places of all messages, by channel."""
+        if self.many:
+            import numpy as np
+
+            from analyzer.columns.groups import groups
+
+            channels, *entries = map(np.concatenate, zip(*self.many, strict=True))
+            self.many = []
+            both = np.stack(entries, axis=1)
+            for channel, rows in groups(channels):
+                own = both[rows]
+                if alone := self.index.get(channel):
+                    own = np.concatenate((own, np.array(alone).reshape(-1, 2).astype(np.int64)))
+                    own = own[own[:, 1].argsort()]
+                self.index[channel] = array("Q", own.tobytes())
+        return self.index
 
 
 def record_bytes(record: McapRecord) -> bytes:
@@ -241,32 +261,20 @@ class McapFile:
 
     def add_messages(self, added: Messages) -> None:
         """Add messages that are packed already."""
-        import numpy as np
-
-        from analyzer.columns.groups import groups
-
-        starts = np.concatenate(([0], added.ends[:-1]))
-        at, count = 0, len(added.ends)
+        starts, ends, log_ns = added.starts, added.ends, added.log_ns
+        data = memoryview(added.data)
+        at, count = 0, len(ends)
         while at < count:
             building, base = self._building, int(starts[at])
             # As for single messages: the message that fills a chunk is its last.
-            stop = min(count, int(np.searchsorted(added.ends, base + self._chunk_size - building.size)) + 1)
-            end = int(added.ends[stop - 1])
-            places = starts[at:stop] - base + building.size
+            stop = min(count, int(ends.searchsorted(base + self._chunk_size - building.size)) + 1)
+            end = int(ends[stop - 1])
             if not building.messages:
-                building.first_ns = int(added.log_ns[at])
-            if stop - at < _FEW:
-                for channel, *entry in zip(
-                    *(c.tolist() for c in (added.channels[at:stop], added.log_ns[at:stop], places)), strict=True
-                ):
-                    building.index.setdefault(channel, array("Q")).extend(entry)
-            else:
-                entries = np.stack((added.log_ns[at:stop], places), axis=1)
-                for channel, rows in groups(added.channels[at:stop]):
-                    building.index.setdefault(channel, array("Q")).frombytes(entries[rows].tobytes())
-            building.parts.append(added.data[base:end].tobytes())
+                building.first_ns = int(log_ns[at])
+            building.many.append((added.channels[at:stop], log_ns[at:stop], starts[at:stop] + (building.size - base)))
+            building.parts.append(data[base:end])
             building.size += end - base
-            building.last_ns = int(added.log_ns[stop - 1])
+            building.last_ns = int(log_ns[stop - 1])
             building.messages += stop - at
             at = stop
             if building.size >= self._chunk_size:
@@ -321,7 +329,7 @@ class McapFile:
         self._messages += building.messages
         if building.messages:
             self._last_ns = max(self._last_ns, building.last_ns)
-        for channel_id, index in building.index.items():
+        for channel_id, index in building.whole_index().items():
             self._counts[channel_id] += len(index) // 2
         data = b"".join(building.parts)
         building.parts = []

@@ -159,7 +159,7 @@ class ParquetTables:
         if not lane.is_request:
             latencies = plain.latencies[rows]
             columns["_latency"] = pa.array(latencies / _SECOND, mask=latencies <= 0)
-            columns["_request_sequence"] = pa.array(plain.first + rows - 1)
+            columns["_request_sequence"] = pa.array(plain.asked[rows])
         layout = lane.form.layout
         for name, values in ColumnCodec(layout).wire(block.data[rows, lane.start : lane.stop]).items():
             shown = physical_column(values, layout.named[name])
