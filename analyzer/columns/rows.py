@@ -8,7 +8,8 @@ chunk of the log.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from binascii import hexlify
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +19,8 @@ from numpy.typing import NDArray
 from analyzer.catalogue import Role
 from analyzer.columns import text
 from analyzer.columns.block import DIRECTIONS
-from analyzer.columns.codec import Bytes, ColumnCodec, Integers
-from analyzer.columns.groups import groups
+from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
+from analyzer.columns.groups import groups, ranks
 from analyzer.columns.pairs import Plain
 from analyzer.layout import Field
 from analyzer.records import Lane, Message
@@ -58,7 +59,7 @@ class Rows:
         count = len(plain.lane)
         #: Of each row, the bytes of its message and of the state behind it.
         sizes = np.zeros((count, 2), dtype=np.int64)
-        parts = [*_tails(plain), *_heads(plain), *_states(plain)]
+        parts = [*_tails(plain), *_heads(plain)]
         for place, rows, pieces in parts:
             sizes[rows, place] += text.width(pieces)
         self._has_state = sizes[:, 1] > 0
@@ -116,13 +117,16 @@ class Rows:
         return Messages(self._data, ends - sizes, ends, channels[there], np.repeat(log_ns[:, None], 2, axis=1)[there])
 
 
-def alike(plain: Plain) -> Iterator[tuple[Integers, Lane]]:
-    """Yield the rows of lanes that read alike and have frames of one length, with one of these lanes."""
+def alike(plain: Plain, wanted: Flags | None = None) -> Iterator[tuple[Integers, Lane]]:
+    """Yield the rows of lanes that read alike and have frames of one length, with one of these lanes.
+
+    `wanted`: of each row, whether it is; None: all that are plain.
+    """
     kinds: dict[tuple[int, bool, int], int] = {}
     numbers = [kinds.setdefault((id(lane.form), lane.is_request, lane.start), len(kinds)) for lane in plain.lanes]
     examples = dict(zip(numbers, plain.lanes, strict=True))
     kind = np.array([*numbers, -1], dtype=np.int64)[plain.lane] + 1
-    for number, rows in groups(kind):
+    for number, rows in groups(kind if wanted is None else kind * wanted):
         if number:
             yield rows, examples[number - 1]
 
@@ -158,12 +162,16 @@ def _reply(plain: Plain, rows: Integers) -> list[text.Piece]:
 
 
 def _heads(plain: Plain) -> Iterator[_Part]:
-    """Yield the beginnings of all messages: the fields of a command, and the bytes."""
-    block = plain.block
-    for rows, lane in alike(plain):
+    """Yield the beginnings of all messages, which are the fields of a command and the bytes, and the states that they carry."""
+    block, singly = plain.block, plain.lane >= 0
+    for rows, places, texts in _few(plain):
+        singly[rows] = False
+        yield 0, rows, [text.of_table(places, texts)]
+    for rows, lane in alike(plain, singly):
         named = lane.form.layout.named
+        wire = ColumnCodec(lane.form.layout).wire(block.data[rows, lane.start : lane.stop])
         pieces: list[text.Piece] = [b"{"]
-        for name, values in ColumnCodec(lane.form.layout).wire(block.data[rows, lane.start : lane.stop]).items():
+        for name, values in wire.items():
             field = named[name]
             pieces += [f'"{name}":'.encode(), _number(values, field), b","]
             if field.choices is not None:
@@ -171,6 +179,32 @@ def _heads(plain: Plain) -> Iterator[_Part]:
         # A code that has one layout has one length.
         size = int(block.sizes[rows[0]])
         yield 0, rows, [*pieces, b'"_raw":"', text.hexadecimal(block.data[rows, :size])]
+        if lane.states:
+            parts: list[text.Piece] = []
+            for quantity, shares in states(lane, wire).items():
+                parts += [(b"," if parts else b"{") + f'"{quantity}":'.encode(), text.floats(shares)]
+            yield 1, rows, [*parts, b"}"]
+
+
+def _few(plain: Plain) -> Iterator[tuple[Integers, Integers, list[bytes]]]:
+    """Yield the rows of lanes whose frames can have few texts: for each row a place among the texts, and these."""
+    lanes, block = plain.lanes, plain.block
+    short = np.array([lane.stop - lane.start <= 1 and not lane.states for lane in lanes])
+    rows = np.flatnonzero(np.append(short, False)[plain.lane])
+    if not len(rows):
+        return
+    starts = np.array([min(lane.start, 7) for lane in lanes])[plain.lane[rows]]
+    known, places = ranks(plain.lane[rows] << 8 | block.data.reshape(-1)[8 * rows + starts])
+    examples = np.empty(len(known), dtype=np.int64)
+    examples[places] = rows
+    # Without a checksum, two frames of a lane and a value can still differ.
+    words = np.ascontiguousarray(block.data).view(np.uint64)[:, 0]
+    same = words[rows] == words[examples][places]
+    texts = []
+    for row, number in zip(examples.tolist(), (known >> 8).tolist(), strict=True):
+        data, lane = block.data[row, : block.sizes[row]].tobytes(), lanes[number]
+        texts.append(lane.json(data[lane.start : lane.stop]) + b'"_raw":"' + hexlify(data, " ").upper())
+    yield rows[same], places[same], texts
 
 
 def _number(values: Integers, field: Field) -> text.Cell:
@@ -184,19 +218,8 @@ def physical_column(values: Integers, field: Field) -> NDArray[Any]:
     return whole if field.scale.denominator == 1 else whole / field.scale.denominator
 
 
-def _states(plain: Plain) -> Iterator[_Part]:
-    """Yield the states that messages carry."""
-    for rows, lane in alike(plain):
-        if lane.states:
-            pieces: list[text.Piece] = []
-            for quantity, values in states(plain, rows, lane).items():
-                pieces += [(b"," if pieces else b"{") + f'"{quantity}":'.encode(), text.floats(values)]
-            yield 1, rows, [*pieces, b"}"]
-
-
-def states(plain: Plain, rows: Integers, lane: Lane) -> dict[str, NDArray[np.float64]]:
-    """Return the state that some rows carry, by quantity."""
-    wire = ColumnCodec(lane.form.layout).wire(plain.block.data[rows, lane.start : lane.stop])
+def states(lane: Lane, wire: Mapping[str, Integers]) -> dict[str, NDArray[np.float64]]:
+    """Return the state that frames of a lane carry, by quantity. `wire`: their fields as sent."""
     parts = [f for f in lane.form.layout.fields if f.state is not None]
     sums: dict[str, NDArray[np.float64]] = {}
     for field in parts:
