@@ -204,7 +204,14 @@ def _few(plain: Plain) -> Iterator[tuple[Integers, Integers, list[bytes]]]:
     for row, number in zip(examples.tolist(), (known >> 8).tolist(), strict=True):
         data, lane = block.data[row, : block.sizes[row]].tobytes(), lanes[number]
         texts.append(lane.json(data[lane.start : lane.stop]) + b'"_raw":"' + hexlify(data, " ").upper())
-    yield rows[same], places[same], texts
+    # Texts that are about as wide stand in one table.
+    bands = np.array([len(t) // text.ROOM for t in texts])
+    for band, own in groups(np.where(same, bands[places] + 1, 0)):
+        if band:
+            chosen = np.flatnonzero(bands == band - 1)
+            number_of = np.zeros(len(texts), dtype=np.int64)
+            number_of[chosen] = np.arange(len(chosen))
+            yield rows[own], number_of[places[own]], [texts[n] for n in chosen.tolist()]
 
 
 def _number(values: Integers, field: Field) -> text.Cell:
