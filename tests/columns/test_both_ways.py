@@ -66,7 +66,7 @@ def test_captures(path, short_runs):
     same_capture(path, MKS)
 
 
-@pytest.mark.parametrize("name", ["mks_can.blf", "mks_can.candump.log", "mks_can.socketcan.pcap"])
+@pytest.mark.parametrize("name", ["mks_can.blf", "mks_can.candump.log", "mks_can.socketcan.pcap", "mks_can.socketcan.pcapng"])
 def test_damaged_captures(name, short_runs, tmp_path):
     data, path = (CAPTURES / name).read_bytes(), tmp_path / name
     in_runs = 0

@@ -38,7 +38,13 @@ def test_messages_alone_and_together_are_indexed_in_their_order():
     schema = file.add_schema("any", b"{}")
     one, other = (file.add_channel(topic, schema, {}) for topic in ("/one", "/other"))
     begin = file._building.size
-    together = np.arange(2 * 35, dtype=np.uint8), np.array([0, 35]), np.array([35, 70]), np.array([one, other]), np.array([6, 7])
+    together = (
+        np.arange(2 * 35, dtype=np.uint8),
+        np.array([0, 35]),
+        np.array([35, 70]),
+        np.array([one, other]),
+        np.array([6, 7]),
+    )
     file.add_message(one, 1, 5, 5, b"{ }")
     file.add_messages(Messages(*together))
     file.add_message(one, 2, 8, 8, b"{}")
