@@ -133,8 +133,8 @@ class _Ahead:
 def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes] | CanBlock]:
     """Yield (type, body) of each block, or many frames at once; keeps the byte order of the section."""
     stream = _Ahead(source.stream)
-    #: `singly`: up to here blocks are read one by one.
-    offset = singly = 0
+    #: `singly`: up to here blocks are read one by one. `apart`: how far, after looks that found nothing.
+    offset = singly = apart = 0
     while True:
         while source.in_blocks and offset >= singly:
             before = offset
@@ -145,8 +145,8 @@ def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes] | C
                 stream.exactly(size)
                 yield block
                 offset += size
-            if offset == before:
-                singly = max(singly, offset + _APART)
+            apart = min(2 * apart + 64, _APART) if offset == before else 0
+            singly = max(singly, offset + apart)
         head = stream.exactly(_LEAST_BLOCK)
         if not head:
             return
