@@ -14,7 +14,7 @@ import numpy as np
 
 from analyzer.columns.block import CanBlock
 from analyzer.columns.codec import Bytes, Flags, Integers
-from analyzer.sources.found import STANDARD_ID, Found, without_rest
+from analyzer.sources.found import STANDARD_ID, Found, windows, without_rest
 from analyzer.sources.source import SECOND_NS
 
 _RECORD_SIZE = 16
@@ -84,14 +84,6 @@ def _found(codes: Bytes, starts: Integers, order: str, unit: int) -> Found:
     found.t_ns[:] = head[:, 0] * SECOND_NS + head[:, 1] * unit
     found.bus[plain] = 0
     return found
-
-
-def windows(codes: Bytes, starts: Integers, size: int) -> Bytes:
-    """Return so many bytes from each of some places on."""
-    # Items of one type as wide as a record are taken at once.
-    there = np.ndarray(len(codes) - size + 1, dtype=f"V{size}", buffer=codes, strides=(1,))
-    rows: Bytes = there[starts].view(np.uint8).reshape(len(starts), size)
-    return rows
 
 
 def take_frames(found: Found, can: Bytes, stored: Integers, original: Integers) -> Flags:

@@ -16,8 +16,8 @@ import numpy as np
 
 from analyzer.columns.block import CanBlock
 from analyzer.columns.codec import Bytes, Integers
-from analyzer.sources.found import Found
-from analyzer.sources.pcap_blocks import FD_SIZE, starts_of, take_frames, windows
+from analyzer.sources.found import Found, windows
+from analyzer.sources.pcap_blocks import FD_SIZE, starts_of, take_frames
 
 _ENHANCED = 6
 _HEAD, _FRAME, _TAIL = 28, 16, 4
