@@ -16,7 +16,6 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import starmap
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import zstandard
@@ -40,12 +39,11 @@ from mcap.writer import MCAP0_MAGIC
 from analyzer.sinks.mcap_index import Index, MemoryIndex
 
 if TYPE_CHECKING:
+    from analyzer.columns.codec import Integers
     from analyzer.columns.rows import Messages
 
 #: Uncompressed bytes of a chunk.
 CHUNK_SIZE = 1 << 20
-#: Fewer messages than this are indexed faster one by one than by channels.
-_FEW = 256
 _MESSAGE = struct.Struct("<BQHIQQ")
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
@@ -107,12 +105,49 @@ class _Building:
     """A chunk under construction."""
 
     def __init__(self) -> None:
-        self.parts: list[bytes] = []
+        self.parts: list[bytes | memoryview] = []
         self.size = 0
         self.first_ns = 0
         self.last_ns = 0
         self.messages = 0
+        #: By channel: time and place of each message that came alone;
         self.index: dict[int, array[int]] = {}
+        #: channels, times and places of those that came together.
+        self.many: list[tuple[Integers, Integers, Integers]] = []
+        #: Once it has ended: its index records, and where each channel's begins in them.
+        self.index_data = b""
+        self.begins: dict[int, int] = {}
+
+    def forget(self) -> None:
+        """Let go of the messages, which stand elsewhere now."""
+        self.parts, self.index, self.many = [], {}, []
+
+    def indexed(self) -> tuple[bytes, dict[int, int], dict[int, int]]:
+        """Return the index records, where each channel's begins in them, and how many messages it has."""
+        if self.many:
+            return self._indexed_together()
+        parts: list[bytes] = []
+        begins: dict[int, int] = {}
+        counts: dict[int, int] = {}
+        place = 0
+        for channel, logged in self.index.items():
+            entries = logged.tobytes()
+            parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)), entries)
+            begins[channel], counts[channel] = place, len(logged) // 2
+            place += INDEX_HEAD.size + len(entries)
+        return b"".join(parts), begins, counts
+
+    def _indexed_together(self) -> tuple[bytes, dict[int, int], dict[int, int]]:
+        import numpy as np
+
+        from analyzer.columns.index import index_records
+
+        for channel, logged in self.index.items():
+            entries = np.array(logged).astype(np.int64).reshape(-1, 2)
+            self.many.append((np.full(len(entries), channel, dtype=np.int64), entries[:, 0], entries[:, 1]))
+        channels, log_ns, places = map(np.concatenate, zip(*self.many, strict=True))
+        order = places.argsort(kind="stable") if self.index else slice(None)
+        return index_records(channels[order], log_ns[order], places[order])
 
 
 def record_bytes(record: McapRecord) -> bytes:
@@ -241,32 +276,20 @@ class McapFile:
 
     def add_messages(self, added: Messages) -> None:
         """Add messages that are packed already."""
-        import numpy as np
-
-        from analyzer.columns.groups import groups
-
-        starts = np.concatenate(([0], added.ends[:-1]))
-        at, count = 0, len(added.ends)
+        starts, ends, log_ns = added.starts, added.ends, added.log_ns
+        data = added.data.data
+        at, count = 0, len(ends)
         while at < count:
             building, base = self._building, int(starts[at])
             # As for single messages: the message that fills a chunk is its last.
-            stop = min(count, int(np.searchsorted(added.ends, base + self._chunk_size - building.size)) + 1)
-            end = int(added.ends[stop - 1])
-            places = starts[at:stop] - base + building.size
+            stop = min(count, int(ends.searchsorted(base + self._chunk_size - building.size)) + 1)
+            end = int(ends[stop - 1])
             if not building.messages:
-                building.first_ns = int(added.log_ns[at])
-            if stop - at < _FEW:
-                for channel, *entry in zip(
-                    *(c.tolist() for c in (added.channels[at:stop], added.log_ns[at:stop], places)), strict=True
-                ):
-                    building.index.setdefault(channel, array("Q")).extend(entry)
-            else:
-                entries = np.stack((added.log_ns[at:stop], places), axis=1)
-                for channel, rows in groups(added.channels[at:stop]):
-                    building.index.setdefault(channel, array("Q")).frombytes(entries[rows].tobytes())
-            building.parts.append(added.data[base:end].tobytes())
+                building.first_ns = int(log_ns[at])
+            building.many.append((added.channels[at:stop], log_ns[at:stop], starts[at:stop] + (building.size - base)))
+            building.parts.append(data[base:end])
             building.size += end - base
-            building.last_ns = int(added.log_ns[stop - 1])
+            building.last_ns = int(log_ns[stop - 1])
             building.messages += stop - at
             at = stop
             if building.size >= self._chunk_size:
@@ -321,10 +344,11 @@ class McapFile:
         self._messages += building.messages
         if building.messages:
             self._last_ns = max(self._last_ns, building.last_ns)
-        for channel_id, index in building.index.items():
-            self._counts[channel_id] += len(index) // 2
+        building.index_data, building.begins, counts = building.indexed()
+        for channel_id, count in counts.items():
+            self._counts[channel_id] += count
         data = b"".join(building.parts)
-        building.parts = []
+        building.forget()
         self._waiting.append((building, len(data), self._pool.submit(_compress, data)))
         while len(self._waiting) > _AHEAD:
             try:
@@ -349,22 +373,15 @@ class McapFile:
                 uncompressed_size=size,
             )
         )
-        parts = [chunk]
-        offsets = {}
-        index_start = place = start + len(chunk)
-        for channel_id, logged in building.index.items():
-            offsets[channel_id] = place
-            entries = logged.tobytes()
-            parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries)), entries)
-            place += INDEX_HEAD.size + len(entries)
+        index_start = start + len(chunk)
         # Packed here: a chunk has an entry for each channel, and the library writes them number by number.
-        places = b"".join(starmap(_OFFSET.pack, offsets.items()))
+        places = b"".join(_OFFSET.pack(channel, index_start + at) for channel, at in building.begins.items())
         fixed = building.first_ns, building.last_ns, start, len(chunk)
         index = b"".join((
             _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, _CHUNK_INDEX_REST + len(places), *fixed, len(places)), places,
-            _CHUNK_SIZES.pack(place - index_start, 4, b"zstd", len(compressed), size),
+            _CHUNK_SIZES.pack(len(building.index_data), 4, b"zstd", len(compressed), size),
         ))  # fmt: skip
-        self._put(b"".join(parts))
+        self._put(b"".join((chunk, building.index_data)))
         # Only now is it gone from memory: the write may have failed.
         del self._waiting[0]
         self._chunks += 1

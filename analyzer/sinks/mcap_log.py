@@ -171,7 +171,7 @@ class McapLog:
             # Its clock was set back: each message says how far.
             for row in range(start, stop):
                 lane, latency_ns = plain.lanes[plain.lane[row]], int(plain.latencies[row])
-                asked_by = None if lane.is_request else plain.first + row - 1
+                asked_by = None if lane.is_request else int(plain.asked[row])
                 known_ns = latency_ns if asked_by is not None and latency_ns > 0 else None
                 self.plain(lane, plain.frame(row), plain.first + row, known_ns, asked_by)
             return
@@ -181,19 +181,21 @@ class McapLog:
             state = self._state_topic(kept, block.port, lane.address) if lane.states else None
             rows.set_channels(number, kept.channel, 0 if state is None else state.channel)
         log_ns = block.t_ns[start:stop].clip(self._last_ns, _LATEST_NS)
+        messages = rows.messages(start, stop, log_ns)
         second = self._seconds.get(block.port)
-        written = counted = 0
+        given = written = counted = 0
         while counted < len(log_ns):
             behind = 0 if second is None else int(log_ns.searchsorted(second.end_ns))
             if second is not None:
                 _count(second, block, start + counted, start + behind)
             # The first frame of a second stands before the counts of the last second.
             end = min(behind + 1, len(log_ns))
-            self._file.add_messages(rows.messages(start + written, start + end, log_ns[written:end]))
+            more = given + rows.count(start + written, start + end)
+            self._file.add_messages(messages.part(given, more))
             self._last_ns = int(log_ns[end - 1])
             if behind < len(log_ns):
                 second = self._second(block.port, int(log_ns[behind]))
-            written, counted = end, behind if behind < len(log_ns) else end
+            given, written, counted = more, end, behind if behind < len(log_ns) else end
 
     def entry(self, entry: Entry) -> None:
         """Write a decoded frame, and the state it carries."""

@@ -62,6 +62,8 @@ FORMATS: dict[str, Format] = {
 
 #: A format must be this sure to be chosen.
 _LEAST_SCORE = 0.3
+#: None is surer than this.
+_CERTAIN_SCORE = 1.0
 #: One that is this sure is chosen without waiting for more of a pipe.
 _SURE_SCORE = 0.5
 
@@ -176,7 +178,12 @@ def _find(source: Source) -> str:
         other = next((what for magic, what in _OTHERS if head.startswith(magic)), None)
         if other is not None:
             raise UnreadableError(f"{source.name} is {other}")
-        scores = {name: _module(name).score(head) for name in FORMATS}
+        scores: dict[str, float] = {}
+        for name in FORMATS:
+            scores[name] = _module(name).score(head)
+            # Nothing fits better, and the first of two wins: what comes behind it need not be loaded.
+            if scores[name] >= _CERTAIN_SCORE:
+                break
         best = max(scores, key=scores.__getitem__)
         # What a pipe gave so far may be too little to tell: a title line, half a magic number.
         if source.size is None and scores[best] < _SURE_SCORE and len(head) < BLOCK and _more(source):
