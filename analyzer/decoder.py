@@ -16,6 +16,8 @@ from analyzer.link import Head
 from analyzer.records import Frame, Lane, Message
 
 _Entry = tuple[Command, Form, Codec]
+#: By function and code.
+_Entries = dict[tuple[int | None, int], list[_Entry]]
 
 
 class Slot(NamedTuple):
@@ -29,6 +31,24 @@ class Slot(NamedTuple):
     violations: tuple[Violation, ...]
 
 
+def _entries(dialect: Dialect) -> tuple[_Entries, _Entries]:
+    """Return the forms of requests and of replies; worked out once, and kept with the dialect."""
+    kept: tuple[_Entries, _Entries] | None = dialect.__dict__.get("_entries")
+    if kept is None:
+        kept = dialect.__dict__["_entries"] = {}, {}
+        for command in dialect.commands:
+            for form in command.request_forms:
+                _add(kept[0], command, form)
+            for form in command.reply_forms:
+                _add(kept[1], command, form)
+    return kept
+
+
+def _add(table: _Entries, command: Command, form: Form) -> None:
+    code = command.code if form.code is None else form.code
+    table.setdefault((command.function, code), []).append((command, form, codec(form.layout)))
+
+
 class Decoder:
     """Decodes the frames of one dialect (as one model speaks it, if `Dialect.for_model` was used)."""
 
@@ -38,18 +58,7 @@ class Decoder:
         self._head_bytes = dialect.link.deciding_bytes
         #: By head and length; None: such frames have no lane.
         self._lanes: dict[tuple[bytes | int, int, int], Lane | tuple[Lane, Lane] | _Several | None] = {}
-        self._requests: dict[tuple[int | None, int], list[_Entry]] = {}
-        self._replies: dict[tuple[int | None, int], list[_Entry]] = {}
-        for command in dialect.commands:
-            for form in command.request_forms:
-                self._add(self._requests, command, form)
-            for form in command.reply_forms:
-                self._add(self._replies, command, form)
-
-    @staticmethod
-    def _add(table: dict[tuple[int | None, int], list[_Entry]], command: Command, form: Form) -> None:
-        code = command.code if form.code is None else form.code
-        table.setdefault((command.function, code), []).append((command, form, codec(form.layout)))
+        self._requests, self._replies = _entries(dialect)
 
     def decode(self, frame: Frame, context: Context | None = None) -> tuple[Message, Request | None]:
         """Return the message of a frame, and the open request that it answers if it is a reply to one."""

@@ -13,13 +13,14 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache, partial
 from importlib import import_module
 
 from analyzer import plugins
 from analyzer.catalogue import Command, Dialect
 from analyzer.errors import UsageError
-from analyzer.link import Link
+from analyzer.link import Link, guarded
 from analyzer.values import near, quote
 
 #: Dialects of this package: name -> module with a `DIALECT`.
@@ -37,20 +38,21 @@ _CODE = re.compile(r"(?:(?:0x)?([0-9a-f]{1,2})[:/])?(?:0x)?([0-9a-f]{1,4})h?", r
 def _added() -> dict[str, Dialect]:
     result: dict[str, Dialect] = {}
     for name, found in plugins.loaded(GROUP):
-        dialect = plugins.attempt(f"{name} of {GROUP}", partial(_as_dialect, found))
+        what = f"{name} of {GROUP}"
+        dialect = plugins.attempt(what, partial(_as_dialect, what, found))
         if dialect is not None:
             result[dialect.name] = dialect
     return result
 
 
-def _as_dialect(found: object) -> Dialect:
+def _as_dialect(what: str, found: object) -> Dialect:
     if not isinstance(found, Dialect):
         raise UsageError(f"expected a Dialect, got {type(found).__name__}")
     if found.name in _OWN:
         raise UsageError(f"the name {found.name} is taken: expected another one")
     if not isinstance(found.link, Link):
         raise UsageError(f"{found.name}: expected a Link, got {type(found.link).__name__}")
-    return found
+    return replace(found, link=guarded(what, found.link))
 
 
 def names() -> list[str]:
@@ -100,8 +102,8 @@ def drive_name(dialect: Dialect, address: int) -> str:
 
 
 def every() -> list[Dialect]:
-    """Return all dialects."""
-    return [get(name) for name in names()]
+    """Return all dialects, without those that have failed and are left out."""
+    return [dialect for dialect in map(get, names()) if not dialect.link.left_out]
 
 
 def first_bytes() -> frozenset[int]:

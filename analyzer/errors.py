@@ -15,3 +15,7 @@ class UsageError(ServotapError):
 
 class UnreadableError(ServotapError):
     """A file or a stream cannot be read or understood."""
+
+
+class PluginError(ServotapError):
+    """What another package adds has failed, and nothing goes on without it."""

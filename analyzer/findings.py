@@ -76,11 +76,11 @@ RULES: dict[str, Rule] = {
         Rule("restarted", _W, "a recording process died and was restarted"),
         Rule("log_stalled", _W, "the log could not be written for some time (full disk?); no data was lost"),
         Rule("spool_damaged", _E, "data buffered next to the log is damaged"),
-        Rule("decoder_fault", _E, "the decoder failed on some bytes (a bug in servotap); /<bus>/raw holds them"),
+        Rule("decoder_fault", _E, "decoding failed on some bytes (a bug in servotap, or in an added dialect); they are kept"),
     )
 }
 
-JUNK_RULES = {reason: f"junk_{reason.value}" for reason in JunkReason}
+JUNK_RULES = {reason: f"junk_{reason.value}" for reason in JunkReason} | {JunkReason.LEFT_OUT: "decoder_fault"}
 
 
 def _checksum(message: Message, context: Context) -> Iterator[Issue]:
@@ -135,7 +135,8 @@ def is_plain(message: Message, context: Context) -> bool:
 def of_junk(junk: Junk) -> Issue:
     """Return the issue of a piece of junk."""
     shown = junk.data[:16].hex(" ").upper() + (" ..." if len(junk.data) > 16 else "")
-    return Issue(JUNK_RULES[junk.reason], f"{counted(len(junk.data), 'byte')}: {shown}")
+    why = "a dialect that failed is left out; " if junk.reason is JunkReason.LEFT_OUT else ""
+    return Issue(JUNK_RULES[junk.reason], f"{why}{counted(len(junk.data), 'byte')}: {shown}")
 
 
 def finding(

@@ -69,8 +69,12 @@ class Likeness:
 
     def __init__(self, dialect: Dialect) -> None:
         self._link = dialect.link
-        asked, told = (data_lengths(dialect.commands, role) for role in (Role.REQUEST, Role.REPLY))
-        self._lengths = {code: asked.get(code, set()) | told.get(code, set()) for code in asked | told}
+        # Worked out once, and kept with the dialect.
+        kept: dict[int, set[int]] | None = dialect.__dict__.get("_lengths")
+        if kept is None:
+            asked, told = (data_lengths(dialect.commands, role) for role in (Role.REQUEST, Role.REPLY))
+            kept = dialect.__dict__["_lengths"] = {n: asked.get(n, set()) | told.get(n, set()) for n in asked | told}
+        self._lengths = kept
 
     def fits(self, can: CanFrame) -> bool:
         """Say whether a frame has a code of the dialect, and one of its lengths."""

@@ -274,7 +274,8 @@ class Framer:
     def _shortest(self, at: int, closed: bool) -> int:
         """Return the length of the shortest frame that checks here, 0 for none, or `MORE`."""
         length = self._look_at(at, closed)
-        return self._lengths(at, closed)[0] if length == TIE else length
+        # A dialect that fails in between is left out, and has no lengths.
+        return next(iter(self._lengths(at, closed)), 0) if length == TIE else length
 
     def _follower(self, stop: int, closed: bool) -> int:
         """Say what stands at `stop`: `BOUNDARY`, the length of a frame (or `TIE`), 0 for something else, or `MORE`."""
@@ -331,7 +332,9 @@ class Framer:
         A frame behind one of them decides, then the open request, then a boundary; else it is the longer.
         """
         lengths = [n for n in self._lengths(at, closed) if n != MORE]
-        tied = next([a, b] for a, b in pairwise(lengths) if b == a + 1)
+        tied = next(([a, b] for a, b in pairwise(lengths) if b == a + 1), None)
+        if tied is None:
+            return 0
         followers = [self._follower(at + n, closed) for n in tied]
         if MORE in followers:
             return MORE
@@ -509,6 +512,8 @@ class Framer:
 
     def _reason(self, data: bytes) -> JunkReason:
         """Say why bytes are junk: where several known frames begin and none is whole, two senders spoke at once."""
+        if any(dialect.link.left_out for dialect in self.dialects):
+            return JunkReason.LEFT_OUT
         size = len(data)
         heads = 0
         if size <= 2 * self._longest:

@@ -24,7 +24,7 @@ from analyzer.errors import UsageError
 from analyzer.findings import Issue, finding, is_plain, of_junk, of_message
 from analyzer.foreign import CAN_ID_LIMIT
 from analyzer.port import Options, Port, PortSetup, topic_name, usual_setup
-from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Junk, Lane, Message, Silence
+from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Junk, JunkReason, Lane, Message, Silence
 from analyzer.transactions import Late
 from analyzer.values import counted
 
@@ -389,6 +389,15 @@ class Pipeline:
         request_sequence: int | None = None,
         first_reply: bool = False,
     ) -> None:
+        frame = message.frame
+        if frame.dialect.link.left_out:
+            # What its link said of it counts no more.
+            junk = Junk(frame.port, frame.first_ns, frame.last_ns, frame.offset, frame.data, JunkReason.LEFT_OUT)
+            if frame.can is None:
+                self._junk(port, junk)
+                return
+            message = Message(frame, Role.UNKNOWN, frame.can.id, None, None, frame.data)
+            issues, topic = [of_junk(junk)], ""
         self.sequence += 1
         topic = topic or port.topic(message)
         found: tuple[Finding, ...] = ()

@@ -1,6 +1,7 @@
 """What other packages add by entry points: dialects, claims, commands.
 
 One that fails is named on standard error and left out: a recording does not end because some package is broken.
+`analyzer.link.guarded` holds the same for a dialect that fails while its frames are read.
 """
 
 from __future__ import annotations
@@ -15,6 +16,12 @@ from typing import Any, TypeVar
 from analyzer.values import printable
 
 T = TypeVar("T")
+#: The packages of this project: what fails in them is a fault of servotap.
+OWN = frozenset(("analyzer", "conformance", "servotap"))
+#: The groups of entry points begin so.
+PREFIX = "servotap."
+#: What a module that is imported or called can do: it can end the program, too.
+FAILURES = (Exception, SystemExit)
 
 
 def points(group: str) -> list[EntryPoint]:
@@ -30,6 +37,20 @@ def _of(package: Distribution, group: str) -> list[EntryPoint]:
     return [point for point in package.entry_points if point.group == group]
 
 
+def whose(error: BaseException) -> str:
+    """Return the package that adds to servotap and has code in the traceback of an error; empty where none has."""
+    seen, at = set(), error.__traceback__
+    while at is not None:
+        seen.add(str(at.tb_frame.f_globals.get("__name__")).partition(".")[0])
+        at = at.tb_next
+    for package in distributions() if seen - OWN else ():
+        with contextlib.suppress(Exception):
+            for point in package.entry_points:
+                if point.group.startswith(PREFIX) and point.module.partition(".")[0] in seen - OWN:
+                    return f"{package.name} {package.version} ({point.module})"
+    return ""
+
+
 def _named(package: Distribution) -> str:
     # Its own word for its name can be what is damaged.
     return f"the list of entry points in {getattr(package, '_path', 'a package')}"
@@ -41,11 +62,16 @@ def attempt(what: str, call: Callable[[], T]) -> T | None:
         # What is printed is the output of a command, which others may read.
         with contextlib.redirect_stdout(sys.stderr):
             return call()
-    # A module that is imported can do anything, and end the program, too.
-    except (Exception, SystemExit) as error:
-        why = printable(f"{type(error).__name__}: {error}")
-        print(f"servotap: {printable(what)} failed and is left out: {why}", file=sys.stderr)
+    except FAILURES as error:
+        leave_out(what, error)
         return None
+
+
+def leave_out(what: str, error: BaseException) -> str:
+    """Say that something of another package is left out; return why."""
+    why = printable(f"{type(error).__name__}: {error}")
+    print(f"servotap: {printable(what)} failed and is left out: {why}", file=sys.stderr)
+    return why
 
 
 def loaded(group: str) -> Iterator[tuple[str, Any]]:

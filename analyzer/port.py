@@ -126,7 +126,8 @@ class Port:
         """Return the dialect of a CAN frame: one whose check fits, else one without checks that has its code and length."""
         if len(self.can) == 1:
             return self.can[0]
-        return next((d for d in self._by_evidence if self._evident(d, can)), self.can[0])
+        found = next((d for d in self._by_evidence if self._evident(d, can)), None)
+        return found or next((d for d in self.can if not d.link.left_out), self.can[0])
 
     def _evident(self, dialect: Dialect, can: CanFrame) -> bool:
         if dialect.link.checked:

@@ -30,6 +30,7 @@ class JunkReason(StrEnum):
     NOISE = "noise"
     TRUNCATED = "truncated"
     COLLISION = "collision"
+    LEFT_OUT = "left_out"
 
 
 class Chunk(msgspec.Struct, frozen=True, gc=False):

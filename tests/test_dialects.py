@@ -42,7 +42,8 @@ def test_a_package_adds_a_dialect_by_an_entry_point(monkeypatch):
     monkeypatch.setattr(plugins, "points", lambda group: [point] if group == dialects.GROUP else [])
     dialects._added.cache_clear()
     assert dialects.names()[-1] == "extra"
-    assert dialects.get("extra") is added
+    assert dialects.get("extra").commands is added.commands
+    assert isinstance(dialects.get("extra").link, type(added.link))
 
 
 def _ends():

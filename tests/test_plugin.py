@@ -113,4 +113,20 @@ def test_a_package_whose_files_are_damaged_is_named_and_left_out(tmp_path, monke
     (tmp_path / "toy_drive-1.0.dist-info" / "entry_points.txt").write_text("[servotap.commands]\ntoy = toy_command\n")
     done = servotap(tmp_path, "toy")
     assert done.returncode == 70
+    told = "servotap: a fault of the package toy-drive 1.0 (toy_command): ZeroDivisionError: division by zero; please "
+    assert done.stderr.splitlines()[-1].startswith(f"{told}report it to its makers with the file written to ")
     assert done.stderr.count("ZeroDivisionError") == 1
+
+
+def test_a_dialect_that_fails_while_it_is_read_is_named_once(tmp_path):
+    module = MODULE.replace("reduce(lambda a, b: a ^ b, data, 0)", "{}[len(data)]")
+    site = make_site(tmp_path, "toy_drive", module, "toy-rs485")
+    told = "servotap: toy-rs485 of servotap.dialects failed and is left out: KeyError: 3\n"
+    (site / "toy.log").write_text("0.1 > FA 01 32 2D\n0.2 < FB 01 32 00 64 92\n0.3 > AA 01 21 8A\n")
+    shown = servotap(site, "show", "toy.log", "--dialect", "toy-rs485,mks-rs485")
+    assert (shown.returncode, shown.stderr.count(told)) == (0, 1)
+    assert "speed=100 rpm" in shown.stdout
+    assert "left_out" in shown.stdout
+    decoded = servotap(site, "decode", "toy.log", "--force")
+    assert decoded.stderr.count("failed and is left out") == 1
+    assert "14 bytes: 10 in 2 frames, 4 junk" in decoded.stdout

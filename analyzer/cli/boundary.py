@@ -3,8 +3,9 @@
 - **Streams.** What is printed comes from captures, file names and plugins. A control character in it becomes visible
   (`\\x1b`), and so does what the terminal's encoding lacks. Only colours of our own pass, and only to a terminal. Bytes of an
   export (`stdout.buffer`) and what rich draws do not pass here: `console.Console` cleans the texts that rich draws.
-- **Faults.** An unforeseen error is a fault of servotap: it becomes one line and exit status 70, and all about it stands in a
-  file. An error in another thread is one too. What the system refuses (a full disk, a missing folder) is no fault.
+- **Faults.** An unforeseen error is a fault of servotap, or of a package that adds to it: it becomes one line and exit status
+  70, and all about it stands in a file. An error in another thread is one too. What the system refuses (a full disk, a missing
+  folder) is no fault.
 """
 
 from __future__ import annotations
@@ -137,6 +138,8 @@ class _Faults:
         """Report a fault: one line, and a file with all about it."""
         import traceback
 
+        from analyzer.plugins import whose
+
         self.any = True
         trace = "".join(traceback.format_exception(error))
         shown = self._shown
@@ -145,7 +148,9 @@ class _Faults:
         except OSError as refused:
             where, shown = f"this traceback, for its file cannot be written ({refused.strerror})", True
         what = printable(f"{type(error).__name__}: {error}"[:_LONGEST]).rstrip(": ")
-        lines = f"servotap: a fault of servotap: {what}; please report it with {where}\n"
+        package = printable(whose(error))
+        whom = f"the package {package}" if package else "servotap"
+        lines = f"servotap: a fault of {whom}: {what}; please report it{' to its makers' * bool(package)} with {where}\n"
         sys.stderr.write(lines + trace if shown else lines)
 
 

@@ -38,7 +38,7 @@ from analyzer.cli.signals import ENDING, handled
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint, parse_all
 from analyzer.live.profile import Named, endpoint, endpoint_texts
-from analyzer.values import near, quote
+from analyzer.values import near, quote, storable
 
 if TYPE_CHECKING:
     from analyzer.catalogue import Dialect
@@ -325,7 +325,7 @@ def configure(
         max_spool=size_bytes(arguments.max_spool),
         mode=arguments.mode,
         foxglove=arguments.foxglove,
-        command=shlex.join(["servotap", *sys.argv[1:]]),
+        command=storable(shlex.join(["servotap", *sys.argv[1:]])),
         notes=tuple(notes),
     )
 

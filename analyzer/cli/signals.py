@@ -35,8 +35,8 @@ def handled(handler: Any) -> Iterator[None]:
             signal.signal(number, old)
 
 
-class _Stop(Exception):
-    """A signal arrived while the program waited for input."""
+class _Stop(BaseException):
+    """A signal arrived while the program waited for input. No reader takes it for damage of what it reads."""
 
 
 class Interrupt:

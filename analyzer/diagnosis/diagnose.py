@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,7 @@ from analyzer.diagnosis import (
 from analyzer.diagnosis.ranking import Ranked, ranked
 from analyzer.diagnosis.scene import Scene, Suspicion
 from analyzer.diagnosis.watch import Watch
+from analyzer.errors import PluginError
 from analyzer.pipeline import Pipeline
 from analyzer.records import CanFrame, Chunk
 from analyzer.values import counted
@@ -92,9 +94,11 @@ _SEARCHED, _SILENT = 3, frozenset(("unanswered", "silent_address"))
 def suspected(scene: Scene) -> Iterator[Suspicion]:
     """Yield what all hypotheses suspect; each is told what those before it explain."""
     for hypothesis in HYPOTHESES:
-        for each in hypothesis(scene):
-            scene.explained.update(each.troubles)
-            yield each
+        # Of a dialect that is left out nothing is suspected.
+        with contextlib.suppress(PluginError):
+            for each in hypothesis(scene):
+                scene.explained.update(each.troubles)
+                yield each
 
 
 def diagnosis(watch: Watch, dialects: Sequence[Dialect]) -> Diagnosis:

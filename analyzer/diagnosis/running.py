@@ -28,6 +28,8 @@ class Running(Watch):
         self._looked = 0
         self._result: Diagnosis | None = None
         self._forgotten = self._ending = False
+        self._fault = ""
+        self._told_fault = False
 
     def look(self, now_ns: int, dialects: Sequence[Dialect]) -> list[str]:
         """Take what the look before found, and begin the next one where it is due; return the lines of new causes."""
@@ -66,10 +68,17 @@ class Running(Watch):
         self._thread.start()
 
     def _weigh(self, scenes: Sequence[Scene]) -> None:
-        self._result = weighed(scenes)
+        try:
+            self._result = weighed(scenes)
+        # The recording goes on; that its diagnosis failed is told.
+        except Exception as error:
+            self._fault = f"{type(error).__name__}: {error}"
 
     def _take_result(self) -> list[str]:
         found, self._result = self._result, None
+        if self._fault and not self._told_fault:
+            self._told_fault = True
+            return [f"a fault of servotap in the diagnosis: {self._fault}; the recording goes on, please report it"]
         if found is None:
             return []
         now = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from analyzer.link.can import CanLink
+from analyzer.link.guarded import guarded
 from analyzer.link.head import HeadLink, Package
 from analyzer.link.interface import (
     MORE,
@@ -46,6 +47,7 @@ __all__ = [
     "Part",
     "Role",
     "Slicer",
+    "guarded",
     "modbus_crc",
     "sum8",
 ]

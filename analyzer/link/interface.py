@@ -239,6 +239,8 @@ class Link(ABC):
     checked = True
     #: Whether a frame tells its length, or the bus does.
     tells_length = False
+    #: Why it finds no frame any more: it is of another package, and failed.
+    left_out = ""
 
     @abstractmethod
     def slicer(self, commands: Sequence[CommandShape], expects: Callable[[int, int], int]) -> Slicer:

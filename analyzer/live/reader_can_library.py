@@ -15,14 +15,17 @@ from analyzer.live.can_listen_only import options_for
 from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import BadCount, LibraryPort, Lost, Opened, Stop, Unopened, listen
 from analyzer.live.reader_store import Store
-from analyzer.live.spool import CanFlag
+from analyzer.live.spool import MOST_BYTES, CanFlag
 
 #: Failures to receive in a row after which the interface is taken to be gone.
 FAILURES = 20
 #: The longest wait for a frame: how late the wish to end is noticed.
 _WAIT_S = 0.05
-#: Frames taken in a row before they are stored.
+#: Frames taken in a row before they are stored, and for how long at most.
 _AT_ONCE = 256
+_BURST_NS = 10_000_000
+#: The pause where an interface does not wait for a frame, but says at once that there is none.
+_PAUSE_S = 0.001
 _FLAGS = (
     ("is_extended_id", CanFlag.EXTENDED),
     ("is_remote_frame", CanFlag.REMOTE),
@@ -70,7 +73,10 @@ class CanLibraryPort(LibraryPort):
         def take(ready: bool) -> int:
             nonlocal failures
             try:
+                from_ns = time.monotonic_ns()
                 last_ns = self._take(store, _WAIT_S)
+                if not last_ns and time.monotonic_ns() - from_ns < _PAUSE_S * 1e9:
+                    stop.wait(_PAUSE_S)
             # Garbage on an adapter's port raises from deep inside its driver.
             except Exception as error:
                 failures += 1
@@ -83,15 +89,18 @@ class CanLibraryPort(LibraryPort):
             failures = 0
             return last_ns
 
-        listen(store, stop, take, tick=lambda now_ns: bad.tell(store, now_ns))
-        # What had come before the end; a bus that fails now has no more.
-        with contextlib.suppress(Exception):
-            self._take(store, 0.0)
-        store.flush()
+        try:
+            listen(store, stop, take, tick=lambda now_ns: bad.tell(store, now_ns))
+            # What had come before the end; a bus that fails now has no more.
+            with contextlib.suppress(Exception):
+                self._take(store, 0.0)
+        finally:
+            # A driver can end the program; what it gave until then is stored.
+            store.flush()
 
     def _take(self, store: Store, wait_s: float) -> int:
         """Store what is there, or comes within `wait_s`; return the time of the last frame, 0 if there was none."""
-        last_ns = 0
+        first_ns = last_ns = 0
         for _ in range(_AT_ONCE):
             message = self._receive(wait_s)
             if message is None:
@@ -99,6 +108,9 @@ class CanLibraryPort(LibraryPort):
             wait_s = 0.0
             last_ns = time.monotonic_ns()
             keep(store, last_ns, message)
+            first_ns = first_ns or last_ns
+            if last_ns - first_ns > _BURST_NS:
+                break
         return last_ns
 
     def close(self) -> None:
@@ -111,11 +123,14 @@ class CanLibraryPort(LibraryPort):
 
 
 def keep(store: Store, t_ns: int, message: Any) -> None:
-    """Store a message of python-can."""
+    """Store a message of python-can. Raises ValueError for one that is no frame."""
+    data = message.data or b""
+    if not isinstance(data, (bytes, bytearray)) or len(data) > MOST_BYTES:
+        raise ValueError(f"expected at most {MOST_BYTES} data bytes, got {len(data) if hasattr(data, '__len__') else data!r}")
     flags = 0
     for name, flag in _FLAGS:
         if getattr(message, name):
             flags |= flag
     if not message.is_rx:
         flags |= CanFlag.TX
-    store.can(t_ns, message.arbitration_id, flags, bytes(message.data or b""))
+    store.can(t_ns, message.arbitration_id, flags, bytes(data))

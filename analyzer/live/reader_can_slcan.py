@@ -10,6 +10,7 @@ here. The frames of one read bear its time.
 from __future__ import annotations
 
 import os
+import re
 import time
 
 from analyzer.live.reader_can_library import CanLibraryPort
@@ -36,6 +37,8 @@ _FRAMES: dict[int, tuple[int, int, bool, bool]] = {
     ord("b"): (3, CanFlag.FD, True, True),
     ord("B"): (8, CanFlag.FD | CanFlag.EXTENDED, True, True),
 }
+#: Python's numbers can have a sign, blanks and underlines, too.
+_DIGITS = re.compile(rb"[0-9A-Fa-f]*")
 _FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 #: Lines that are answers: z and Z to a frame sent, a version, a serial number, flags; and nothing at all.
 _ANSWERS = frozenset(b"zZvVNF")
@@ -49,7 +52,7 @@ def dissect_line(line: bytes) -> tuple[int, int, bytes] | None:
     if not line or line[0] in _ANSWERS:
         return None
     digits, flags, coded, has_data = _FRAMES.get(line[0], (0, 0, False, False))
-    if not digits or len(line) < digits + 2:
+    if not digits or len(line) < digits + 2 or not _DIGITS.fullmatch(line, 1, digits + 2):
         raise ValueError(f"{line[:20]!r} is no frame")
     can_id = int(line[1 : digits + 1], 16)
     length = int(line[digits + 1 : digits + 2], 16)
@@ -60,7 +63,7 @@ def dissect_line(line: bytes) -> tuple[int, int, bytes] | None:
     if not has_data:
         return can_id, flags, b""
     text = line[digits + 2 : digits + 2 + 2 * length]
-    if len(text) != 2 * length:
+    if len(text) != 2 * length or not _DIGITS.fullmatch(text):
         raise ValueError(f"{line[:20]!r} breaks off")
     return can_id, flags, bytes.fromhex(text.decode("ascii"))
 

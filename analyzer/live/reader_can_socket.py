@@ -24,7 +24,7 @@ from analyzer.live.can_listen_only import kernel_notes
 from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import BadCount, Lost, Opened, Stop, Unopened, listen, readable
 from analyzer.live.reader_store import Store
-from analyzer.live.spool import CanFlag
+from analyzer.live.spool import MOST_BYTES, CanFlag
 from analyzer.values import counted
 
 MULTICAST_PORT = 43113
@@ -86,7 +86,10 @@ def dissect_multicast(datagram: bytes) -> tuple[int, int, bytes]:
         flags |= CanFlag.FD
     if not 0 <= message.arbitration_id < 1 << 32:
         raise ValueError(f"identifier {message.arbitration_id}")
-    return message.arbitration_id, flags, message.data or b""
+    data = message.data or b""
+    if len(data) > MOST_BYTES:
+        raise ValueError(counted(len(data), "data byte"))
+    return message.arbitration_id, flags, data
 
 
 def dissect_kernel(frame: bytes) -> tuple[int, int, bytes]:

@@ -75,6 +75,8 @@ FULL = "the spools have reached their limit (--max-spool), decoding does not kee
 #: Times of records are smaller.
 NEVER_NS = 1 << 63
 CAN_HEAD = struct.Struct("<IB")
+#: The most data bytes of a CAN frame: those of CAN FD.
+MOST_BYTES = 64
 _SEGMENT_NAME = re.compile(r"(?P<stem>\d+-.+)\.\d+\.raw", re.DOTALL)
 
 

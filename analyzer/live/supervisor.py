@@ -289,7 +289,8 @@ class Supervisor:
     def _hear_exit(self, name: str, status: int) -> None:
         """Take the death of a process, the last that is heard of it: it is restarted, unless it had been asked to end."""
         reader = name in self._readers
-        if reader and self.phase == "ending":
+        if reader and self.phase in ("ending", "finishing"):
+            # One that had to be killed is heard of later.
             self._gone.add(name)
             return
         if not reader and self.phase == "finishing":

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 #: Uncompressed bytes of a chunk.
 CHUNK_SIZE = 1 << 20
-#: Fewer messages than this are indexed faster one by one than by channels.
-_FEW = 256
 MESSAGE = struct.Struct("<BQHIQQ")
 #: Of the index of a channel's messages in a chunk: opcode, length, channel, bytes of its entries.
 INDEX_HEAD = struct.Struct("<BQHI")
@@ -43,17 +41,22 @@ def record_bytes(record: McapRecord) -> bytes:
 
 
 class Chunk:
-    """A chunk under construction. `index`: channel -> time and place of each of its messages."""
+    """A chunk under construction.
 
-    __slots__ = ("first_ns", "index", "last_ns", "messages", "parts", "size")
+    `index`: channel -> time and place of each message that came alone; `many`: channels, times and places of those that came
+    together.
+    """
+
+    __slots__ = ("first_ns", "index", "last_ns", "many", "messages", "parts", "size")
 
     def __init__(self) -> None:
-        self.parts: list[bytes] = []
+        self.parts: list[bytes | memoryview] = []
         self.size = 0
         self.first_ns = 0
         self.last_ns = 0
         self.messages = 0
         self.index: dict[int, array[int]] = {}
+        self.many: list[tuple[Integers, Integers, Integers]] = []
 
     def join(self, other: Chunk) -> None:
         """Take all of another chunk behind what is here."""
@@ -73,30 +76,44 @@ class Chunk:
 
         Return where the next chunk goes on.
         """
-        import numpy as np
-
-        from analyzer.columns.groups import groups
-
-        base = int(added.ends[at - 1]) if at else 0
-        stop = min(len(added.ends), int(np.searchsorted(added.ends, base + most - self.size)) + 1)
+        base = int(added.starts[at])
+        stop = min(len(added.ends), int(added.ends.searchsorted(base + most - self.size)) + 1)
         end = int(added.ends[stop - 1])
-        places = np.concatenate(([base], added.ends[at : stop - 1])) - base + self.size
         if not self.messages:
             self.first_ns = int(added.log_ns[at])
-        if stop - at < _FEW:
-            for channel, *entry in zip(
-                *(c.tolist() for c in (added.channels[at:stop], added.log_ns[at:stop], places)), strict=True
-            ):
-                self.index.setdefault(channel, array("Q")).extend(entry)
-        else:
-            entries = np.stack((added.log_ns[at:stop], places), axis=1)
-            for channel, rows in groups(added.channels[at:stop]):
-                self.index.setdefault(channel, array("Q")).frombytes(entries[rows].tobytes())
-        self.parts.append(added.data[base:end].tobytes())
+        self.many.append((added.channels[at:stop], added.log_ns[at:stop], added.starts[at:stop] + (self.size - base)))
+        self.parts.append(added.data.data[base:end])
         self.size += end - base
         self.last_ns = int(added.log_ns[stop - 1])
         self.messages += stop - at
         return stop
+
+    def indexed(self) -> tuple[bytes, dict[int, int], dict[int, int]]:
+        """Return the index records, where each channel's begins in them, and how many messages it has."""
+        if self.many:
+            return self._indexed_together()
+        parts: list[bytes] = []
+        begins: dict[int, int] = {}
+        counts: dict[int, int] = {}
+        place = 0
+        for channel, logged in self.index.items():
+            entries = logged.tobytes()
+            parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)), entries)
+            begins[channel], counts[channel] = place, len(logged) // 2
+            place += INDEX_HEAD.size + len(entries)
+        return b"".join(parts), begins, counts
+
+    def _indexed_together(self) -> tuple[bytes, dict[int, int], dict[int, int]]:
+        import numpy as np
+
+        from analyzer.columns.index import index_records
+
+        for channel, logged in self.index.items():
+            entries = np.array(logged).astype(np.int64).reshape(-1, 2)
+            self.many.append((np.full(len(entries), channel, dtype=np.int64), entries[:, 0], entries[:, 1]))
+        channels, log_ns, places = map(np.concatenate, zip(*self.many, strict=True))
+        order = places.argsort(kind="stable") if self.index else slice(None)
+        return index_records(channels[order], log_ns[order], places[order])
 
 
 class Packed(NamedTuple):
@@ -131,15 +148,10 @@ def pack(chunk: Chunk) -> Packed:
             uncompressed_size=len(data),
         )
     )
-    parts, places, counts, place = [record], {}, {}, len(record)
-    for channel, logged in chunk.index.items():
-        entries = logged.tobytes()
-        places[channel], counts[channel] = place, len(logged) // 2
-        parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)), entries)
-        place += INDEX_HEAD.size + len(entries)
-    whole = b"".join(parts)
+    indexes, begins, counts = chunk.indexed()
+    places = {channel: len(record) + begin for channel, begin in begins.items()}
     times = chunk.first_ns, chunk.last_ns
-    return Packed(whole, len(record), places, counts, chunk.messages, *times, len(data), len(compressed))
+    return Packed(record + indexes, len(record), places, counts, chunk.messages, *times, len(data), len(compressed))
 
 
 class Run(NamedTuple):

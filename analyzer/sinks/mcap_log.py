@@ -170,7 +170,7 @@ class McapLog:
             # Its clock was set back: each message says how far.
             for row in range(start, stop):
                 lane, latency_ns = plain.lanes[plain.lane[row]], int(plain.latencies[row])
-                asked_by = None if lane.is_request else plain.first + row - 1
+                asked_by = None if lane.is_request else int(plain.asked[row])
                 known_ns = latency_ns if asked_by is not None and latency_ns > 0 else None
                 self.plain(lane, plain.frame(row), plain.first + row, known_ns, asked_by)
             return

@@ -75,7 +75,8 @@ class SinkProcess:
         # Rows without a lane come first, under 0.
         firsts = [int(rows[0]) for number, rows in groups(plain.lane + 1) if number]
         lanes = tuple(self._number(lane, plain.frame(row)) for lane, row in zip(plain.lanes, firsts, strict=True))
-        self._other(("begin", (plain.dialect, plain.block, lanes, plain.lane, plain.offsets, plain.first)))
+        columns = plain.lane, plain.offsets, plain.first, plain.asked, plain.latencies
+        self._other(("begin", (plain.dialect, plain.block, lanes, *columns)))
 
     def run(self, start: int, stop: int) -> None:
         """Pass a run on."""

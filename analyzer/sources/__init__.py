@@ -41,7 +41,7 @@ class Format(NamedTuple):
 #: Every format by name; the first of two that fit equally wins.
 FORMATS: dict[str, Format] = {
     "mcap": Format("mcap_log", "Servotap log", "a log of this program, to be decoded again", (".mcap",), "log"),
-    "pcapng": Format("pcapng", "pcapng", "SocketCAN, USER and RTAC serial links", (".pcapng",), "serial"),
+    "pcapng": Format("pcapng", "pcapng", "SocketCAN, USER and RTAC serial links", (".pcapng",), "serial", blocks=True),
     "pcap": Format("pcap", "pcap", "SocketCAN, USER and RTAC serial links", (".pcap",), "serial", blocks=True),
     "blf": Format("blf", "BLF", "Vector binary log, CAN", (".blf",), "can", blocks=True),
     "mf4": Format("mf4", "MF4", "ASAM measurement data, CAN bus logging (needs asammdf)", (".mf4",), "can"),
@@ -66,6 +66,8 @@ FORMATS: dict[str, Format] = {
 
 #: A format must be this sure to be chosen.
 _LEAST_SCORE = 0.3
+#: None is surer than this.
+_CERTAIN_SCORE = 1.0
 #: One that is this sure is chosen without waiting for more of a pipe.
 _SURE_SCORE = 0.5
 
@@ -180,7 +182,12 @@ def _find(source: Source) -> str:
         other = next((what for magic, what in _OTHERS if head.startswith(magic)), None)
         if other is not None:
             raise UnreadableError(f"{source.name} is {other}")
-        scores = {name: _module(name).score(head) for name in FORMATS}
+        scores: dict[str, float] = {}
+        for name in FORMATS:
+            scores[name] = _module(name).score(head)
+            # Nothing fits better, and the first of two wins: what comes behind it need not be loaded.
+            if scores[name] >= _CERTAIN_SCORE:
+                break
         best = max(scores, key=scores.__getitem__)
         # What a pipe gave so far may be too little to tell: a title line, half a magic number.
         if source.size is None and scores[best] < _SURE_SCORE and len(head) < BLOCK and _more(source):

@@ -32,7 +32,7 @@ _BYTE = 0xFF
 #: Changes that are sent to other addresses: each takes the time of a move.
 _FEW, _MANY = 5, 14
 #: A motion of a tenth of a second; how long another drive's is listened to, and how long the shaft is watched behind all.
-_DEGREES, _BETWEEN_NS, _LISTEN_NS = 36, 60_000_000, 300_000_000
+_DEGREES, _BETWEEN_NS, _LISTEN_NS = 36, 30_000_000, 150_000_000
 
 
 def _addressing(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:

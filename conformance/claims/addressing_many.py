@@ -32,6 +32,8 @@ _OF_REPLIES = frozenset({Verb.SET_RESPOND, Verb.SET_GROUP_ADDRESS})
 #: A group address, and another one where the drive itself has it.
 _GROUP, _OTHER_GROUP, _BYTE = 0x50, 0x60, 0xFF
 _HIGH_GROUP = 0xE0
+#: How long a motion or a stop is listened to: its ramp takes 24 ms.
+_TURNS_NS = 100_000_000
 #: What a drive is told behind all else.
 _LAST = (Verb.RESTART,)
 #: How long a setting is listened to; that a setting by several addresses is silent shows with the first of them too.
@@ -267,11 +269,11 @@ def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> 
     motion.prepare(probe, run)
     to = many.join(probe)
     values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run))
-    begun = probe.send(probe.build(run, values, address=to).item(), timeout_ns=STEP_NS)
+    begun = probe.send(probe.build(run, values, address=to).item(), timeout_ns=_TURNS_NS)
     text = f"{run.name} by {many.what} does not turn the shaft"
     probe.expect(abs(motion.turning(probe).value), at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
     how = {"acceleration": motion.QUICK} if motion.of(stop).acceleration else {}
-    ended = probe.send(probe.build(stop, how, address=to).item(), timeout_ns=STEP_NS)
+    ended = probe.send(probe.build(stop, how, address=to).item(), timeout_ns=_TURNS_NS)
     expect_standing(probe, ended, f"{stop.name} by {many.what} does not stop the shaft")
     for sent in (begun, ended):
         _expect_silence(probe, sent, many.what)

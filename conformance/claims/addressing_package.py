@@ -28,8 +28,12 @@ Slots = Callable[[Dialect, Command, int], Sequence[Slot]]
 EMPTY: Slot = {}
 #: What tells the move of one slot from that of another, in steps.
 _ONE, _OTHER = 1, 3
-#: Three steps take 0.22 s: a ramp up, and one down.
-_STEPS_NS = 320_000_000
+#: Three steps take 0.09 s, and as many pulses as a step has counts 0.11 s: a ramp up, and one down.
+_STEPS_NS = 160_000_000
+#: How long the effect of a slot is waited for.
+_EFFECT_NS = 150_000_000
+#: How long a motion or a stop is listened to: its ramp takes 24 ms.
+_TURNS_NS = 100_000_000
 #: An acceleration as sent, and its time for one rpm.
 _SLOW_RAMP, _RAMP_STEP_NS = 56, 10_000_000
 
@@ -66,7 +70,7 @@ def _of_packages(
 def _move(dialect: Dialect, address: int, steps: int = _ONE) -> Slot:
     """Return a slot that moves a drive by some steps."""
     command = dialect.by_verb[Verb.MOVE_RELATIVE_AXIS].name
-    return {"address": address, "command": command, "speed": 60, "acceleration": 200, "position": STEP * steps}
+    return {"address": address, "command": command, "speed": 120, "acceleration": 248, "position": STEP * steps}
 
 
 def _read(probe: Probe) -> Slot:
@@ -132,7 +136,7 @@ def _two_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
 
 def _two_kinds_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     # The moves differ in length, so the position shows which slots were executed.
-    pulses = {"command": Verb.MOVE_RELATIVE_PULSES.value, "direction": 0, "speed": 60, "acceleration": 200, "pulses": STEP}
+    pulses = {"command": Verb.MOVE_RELATIVE_PULSES.value, "direction": 0, "speed": 120, "acceleration": 248, "pulses": STEP}
     return [_move(dialect, own), {"address": own, **pulses}, EMPTY, EMPTY, {"address": own, **pulses}]
 
 
@@ -244,7 +248,7 @@ def _setting(probe: Probe, command: Command) -> None:
 
 def _in_second_slot(probe: Probe, package: Command, name: str, values: dict[str, int]) -> Exchange:
     frame = _frame(probe, package, [EMPTY, {"address": probe.address, "command": name, **values}])
-    return probe.send(frame, timeout_ns=300 * motion.MS)
+    return probe.send(frame, timeout_ns=_EFFECT_NS)
 
 
 def _switching(dialect: Dialect) -> Iterator[Case]:
@@ -352,7 +356,7 @@ def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, b
     seen = []
     for order, data in ((run, values), (stop, {"acceleration": motion.QUICK})):
         slot = {"address": probe.address, "command": order.name, **data}
-        sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]), timeout_ns=STEP_NS)
+        sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]), timeout_ns=_TURNS_NS)
         seen.append((motion.turning(probe).value, sent))
     (rpm, begun), (rest, ended) = seen
     turning, left = abs(rpm), abs(rest)

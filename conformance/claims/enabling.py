@@ -77,7 +77,7 @@ def _ends_motion(probe: Probe) -> None:
 def _does_not_resume(probe: Probe) -> None:
     _switch_off_going(probe)
     exchange = motion.switch(probe, True)
-    probe.wait(SECOND_NS)
+    probe.wait(400 * MS)
     expect_standing(probe, exchange, "switching the motor on takes up the motion again")
 
 
@@ -118,7 +118,7 @@ def _on_goes_on(probe: Probe) -> None:
     """Enabling a motor that is enabled and turns leaves it turning."""
     motion.ready_to_move(probe)
     motion.run_at(probe, motion.CALM, motion.QUICK)
-    probe.wait(300 * MS)
+    probe.wait(150 * MS)
     before = motion.speed(probe).value
     exchange = motion.switch(probe, True)
     probe.wait(100 * MS)

@@ -34,6 +34,8 @@ Makes = Callable[[Probe], Iterable[Variant]]
 
 #: The most variants of one kind: enough to see each bit of a short frame, few enough for a real line.
 _MOST = 24
+#: How long is listened to one of several whole frames; what is later comes behind the next one.
+_WHOLE_NS = 30_000_000
 OTHER_FIRMWARE, FRAGMENTS = "lk-firmware-235", "other-dialect-fragments"
 #: First bytes that begin no request, by link.
 _OTHER_HEADS: Mapping[type[Link], tuple[int, ...]] = {
@@ -48,7 +50,7 @@ _OTHER_HEADS: Mapping[type[Link], tuple[int, ...]] = {
 @dataclass(frozen=True)
 class _Damage:
     """One kind of damage. `ignored`, `following`: how sure the two claims are. `links`: None for every link. `of_checks`: for
-    links that check their frames.
+    links that check their frames. `whole`: as long as its head says.
     """
 
     name: str
@@ -61,6 +63,7 @@ class _Damage:
     risks: frozenset[Risk] = frozenset()
     rests_on: tuple[Doubt, ...] = ()
     quirks: tuple[str, ...] = ()
+    whole: bool = False
 
 
 def _each(make: Callable[[Garbler], Iterable[Variant]]) -> Makes:
@@ -153,7 +156,7 @@ _KINDS = (
           links=(HeadLink, LkLink, ModbusLink), quirks=(FRAGMENTS,)),
     _Damage("unknown_code", "a good frame of a code that the manual does not list", _with_unknown_codes,
           ignored=Certainty.LIKELY, links=(HeadLink, LkLink, CanLink), risks=_UNKNOWN,
-          quirks=(OTHER_FIRMWARE,)),
+          quirks=(OTHER_FIRMWARE,), whole=True),
     _Damage("frame_type", "a frame that is no data frame of 11 bits", _strange_frames, ignored=Certainty.LIKELY,
           links=(CanLink,), risks=_UNKNOWN),
 )  # fmt: skip
@@ -191,7 +194,8 @@ def _ignored(probe: Probe, kind: _Damage) -> None:
     """{damaged} is not answered."""
     ask_first(probe)
     for what, item in _variants(probe, kind):
-        exchange = probe.send(item)
+        # Whole frames need no pause between them in which a drive gives up a part of one.
+        exchange = probe.send(item, timeout_ns=min(_WHOLE_NS, probe.rig.silence_ns) if kind.whole else None)
         if not exchange.silent and probe.claim.quirks and _tolerated(probe.dialect, kind, what):
             probe.meets(probe.claim.quirks[0])
             continue

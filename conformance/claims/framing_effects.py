@@ -230,8 +230,12 @@ def _expect_none_turns(probe: Probe, command: Command, values: Mapping[str, int]
     for what, frame in _wrong_in_all_ways(probe.dialect, built.frame, to):
         sent = probe.send(built.item(frame), timeout_ns=_BETWEEN_NS)
         expect_not_turned(probe, before, sent, f"{command.name} is executed with {what}")
+
+
+def _expect_stays(probe: Probe, command: Command, before: motion.Sample) -> None:
+    """The shaft also stays for a while behind the last of them."""
     probe.wait(_LISTEN_NS)
-    expect_stays(before, motion.position(probe), sent, f"{command.name} is executed with a wrong checksum")
+    expect_stays(before, motion.position(probe), probe.traffic[-1], f"{command.name} is executed with a wrong checksum")
 
 
 def _read_as(case: Case) -> frozenset[Risk]:
@@ -245,6 +249,7 @@ def _wrong_check(probe: Probe, command: Command) -> None:
     before = motion.wait_standing(probe)
     values = motion.values_of(probe.dialect, command, _DEGREES, acceleration=QUICK, start=motion.place(probe, command))
     _expect_none_turns(probe, command, values, probe.address, before)
+    _expect_stays(probe, command, before)
     motion.begin(probe, command, _DEGREES)
     probe.wait(_LISTEN_NS)
     went = abs(motion.position(probe).value - before.value)
@@ -297,6 +302,7 @@ def _wrong_home(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe)
     before = motion.wait_standing(probe)
     _expect_none_turns(probe, command, {}, probe.address, before)
+    _expect_stays(probe, command, before)
 
 
 def _broadcasting(dialect: Dialect) -> Iterable[Case]:
@@ -320,10 +326,11 @@ def _wrong_to_all(probe: Probe) -> None:
         command = probe.command(case.command.name)
         values = motion.values_of(probe.dialect, command, _DEGREES, acceleration=QUICK, start=motion.place(probe, command))
         _expect_none_turns(probe, command, values, probe.dialect.broadcast or 0, before)
+    _expect_stays(probe, command, before)
 
 
-#: A move that takes a tenth of a second; how long is listened between requests that are to do nothing.
+#: A move that takes a tenth of a second; how long is listened between requests that are to do nothing: it goes 3 degrees in it.
 _DEGREES = 36
-_BETWEEN_NS = 40_000_000
+_BETWEEN_NS = 20_000_000
 #: What a shaft at 60 rpm goes meanwhile at least, in degrees: half of it.
-_WAY_BETWEEN = 7
+_WAY_BETWEEN = 3.5

@@ -12,7 +12,7 @@ from analyzer.errors import UsageError
 from analyzer.layout import Effect
 from conformance.claim import Inconclusive, NotRun
 from conformance.motion.motion import MS
-from conformance.talk.acceptance import Acceptance, acceptance
+from conformance.talk.acceptance import Acceptance, acceptance, plain_read
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -38,8 +38,17 @@ def change_address(probe: Probe, command: Command, address: int, *, at: int | No
     if from_new and NEW_ADDRESS_ANSWERS in probe.claim.quirks:
         probe.meets(NEW_ADDRESS_ANSWERS)
     expect_not_refused(probe, command, address, exchange)
-    probe.wait(SETTLE_NS)
+    settle(probe, address)
     return exchange
+
+
+def settle(probe: Probe, address: int | None = None) -> None:
+    """Wait until a drive that changes its link answers, at its address or this one: not longer than it gets for that."""
+    until_ns = probe.gate.now_ns() + SETTLE_NS
+    while (left_ns := until_ns - probe.gate.now_ns()) > 0:
+        asked = probe.ask(plain_read(probe.dialect), address=address, timeout_ns=min(left_ns, probe.rig.silence_ns), quiet_ns=0)
+        if any(a.message.frame.checksum_ok and a.command is not None for a in asked.answers):
+            return
 
 
 def expect_not_refused(probe: Probe, command: Command, value: int, exchange: Exchange) -> None:
@@ -81,11 +90,11 @@ def visit_another_rate(probe: Probe) -> None:
     set_rate(probe, other)
     follow(probe, other)
     try:
-        probe.wait(SETTLE_NS)
+        settle(probe)
         set_rate(probe, before)
     finally:
         follow(probe, before)
-    probe.wait(SETTLE_NS)
+    settle(probe)
 
 
 def ask_in(
@@ -93,7 +102,7 @@ def ask_in(
 ) -> bytes:
     """Send a request in another dialect, and return what came back."""
     item = encoder.build(other, what, probe.address if address is None else address, values)
-    exchange = probe.send(item, until=Until.TIMEOUT, timeout_ns=SETTLE_NS)
+    exchange = probe.send(item, until=Until.TIMEOUT, timeout_ns=min(SETTLE_NS, probe.rig.silence_ns))
     pieces = [(a.first_ns, a.data) for a in exchange.answers] + [(j.first_ns or 0, j.data) for j in exchange.junk]
     return b"".join(data for _, data in sorted(pieces))
 

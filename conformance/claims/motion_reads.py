@@ -25,6 +25,8 @@ from conformance.talk.probe import Probe
 from conformance.talk.restarts import restart
 
 _RPM = 120
+#: The speed of moves whose end is what counts, in rpm.
+_QUICK_RPM = 360
 #: More counts than 24 signed bits hold, in turns.
 _WIDE_TURNS = 530
 #: The angle error of a loop that holds its place, at most, in degrees.
@@ -44,7 +46,7 @@ def _counts(probe: Probe) -> int:
 
 
 def _move_by_pulses(probe: Probe, turns: float) -> None:
-    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), turns * 360, rpm=180, acceleration=QUICK)
+    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), turns * 360, rpm=_QUICK_RPM, acceleration=QUICK)
 
 
 def _counted_positions(dialect: Dialect) -> Iterable[Case]:
@@ -78,9 +80,12 @@ def _at_the_carry(probe: Probe, command: Command) -> None:
     """On either side of a whole turn, count by count, carry x 16384 + value is the place, and the value is within a turn."""
     move, turn = probe.command(Verb.MOVE_ABSOLUTE_AXIS), probe.dialect.counts_per_turn
     motion.prepare(probe, move)
-    base = round(motion.place(probe, move) / turn)
-    for place in ((base + carry) * turn + beside for carry in (1, -1, 0) for beside in (-2, -1, 0, 1, 2)):
-        exchange = motion.begin(probe, move, (place - motion.place(probe, move)) * 360 / turn, rpm=180, acceleration=QUICK)
+    # About zero, wherever the shaft is: a carry without its sign is one elsewhere too.
+    probe.do(Verb.SET_ZERO)
+    for place in (carry * turn + beside for carry in (1, -1, 0) for beside in (-2, -1, 0, 1, 2)):
+        exchange = motion.begin(
+            probe, move, (place - motion.place(probe, move)) * 360 / turn, rpm=_QUICK_RPM, acceleration=QUICK
+        )
         motion.wait_standing(probe)
         exchange = probe.ask(command)
         values = probe.reply(exchange).values

@@ -82,7 +82,7 @@ def _slow(probe: Probe, rpm: int) -> None:
     """At {rpm} rpm too the status is 4, and 1 after the stop."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     motion.run_at(probe, rpm, QUICK)
-    probe.wait(500 * MS)
+    probe.wait(200 * MS)
     seen = _status(probe)
     motion.stand_still(probe)
     _expect(probe, seen, _FULL, f"turns at {rpm} rpm")
@@ -127,7 +127,7 @@ def _follows(probe: Probe) -> None:
     _expect(probe, _status(probe), _STOPPED, "stands")
     exchange = _run(probe, -1)
     _expect(probe, _status(probe), _UP, "speeds up")
-    _wait_until(probe, exchange, _RAMP_NS + 500 * MS)
+    _wait_until(probe, exchange, _RAMP_NS + 200 * MS)
     _expect(probe, _status(probe), _FULL, "turns at full speed")
     motion.stop(probe, _RAMP)
     _expect_slowing(probe)

@@ -150,9 +150,10 @@ def _superseded(probe: Probe, command: Command) -> None:
 def _without_stop(probe: Probe, command: Command) -> None:
     """A newer target farther on is taken up without a stop between."""
     motion.prepare(probe, command)
-    motion.begin(probe, command, 2 * _DEGREES, acceleration=56)
-    probe.wait(700 * MS)
-    exchange = motion.begin(probe, command, 2 * _DEGREES, acceleration=56, quiet_ns=0)
+    # Its ramp takes 0.3 s.
+    motion.begin(probe, command, 2 * _DEGREES, acceleration=156)
+    probe.wait(350 * MS)
+    exchange = motion.begin(probe, command, 2 * _DEGREES, acceleration=156, quiet_ns=0)
     seen = motion.speed(probe)
     motion.stand_still(probe)
     text = f"{command.name}: a newer target slows the shaft down first"

@@ -250,13 +250,15 @@ def _current(probe: Probe, on: bool) -> Exchange:
 _LIMP_RPM = 240
 
 
-def _limp_move(probe: Probe, degrees: float) -> tuple[Exchange, float]:
-    """Ask a motor without current for a move; return by how many degrees it went all the same."""
+def _limp_move(probe: Probe, degrees: float, watch_ns: int = 500 * MS) -> tuple[Exchange, float]:
+    """Ask a motor without current for a move; return by how many degrees it went all the same.
+
+    `watch_ns`: how long the drive has, behind the time of the move, to see that the shaft lags.
+    """
     before = motion.position(probe)
     _current(probe, False)
     exchange = motion.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), degrees, rpm=_LIMP_RPM, acceleration=QUICK)
-    # The drive is to see that the shaft lags, which is so before the move would have ended.
-    probe.wait(int(ramp.move_ns(degrees / 360, _LIMP_RPM, QUICK)) + 500 * MS)
+    probe.wait(int(ramp.move_ns(degrees / 360, _LIMP_RPM, QUICK)) + watch_ns)
     return exchange, motion.position(probe).value - before.value
 
 
@@ -377,7 +379,8 @@ def _limp_error(probe: Probe, command: Command) -> None:
     field = command.reply_forms[0].layout.named["angle_error"]
     for degrees in (90.0, -45.0):
         _prepare(probe, 0)
-        exchange, went = _limp_move(probe, degrees)
+        # The move would be over, and nothing is to protect the motor.
+        exchange, went = _limp_move(probe, degrees, 100 * MS)
         error = float(field.physical(probe.read(command, "angle_error")))
         _end_limp(probe)
         text = "the angle error of a motor without current is not what is missing of its move"

@@ -30,6 +30,7 @@ from conformance.claims.link_changes import (
     follow,
     is_reply,
     need_reply_or_silence,
+    settle,
 )
 from conformance.claims.ranges import of_ranges
 from conformance.talk.acceptance import answers, expect_accepted, need_reliable_replies
@@ -139,13 +140,13 @@ def _rate(probe: Probe, command: Command, field: Field, value: int, rate: int) -
         expect_not_refused(probe, command, rate, exchange)
     follow(probe, rate)
     try:
-        probe.wait(SETTLE_NS)
+        settle(probe)
         there = answers(probe, probe.address)
         if there and rate != before:
             probe.ask(command, {field.name: codes[before]})
     finally:
         follow(probe, before)
-    probe.wait(SETTLE_NS)
+    settle(probe)
     probe.expect(
         f"an answer at {rate}" if there else "silence",
         holds=there,

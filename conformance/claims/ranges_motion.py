@@ -33,8 +33,8 @@ from conformance.talk.probe import Probe, Until
 SLOW, STEEP = 10, 252
 #: How long a move is watched.
 _WATCH_NS = 300 * MS
-#: How long a move at 240 rpm is watched that is to go half a turn.
-_WAY_NS = 200 * MS
+#: How long a move at 300 rpm is watched that is to go half a turn.
+_WAY_NS = 150 * MS
 #: A speed that reads so much off (a share) is another one.
 _SPEED_SHARE = 0.015
 #: A speed both bytes of which are filled.
@@ -292,7 +292,7 @@ def _distance_width(probe: Probe, command: Command, field: Field, values: tuple[
         if not field.low <= start + distance <= field.high:
             raise Inconclusive(f"from {start} no move by {distance} fits the field")
         before = motion.position(probe)
-        asked = _values(probe, command, speed=240, acceleration=STEEP, **{field.name: start + distance})
+        asked = _values(probe, command, speed=300, acceleration=STEEP, **{field.name: start + distance})
         exchange = expect_accepted(probe, command, asked, f"a distance of {distance}")
         probe.wait(_WAY_NS)
         gone = (motion.position(probe).value - before.value) / 360 * units

@@ -28,7 +28,7 @@ from conformance.talk.probe import Probe
 
 _ROUNDS = 2
 #: The run behind a condition, which is none of those in it, and how long it has until it is looked at.
-_RPM, _GOING_NS = 90, 300 * MS
+_RPM, _GOING_NS = 90, 150 * MS
 #: Reads of what little of a drive's doings changes.
 _FLAGS = (Verb.READ_ENABLED, Verb.READ_ZERO_STATUS, Verb.READ_PROTECTION, Verb.BRAKE)
 

@@ -203,7 +203,7 @@ def _status_follows(probe: Probe) -> None:
     _set(probe, 0, 0)
     seen = []
     for rpm in (_RPM, 0):
-        motion.ask(probe, run, rpm=rpm, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=_LISTEN_NS)
+        motion.ask(probe, run, rpm=rpm, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=150 * MS)
         # The status was seen to stay behind a shaft that stands.
         motion.wait_until(probe, lambda: probe.read(Verb.READ_STATUS, "status") == 1, limit_ns=0 if rpm else 2 * SECOND_NS)
         seen.append(probe.read(Verb.READ_STATUS, "status"))
@@ -226,7 +226,7 @@ def _silent_after_restart(probe: Probe) -> None:
     restart(probe)
     motion.ready_to_move(probe)
     since, run = len(probe.traffic), probe.command(Verb.RUN_SPEED)
-    exchange = motion.ask(probe, run, rpm=_RPM, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=SECOND_NS)
+    exchange = motion.ask(probe, run, rpm=_RPM, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=_LISTEN_NS)
     statuses = motion.statuses(probe.traffic[since:], run)
     _set(probe, 1, 1)
     motion.stand_still(probe)

@@ -37,6 +37,7 @@ from conformance.claims.link_changes import (
     follow,
     is_reply,
     need_reply_or_silence,
+    settle,
 )
 from conformance.claims.read_back import expect_values, fields_of, of_read_back, parameters, text
 from conformance.claims.resilience_settings import expect_effects
@@ -257,7 +258,7 @@ def _speed_of_the_line(probe: Probe, command: Command, field: str) -> None:
     exchange = probe.ask(command, {field: codes[other]})
     follow(probe, other)
     try:
-        probe.wait(SETTLE_NS)
+        settle(probe)
         if not answers(probe, probe.address):
             raise Inconclusive(f"the drive does not answer at {other} bits per second")
         probe.ask(Verb.RESTART)
@@ -268,7 +269,7 @@ def _speed_of_the_line(probe: Probe, command: Command, field: str) -> None:
             probe.ask(command, {field: codes[before]})
     finally:
         follow(probe, before)
-    probe.wait(SETTLE_NS)
+    settle(probe)
     text = f"{command.name}: a restart loses the speed of the line"
     expected = f"an answer at {other}"
     probe.expect("silence", holds=kept, expected=expected, refutes=text, exchange=exchange, key=f"{command.name} lost")
@@ -321,7 +322,7 @@ _DAMAGED_NS = 60 * MS
 def _turning(probe: Probe, rpm: int, mode: str = "") -> float:
     motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
     motion.run_at(probe, rpm)
-    probe.wait(400 * MS)
+    probe.wait(200 * MS)
     return motion.speed(probe).value
 
 
@@ -534,7 +535,7 @@ def _come_back(probe: Probe, command: Command, back: _Back, sense: int) -> _Came
     values = {"zero_mode": back.mode, "set_zero": 1, "zero_speed": back.speed, "zero_direction": back.direction}
     probe.do(command, values)
     away = back.turns * (sense if by_direction else 1)
-    setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": STEEP, "position": round(away * turn)})
+    setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 120, "acceleration": STEEP, "position": round(away * turn)})
     exchange = restart(probe)
     rpm = _on_its_way(probe)
     motion.wait_standing(probe)
@@ -563,11 +564,12 @@ def _returns_to_none(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     values = {"zero_mode": 2, "zero_speed": 2, "zero_direction": 0}
     probe.do(command, {**values, "set_zero": 1})
-    setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 60, "acceleration": STEEP, "position": turn // 4})
+    setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 120, "acceleration": STEEP, "position": turn // 4})
     probe.do(command, {**values, "set_zero": 0})
     before = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
     exchange = restart(probe)
-    probe.wait(800 * MS)
+    # One that goes back is under way by then.
+    probe.wait(400 * MS)
     motion.wait_standing(probe)
     now = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
     probe.do(command, {"zero_mode": 0, "set_zero": 0, "zero_speed": 0, "zero_direction": 0})

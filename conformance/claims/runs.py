@@ -87,7 +87,7 @@ def _way(probe: Probe, rpm: float) -> float:
     """Return how far a short run turns the shaft, in degrees, from rest to rest."""
     before = motion.position(probe)
     motion.run_at(probe, rpm, QUICK)
-    probe.wait(200 * MS)
+    probe.wait(100 * MS)
     return motion.stand_still(probe).value - before.value
 
 

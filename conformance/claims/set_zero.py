@@ -29,7 +29,7 @@ _ZEROED = {
 def _away(probe: Probe, degrees: float = 468) -> None:
     motion.ready_to_move(probe)
     motion.follow(
-        probe, probe.command(Verb.MOVE_RELATIVE_AXIS), degrees, rpm=180 if abs(degrees) < 720 else 900, acceleration=QUICK
+        probe, probe.command(Verb.MOVE_RELATIVE_AXIS), degrees, rpm=360 if abs(degrees) < 720 else 900, acceleration=QUICK
     )
 
 
@@ -93,7 +93,7 @@ def _while_turning(probe: Probe, command: Command) -> None:
     """92 while the shaft turns makes zero of where it is then; it is answered 1, or refused."""
     _away(probe)
     motion.run_at(probe, CALM, QUICK)
-    probe.wait(SECOND_NS // 3)
+    probe.wait(SECOND_NS // 8)
     exchange = probe.ask(command, quiet_ns=0)
     taken = not motion.refused(probe, exchange)
     seen = motion.position(probe)

@@ -311,7 +311,7 @@ def hears(probe: Probe, address: int) -> bool:
     """Say whether the drive obeys what is sent to an address that does not answer: it is enabled, and disabled again."""
     seen = []
     for wanted in (0, 1):
-        probe.ask(Verb.ENABLE, {"enabled": wanted}, address=address, until=Until.TIMEOUT, timeout_ns=100 * MS)
+        probe.ask(Verb.ENABLE, {"enabled": wanted}, address=address, until=Until.TIMEOUT, timeout_ns=40 * MS)
         seen.append(_enabled(probe) == wanted)
     return all(seen)
 

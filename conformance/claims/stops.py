@@ -343,7 +343,7 @@ def _when_rising(probe: Probe, command: Command, run: Command) -> None:
     refused = motion.refused(probe, exchange)
     text = f"{run.name} after {command.name} is refused"
     probe.expect("a refusal", holds=not refused, expected="motion", refutes=text, exchange=exchange)
-    probe.wait(200 * MS)
+    probe.wait(100 * MS)
     _expect_turning(motion.speed(probe), 5)
     motion.stop(probe, _SLOW_RAMP)
     probe.wait(100 * MS)

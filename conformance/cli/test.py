@@ -22,6 +22,7 @@ from analyzer import __version__
 from analyzer.cli.reading import now_text
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import profile
+from analyzer.values import storable
 from conformance.claim import NotStopped, Outcome, RigFault, worst
 from conformance.cli.endpoint import say_rate
 from conformance.gate.permissions import add_gate_arguments
@@ -250,7 +251,7 @@ def _run_record(plan: Plan, began: str, elapsed: float, stopped: bool, trouble: 
         seed=plan.seed,
         allowed=() if allowance is None else tuple(sorted(risk.value for risk in allowance.risks)),
         bounds={} if allowance is None else allowance.described(),
-        command=shlex.join(["servotap", *sys.argv[1:]]),
+        command=storable(shlex.join(["servotap", *sys.argv[1:]])),
         notes=tuple(notes),
     )
 

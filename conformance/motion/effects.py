@@ -39,7 +39,7 @@ _INT32 = 1 << 31
 STEP = 400
 _SPEED, _ACCELERATION = 60, 248
 #: How long a step takes at most, its ramps and reply with it: by the law 50 ms.
-STEP_NS = 200_000_000
+STEP_NS = 150_000_000
 
 
 @dataclass(frozen=True)

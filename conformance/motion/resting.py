@@ -30,7 +30,7 @@ _IDLE, _HIGH, _MOST_STRAY = b"\x00\xff", b"\xff", 2
 _RESTS = 5.0
 #: When a move has come to its speed, until when it keeps it, how far it goes, in degrees, and how fast: in whole rpm
 #: a slower one shows its rounding alone.
-_GOING_NS, _STEADY_NS, _WAY, _RPM = 300 * motion.MS, 1000 * motion.MS, 1440.0, 180
+_GOING_NS, _STEADY_NS, _WAY, _RPM = 300 * motion.MS, 900 * motion.MS, 1080.0, 180
 #: How long a shaft that stands is watched.
 _CREEPS_NS = 800 * motion.MS
 #: The first looks at it, in which it may still settle: that is no tremble.

@@ -13,6 +13,7 @@ import msgspec
 import pytest
 
 from analyzer import __version__
+from analyzer.values import storable
 from conformance.claim import RigFault
 from conformance.pytest_plugin.plan import arguments_of, plan_of
 from conformance.pytest_plugin.plugin import end_with
@@ -64,5 +65,5 @@ def _run(config: pytest.Config, reporter: Any) -> RunRecord:
         seed=plan.seed,
         allowed=() if allowance is None else tuple(sorted(risk.value for risk in allowance.risks)),
         bounds={} if allowance is None else allowance.described(),
-        command=shlex.join(["pytest", *sys.argv[1:]]),
+        command=storable(shlex.join(["pytest", *sys.argv[1:]])),
     )

@@ -34,13 +34,19 @@ def load(path: str) -> dict[str, Settings]:
     try:
         return _drives(json.loads(read_whole(Path(path)))) if os.path.lexists(path) else {}
     except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
-        raise UsageError(f"{path} does not hold the state of drives: {type(error).__name__}: {error}") from None
+        what = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
+        raise UsageError(f"{path} does not hold the state of drives: {what}") from None
 
 
 def _drives(whole: Any) -> dict[str, Settings]:
     if whole["servotap"] != _KIND or whole["version"] != _VERSION:
         raise ValueError(f"expected servotap {_KIND!r} of version {_VERSION}")
-    return {str(name): {str(n): int(v) for n, v in drive["settings"].items()} for name, drive in whole["drives"].items()}
+    drives: dict[str, Settings] = {name: drive["settings"] for name, drive in whole["drives"].items()}
+    for name, settings in drives.items():
+        for setting, value in settings.items():
+            if type(value) is not int:
+                raise ValueError(f"{name}: {setting}: expected a whole number, got {value!r}")
+    return drives
 
 
 class StateFile:

@@ -68,15 +68,20 @@ def dry_run(plan: Plan) -> int:
 def _claims(plan: Plan, target: Target, rig: ClaimRig) -> tuple[int, int, int]:
     judge = Judge(Allowance(frozenset(Risk), alone=True))
     ran = skipped = frames = 0
-    #: What is listed already: claims share exchanges, which a run makes once. They are kept, for an id is one while they live.
+    #: What came by already: claims share exchanges, which a run makes once. It is kept, for an id is one while it lives.
     listed: dict[int, Chunk | CanFrame] = {}
+    asked: set[int] = set()
     if isinstance(rig, _Listed):
         frames += _list("before the first claim", rig.taken(), judge)
     for claim in plan.selected(target):
         verdict = engine.run_claim(claim, rig)
-        traffic = [item for item in verdict.traffic if item.direction is Role.REQUEST and id(item) not in listed]
-        shared = sum(1 for item in verdict.traffic if id(item) in listed)
-        listed |= {id(item): item for item in traffic}
+        # Hundreds of claims can share the traffic of as many.
+        ids = set(map(id, verdict.traffic))
+        shared, new = len(ids & asked), ids - listed.keys()
+        fresh = {id(item): item for item in verdict.traffic if id(item) in new} if new else {}
+        listed |= fresh
+        traffic = [item for item in fresh.values() if item.direction is Role.REQUEST]
+        asked.update(map(id, traffic))
         sent = rig.taken() if isinstance(rig, _Listed) else [i if isinstance(i, CanFrame) else i.data for i in traffic]
         if verdict.outcome is Outcome.NOT_RUN and not sent:
             skipped += 1

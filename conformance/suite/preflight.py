@@ -6,7 +6,7 @@ A drive that answers wrongly is let through: the claims say what is wrong with i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from analyzer import dialects as registry
@@ -20,13 +20,15 @@ from conformance.claim import RigFault
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
 from conformance.talk.dialogue import MS
-from conformance.talk.scan import Finder, Found, Report, scan, search_read
+from conformance.talk.scan import PATIENCE_NS, Finder, Found, Report, scan, search_read
 
 #: Addresses at which a drive that is not there is looked for.
 _NEAR = range(1, 33)
 #: How long another drive may take for its answer, beside its time on the wire, while all addresses are looked at: drives take
-#: half a millisecond, adapters a few. One that is later still is heard while the next is asked, or at the end.
-_PROMPT_NS = 8 * MS
+#: half a millisecond. One that is later still, or whose adapter is, is heard while the next ones are asked, or at the end.
+_PROMPT_NS = 3 * MS
+#: A late answer may collide with the next question: bytes that are no answer may be of one of so many that were asked last.
+_SUSPECTS = PATIENCE_NS // _PROMPT_NS
 _LATE_NS = 300 * MS
 #: Bits of the longest frame of 11 bits, stuffed.
 _CAN_BITS = 135
@@ -101,9 +103,25 @@ def neighbours(gate: Gate, dialects: Sequence[Dialect], own: Iterable[int]) -> N
     everywhere = {d.name: [a for a in range(d.addresses[0], d.addresses[1] + 1) if a not in mine] for d in dialects}
     if not gate.line.is_can:
         report = scan(gate, dialects, addresses=everywhere, busy=True, patience_ns=_PROMPT_NS, late_ns=_LATE_NS)
-        return Neighbours(tuple(f.name for f in report.found if f.address not in mine), tuple(report.refused))
+        suspects = _suspects(report, dialects, everywhere)
+        if suspects:
+            scan(gate, dialects, addresses=suspects, busy=True, report=report)
+        names = dict.fromkeys(f.name for f in report.found if f.address not in mine)
+        return Neighbours(tuple(names), tuple(dict.fromkeys(report.refused)))
     found = [_on_can(gate.under(Allowance()), d, everywhere[d.name]) for d in dialects]
     return Neighbours(tuple(n for each in found for n in each.names), tuple(n for each in found for n in each.unasked))
+
+
+def _suspects(report: Report, dialects: Sequence[Dialect], asked: Mapping[str, Sequence[int]]) -> dict[str, list[int]]:
+    """Return the addresses, by dialect, that were asked when bytes came that are no answer, and shortly before."""
+    order = [(d, address) for d in dialects for address in asked[d.name]]
+    strays = {stray.asked for stray in report.strays}
+    hit = [place for place, drive in enumerate(order) if registry.drive_name(*drive) in strays]
+    suspects = sorted({before for place in hit for before in range(max(0, place - _SUSPECTS), place + 1)})
+    found: dict[str, list[int]] = {d.name: [] for d in dialects} if hit else {}
+    for dialect, address in (order[place] for place in suspects):
+        found[dialect.name].append(address)
+    return found
 
 
 def _on_can(gate: Gate, dialect: Dialect, addresses: Sequence[int]) -> Neighbours:

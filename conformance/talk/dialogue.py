@@ -16,6 +16,7 @@ from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.encoder import Built
+from analyzer.errors import PluginError
 from analyzer.pipeline import Entry, Options, Pipeline
 from analyzer.port import usual_setup
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk, Message
@@ -216,10 +217,13 @@ class Dialogue:
         return min(self._pause_ns, _WHOLE_PAUSE_NS) if framer is not None and framer.between else self._pause_ns
 
     def finish(self) -> Exchange:
-        """Decode what came as it stands, and end the exchange."""
+        """Decode what came as it stands, and end the exchange. Raises PluginError for a dialect that is left out."""
         self._silence()
         self._pending = False
         self._take()
+        for link in (dialect.link for dialect in self.dialects if dialect.link.left_out):
+            # What a drive sent is not known: it is no silence, and says nothing of the drive.
+            raise PluginError(f"a dialect of this line cannot be read: {link.left_out}")
         self._exchange.until_ns = self.gate.now_ns()
         return self._exchange
 

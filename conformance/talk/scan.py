@@ -39,7 +39,6 @@ _MORE = (Verb.READ_VERSION, Verb.READ_STATE_1, Verb.READ_ENABLED, Verb.READ_SPEE
 PATIENCE_NS = 40 * MS
 #: How long the scan listens before it sends.
 LISTEN_NS = 250 * MS
-_REPLY_BYTES = 14
 _SECOND_NS = 1_000_000_000
 
 
@@ -359,8 +358,14 @@ class Finder:
     def _ask(self, dialect: Dialect, command: Command, address: int) -> Exchange:
         built = assemble(dialect, command, address)
         line = self.dialogue.gate.line
-        wire_ns = (len(built.frame) + _REPLY_BYTES) * line.byte_ns or 200 * _SECOND_NS // line.endpoint.bits_per_second
+        wire_ns = _reply_bytes(dialect, command) * line.byte_ns or 200 * _SECOND_NS // line.endpoint.bits_per_second
         return self.dialogue.ask(built.item(), wire_ns + self._patience_ns)
+
+
+def _reply_bytes(dialect: Dialect, command: Command) -> int:
+    """Return the bytes of the longest reply to a command."""
+    empty = ((form, bytes(form.layout.byte_length)) for form in command.reply_forms)
+    return max(len(dialect.link.build(command, form, dialect.addresses[0], data, Role.REPLY)) for form, data in empty)
 
 
 def _is_of(answer: Answer, dialect: Dialect) -> bool:

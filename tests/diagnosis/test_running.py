@@ -8,6 +8,7 @@ import threading
 import pytest
 
 from analyzer.cli.record_display import JsonDisplay, LineDisplay
+from analyzer.diagnosis import running as running_module
 from analyzer.diagnosis.diagnose import diagnosis, lines
 from analyzer.diagnosis.running import Running
 from analyzer.diagnosis.watch import Watch
@@ -49,6 +50,23 @@ def test_a_cause_is_told_once_and_stands_at_the_end_as_diagnose_has_it():
     assert running.end(99 * S, [NATIVE]) == []
     assert [line for told in running.causes.values() for line in told] == whole
     assert list(running.causes) == ["wrong_checksum_rule"]
+
+
+def test_a_diagnosis_that_fails_is_told_once_and_hides_nothing_else(monkeypatch):
+    def fails(scenes):
+        raise RuntimeError("no")
+
+    monkeypatch.setattr(running_module, "weighed", fails)
+    running = Running()
+    fed(running, WRONG)
+    running.look(0, [NATIVE])
+    running.look(2 * S, [NATIVE])
+    waited(running)
+    told = "a fault of servotap in the diagnosis: RuntimeError: no; the recording goes on, please report it"
+    assert running.look(3 * S, [NATIVE]) == [told]
+    fed(running, WRONG)
+    assert running.look(90 * S, [NATIVE]) == running.end(99 * S, [NATIVE]) == []
+    assert running.causes == {}
 
 
 def test_clean_traffic_is_never_looked_at():

@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer.errors import UsageError
-from analyzer.live import can_listen_only, reader_can_socket, reader_port
+from analyzer.live import can_listen_only, reader_can_library, reader_can_socket, reader_port
 from analyzer.live.can_listen_only import LISTEN_ONLY, notes_of_link, options_for
 from analyzer.live.endpoint import parse
 from analyzer.live.reader import make_port
@@ -363,6 +363,64 @@ def test_an_adapter_that_talks_nonsense_now_and_then_is_told_and_listened_to(tmp
     assert (event["event"], event["reason"], event["count"]) == ("bus_error", "nonsense on the line", 5)
 
 
+class Scripted:
+    """A bus that gives frames, as many as it has, and then does something else for good."""
+
+    fileno = shutdown = None
+
+    def __init__(self, frames, then):
+        self.frames = list(frames)
+        self.then = then
+
+    def recv(self, timeout):
+        return self.frames.pop(0) if self.frames else self.then()
+
+
+@pytest.mark.parametrize("end", [SystemExit, KeyboardInterrupt, GeneratorExit])
+def test_what_a_driver_gave_before_it_ends_the_program_is_stored(end, tmp_path, store, stop, monkeypatch):
+    def then():
+        raise end
+
+    port = opened_with(Scripted(map(message, range(3)), then), monkeypatch, stop)
+    with pytest.raises(end):
+        port.listen(store, stop)
+    assert [r.can[2][-1] for r in stored(tmp_path)] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("data", [bytes(65), bytes(1 << 20), "abc", 10**9], ids=["65", "1 MB", "text", "number"])
+def test_a_frame_that_cannot_be_one_is_no_frame(data, tmp_path, store, stop, monkeypatch):
+    wrong = message(0)
+    wrong.data = data
+    port = opened_with(Scripted([], lambda: wrong), monkeypatch, stop)
+    with pytest.raises(Lost, match="expected at most 64 data bytes, got"):
+        port.listen(store, stop)
+    assert not any(r.kind == RecordKind.CAN for r in stored(tmp_path))
+
+
+def test_an_interface_that_does_not_wait_is_not_asked_without_a_pause(tmp_path, store, stop, monkeypatch):
+    asked, slept = [], []
+
+    def then():
+        asked.append(1)
+        if len(asked) > 5:
+            stop.ask("enough")
+
+    port = opened_with(Scripted([], then), monkeypatch, stop)
+    monkeypatch.setattr(stop, "wait", slept.append)
+    port.listen(store, stop)
+    assert len(slept) == 6
+    assert set(slept) == {reader_can_library._PAUSE_S}
+
+
+def test_frames_without_end_are_stored_as_they_come(store, monkeypatch):
+    clock = iter(range(0, 10**12, 3_000_000))
+    monkeypatch.setattr(reader_can_library.time, "monotonic_ns", lambda: next(clock))
+    port = CanLibraryPort(parse("can:virtual:0"))
+    port._receive = lambda timeout: message(1)
+    port._take(store, 0.05)
+    assert 3 <= store.count <= 6
+
+
 def test_an_interface_that_cannot_be_opened_says_why(stop, monkeypatch):
     def refuse(**options):
         raise can.CanInitializationError("no such adapter")
@@ -504,6 +562,12 @@ def test_a_line_of_an_slcan_adapter_is_understood_as_python_can_understands_it(c
     assert bool(found[1] & CanFlag.EXTENDED) == message.is_extended_id
     assert bool(found[1] & CanFlag.REMOTE) == message.is_remote_frame
     assert bool(found[1] & CanFlag.FD) == message.is_fd
+
+
+@pytest.mark.parametrize("line", [b"t-122AABB", b"t 122AABB", b"t1_22AABB", b"t1232A BB", b"t123+", b"T-00000012AABB"])
+def test_a_number_of_an_slcan_line_is_digits_alone(line):
+    with pytest.raises(ValueError, match=r"is no frame|breaks off"):
+        dissect_line(line)
 
 
 @given(st.binary(max_size=30))

@@ -190,6 +190,18 @@ def test_a_supervisor_waits_for_no_process_for_ever(tmp_path, monkeypatch, clock
     assert "servotap recover" in watched.unfinished
 
 
+@pytest.mark.parametrize("phase", ["ending", "finishing"])
+def test_a_reader_that_dies_at_the_end_is_not_started_again(phase, tmp_path):
+    said = []
+    watched = Supervisor(
+        spooled(tmp_path).config, readers=lambda folder, heard: {"1-left": Mute()}, on_note=lambda *note: said.append(note)
+    )
+    watched.phase = phase
+    watched._hear_exit("1-left", -signal.SIGKILL)
+    assert watched._gone == {"1-left"}
+    assert said == []
+
+
 # --- the command ----------------------------------------------------------------------------------------------------------
 
 

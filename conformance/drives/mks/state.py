@@ -53,15 +53,15 @@ def way_of(direction: int) -> int:
 #: Defaults that the manual of the RS485 drives does not print: the home speed is that of the CAN drives.
 UNPRINTED: Mapping[str, int] = {"home_speed": 60}
 
-#: What is stored by other commands than settings, and its default.
+#: What is stored by other commands than settings, and the highest value of each. All begin at 0.
 KEPT: Mapping[str, int] = {
-    "saved_run": 0,  # whether a run at a speed is kept for power-on (FF)
-    "saved_direction": 0,
-    "saved_speed": 0,
-    "saved_acceleration": 0,
-    "zero_kept": 0,  # whether a zero point is kept (9A), and where it is within the turn
-    "zero_point": 0,
-    "limits_homed": 0,  # whether homing was done since the end limits were changed
+    "saved_run": 1,  # whether a run at a speed is kept for power-on (FF)
+    "saved_direction": 1,
+    "saved_speed": 0xFFFF,
+    "saved_acceleration": 0xFF,
+    "zero_kept": 1,  # whether a zero point is kept (9A), and where it is within the turn
+    "zero_point": COUNTS_PER_TURN - 1,
+    "limits_homed": 1,  # whether homing was done since the end limits were changed
 }
 
 #: Where each setting stands that the catalogue has under no "set" command.
@@ -88,7 +88,7 @@ def catalogued(dialect: Dialect) -> Catalogued:
     kept: Catalogued | None = dialect.__dict__.get("_catalogued")
     if kept is None:
         resolved = dialect if dialect.model else dialect.for_model(dialect.models[0])
-        defaults = dict(KEPT)
+        defaults = dict.fromkeys(KEPT, 0)
         for name, field in _fields(resolved).items():
             defaults[name] = UNPRINTED.get(name, 0) if field.default is None else int(field.default)
         kept = dialect.__dict__["_catalogued"] = Catalogued(_fields(dialect), defaults)
@@ -167,6 +167,8 @@ class MksState(Drive):
                 known = ", ".join(sorted(self.fields))
                 raise UsageError(f"{self.dialect.name} has no setting {name!r}, expected one of {known}")
             field = self.fields.get(name)
+            if field is None and not 0 <= value <= KEPT[name]:
+                raise UsageError(f"{name}: got {value}, expected 0..{KEPT[name]}")
             if field is not None and not field.allows(value) and value != self.factory[name]:
                 raise UsageError(f"{name}: got {value}, expected {field.low}..{field.high} or what the manual lists")
         return {**self.factory, **given}

@@ -6,10 +6,13 @@ import pytest
 
 from analyzer.catalogue import Risk
 from conformance.claim import Claim, Outcome, Theme, Verdict
+from conformance.claims.link_changes import SETTLE_NS, change_address
 from conformance.drives import make
+from conformance.drives.drive import Drive
 from conformance.gate.gate import Allowance
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
+from conformance.talk.acceptance import answers
 from tests.conformance.theme_runs import claims_of
 
 DRIVES = ("mks-rs485@1", "mks-modbus@1", "mks-can@1,model=42E", "lk-rs485@1,model=MF")
@@ -332,3 +335,29 @@ def test_a_move_within_bounds_is_all_that_a_bounded_run_sends():
     unbounded = engine.run_claim(chosen["run_speed/speed-60"], rig)
     assert unbounded.outcome is Outcome.NOT_RUN
     assert "unbounded" in unbounded.reason
+
+
+class TurnedBefore(EmulatedRig):
+    """A rig whose drives have turned for long before a claim, as a real one has."""
+
+    def make_drive(self) -> Drive:
+        drive = super().make_drive()
+        drive.turn_shaft(300 * 16384 + 5000)
+        return drive
+
+
+@pytest.mark.parametrize("fault", ["carry-half-width", "carry-without-sign"])
+def test_a_carry_is_looked_at_about_zero_wherever_the_shaft_is(fault):
+    rig = TurnedBefore(make.parse(f"mks-rs485@1,fault={fault}"))
+    claim = next(c for c in every(rig) if name(c) == "read_encoder_carry/at-the-carry")
+    assert engine.run_claim(claim, rig).outcome is Outcome.REFUTED
+
+
+def test_a_change_of_the_link_is_waited_for_until_the_drive_answers():
+    rig = EmulatedRig(make.parse("mks-rs485@1"))
+    rig.quiet_ns = 0
+    probe = rig.probe(every(rig)[0])
+    begun_ns = probe.gate.now_ns()
+    change_address(probe, probe.command("set_address"), 7)
+    assert answers(probe, 7)
+    assert probe.gate.now_ns() - begun_ns < SETTLE_NS

@@ -187,6 +187,11 @@ def test_a_state_that_does_not_fit_is_told(capsys: pytest.CaptureFixture[str], t
     for text in ("", "[]", "{}", '{"servotap": "drives", "version": 2, "drives": {}}', '{"servotap": 5}'):
         state.write_text(text)
         assert "does not hold the state of drives" in refused(capsys, "mks-rs485@1", "--pty", "--state", str(state))
+    for value in ("1", 1.0, True, None, [], float("nan")):
+        whole = {"servotap": "drives", "version": 1, "drives": {"mks-rs485@1": {"settings": {"saved_run": value}}}}
+        state.write_text(json.dumps(whole))
+        told = refused(capsys, "mks-rs485@1", "--pty", "--state", str(state))
+        assert told.endswith(f"state of drives: mks-rs485@1: saved_run: expected a whole number, got {value!r}\n")
     whole = {"servotap": "drives", "version": 1, "drives": {"mks-rs485@1": {"settings": {"no_such": 1}}}}
     state.write_text(json.dumps(whole))
     assert "mks-rs485@1, as " in refused(capsys, "mks-rs485@1", "--pty", "--state", str(state))

@@ -123,6 +123,15 @@ def test_defaults_are_the_printed_ones(name):
         assert drive.settings["home_speed"] == UNPRINTED["home_speed"]
 
 
+@pytest.mark.parametrize("name", KEPT)
+def test_what_no_setting_stores_is_checked_too(name):
+    for value in (0, KEPT[name]):
+        assert make("mks-rs485", **{name: value}).settings[name] == value
+    for value in (-1, KEPT[name] + 1, 10**400):
+        with pytest.raises(UsageError, match=rf"{name}: got -?[1-9][0-9]*, expected 0\.\.{KEPT[name]}"):
+            make("mks-rs485", **{name: value})
+
+
 def test_start_values_are_checked():
     assert make("mks-rs485", mode=None, work_mode=3).mode == "sr_open"
     with pytest.raises(UsageError, match="no setting 'wrok_mode'"):

@@ -261,6 +261,13 @@ def test_one_place_is_for_all_drives_and_several_are_for_each():
     assert {t.dialect.name for t in target.parse_all([], [])} == {"mks-rs485", "mks-modbus", "mks-can", "lk-rs485"}
 
 
+def test_reports_of_a_command_line_that_is_no_utf_8_are_written(tmp_path, monkeypatch, capsys):
+    words = ["test", "mks-rs485@1", "--claim", "*/shape/read_speed/code", "--report", str(tmp_path / "r\udcff.html")]
+    monkeypatch.setattr("sys.argv", ["servotap", *words])
+    assert main([*words, "--log", str(tmp_path / "l.mcap"), "--json"]) == 0
+    assert r"r\udcff.html" in (tmp_path / "r\udcff.html").read_text()
+
+
 @pytest.mark.parametrize(
     ("option", "kept"), [("--log", b"\x89MCAP"), ("--report", b"PK"), ("--junitxml", b"PK"), ("--write-baseline", b"PK")]
 )

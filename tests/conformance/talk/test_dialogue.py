@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -9,6 +10,8 @@ import pytest
 from analyzer import dialects
 from analyzer.catalogue import Risk, Role
 from analyzer.encoder import build
+from analyzer.errors import PluginError
+from analyzer.link import guarded
 from analyzer.records import CanFrame, Chunk
 from conformance.bus.emulated import EmulatedLine
 from conformance.drives import make
@@ -53,6 +56,18 @@ def test_what_was_sent_what_answers_it_and_what_does_not_are_kept_apart():
     assert b"".join(j.data for j in exchange.junk) == b"\0\x55"
     assert exchange.received == OTHER_REPLY + b"\0\x55" + exchange.replies[0].data
     assert exchange.completion is Completion.DONE
+
+
+def test_a_dialect_that_cannot_be_read_is_no_silent_drive(capsys):
+    class Wrong(type(MKS.link)):
+        def parse(self, frame, can_id=None):
+            raise ValueError("no")
+
+    added = replace(MKS, name="added", link=guarded("added", Wrong(MKS.link.heads)))
+    talk = Dialogue(Gate(Line(), Allowance(frozenset(Risk))), [added])
+    with pytest.raises(PluginError, match="cannot be read: ValueError: no"):
+        talk.ask(READ, 500 * MS)
+    assert capsys.readouterr().err == "servotap: added failed and is left out: ValueError: no\n"
 
 
 def test_listening_ends_with_the_reply_or_with_the_time():

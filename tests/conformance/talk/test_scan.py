@@ -322,6 +322,14 @@ def test_a_drive_at_any_address_is_a_neighbour(other: str):
         check(both, dialects.get("mks-rs485"), 1, alone=True)
 
 
+@pytest.mark.parametrize(
+    "other", ["mks-rs485@60,latency=4..4ms", "mks-rs485@60,latency=30..30ms", "mks-modbus@247,latency=8..8ms"]
+)
+def test_a_neighbour_is_found_whose_late_answer_collides_with_a_question(other: str):
+    both = gate("mks-rs485@1", other)
+    assert neighbours(both, SERIAL, own=(1,)) == Neighbours((other.partition(",")[0],))
+
+
 def test_a_drive_at_any_identifier_is_a_neighbour():
     both = gate("mks-can@1", "mks-can@0x7CF", speed=None)
     assert neighbours(both, [dialects.get("mks-can")], own=(1,)) == Neighbours(("mks-can@0x7CF",))
@@ -331,7 +339,7 @@ def test_all_addresses_are_looked_at_within_seconds():
     one = gate("mks-rs485@1")
     begun_ns = one.now_ns()
     assert neighbours(one, SERIAL, own=(1,)) == Neighbours()
-    assert one.now_ns() - begun_ns < 10_000_000_000
+    assert one.now_ns() - begun_ns < 4_000_000_000
 
 
 def with_another(dialect: Dialect, reads: int | None = None) -> list[Dialect]:
