@@ -63,6 +63,9 @@ do
   proto.experts = infos
 end
 
+-- Fields of other protocols are there at Wireshark's first look at a packet only if a listener filters by them. In two passes
+-- tshark has them at the second look, which goes in order too.
+local listener = Listener.new("frame", "can.id || frame.interface_id || tcp.stream")
 local can_id, can_extended = Field.new("can.id"), Field.new("can.flags.xtd")
 local interface, stream = Field.new("frame.interface_id"), Field.new("tcp.stream")
 
@@ -622,8 +625,9 @@ local function on_can(tvb, pinfo, tree, sure)
   local head = links.can.head(dialect, bytes, 1, #bytes, address)
   local known = #entries(dialect, "request", head) > 0 or #entries(dialect, "reply", head) > 0
   if right and known then drives[key] = true end
-  local taken = kept[place_of(tvb, pinfo)] or not pinfo.visited and (sure or right and known or drives[key])
-  if not taken then return 0 end
+  local place = place_of(tvb, pinfo)
+  if not kept[place] and not (sure or right and known or drives[key]) then kept[place] = {} end
+  if kept[place] and not kept[place].dialect then return 0 end
   show_all(dialect, tvb, pinfo, tree, bytes, {{at = 1, length = #bytes}}, address)
   return tvb:len()
 end
