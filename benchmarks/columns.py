@@ -2,9 +2,16 @@
 
     python benchmarks/columns.py [--frames 1000000] [--rounds 3]
 
-Two captures are made, each as candump lines and as pcap: polls (four drives, five reads, values that the manual allows) and
-plausible sessions (`captures/make.py`: polls, settings, motion). The peers: tshark, which decodes no drive, and the plain
-script of `decode_peers.py`, which pairs nothing and reports nothing. CPU seconds count all processes of a command.
+Two captures are made, each as candump lines, pcap and BLF: polls (four drives, five reads, values that the manual allows) and
+plausible sessions (`captures/make.py`: polls, settings, motion). Each work is done by this program and by its peers:
+
+- decode: tshark, which decodes no drive, and the plain script of `decode_peers.py`, which pairs nothing and reports nothing;
+  the share of it that zstd takes for the same chunks
+- reading alone, to frames: python-can's readers
+- a filter over a log: a loop over the messages by `mcap` and `json`
+
+CPU seconds count all processes of a command, and its start. A second table has what `--jobs` gains: seconds of the clock by
+turns, for which the machine should have nothing else to do.
 """
 
 from __future__ import annotations
@@ -18,8 +25,11 @@ import struct
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from pathlib import Path
+
+import can
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -27,20 +37,27 @@ sys.path.insert(0, str(ROOT))
 from analyzer import dialects  # noqa: E402
 from analyzer.records import CanFrame  # noqa: E402
 from analyzer.sources import open_source  # noqa: E402
+from benchmarks.parts import unpack  # noqa: E402
 from tests.columns.can_traffic import frames  # noqa: E402
 
 POLLS = ("read_encoder_carry", "read_speed", "read_pulses", "read_position", "read_angle_error")
-SCRIPT = "from pathlib import Path; from benchmarks.decode_peers import plain_can; plain_can(Path({!r}), Path({!r}))"
+FILTER = 'command == "read_speed" and speed > 2990'
+PLAIN = "from pathlib import Path; from benchmarks.decode_peers import plain_can; plain_can(Path({!r}), Path({!r}))"
+READ = "from benchmarks.parts import read; read({!r})"
+READ_PEER = "import can; sum(1 for _ in can.LogReader({!r}))"
+SHOW_PEER = "from benchmarks.parts import show; show({!r})"
+PACK_PEER = "from benchmarks.parts import pack; pack({!r})"
 
 
-def write(rows: Sequence[CanFrame], dump: Path, pcap: Path) -> None:
-    """Write frames in both formats."""
-    with dump.open("w") as text, pcap.open("wb") as records:
+def write(rows: Sequence[CanFrame], dump: Path, pcap: Path, blf: Path) -> None:
+    """Write frames in all formats."""
+    with dump.open("w") as text, pcap.open("wb") as records, can.BLFWriter(blf) as objects:
         records.write(struct.pack("<LHHlLLL", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227))
         for row in rows:
             seconds, us = divmod((row.t_ns or 0) // 1000, 1_000_000)
             text.write(f"({seconds}.{us:06d}) can0 {row.id:03X}#{row.data.hex().upper()}\n")
             records.write(struct.pack("<LLLL", seconds, us, 16, 16) + struct.pack(">LB3x8s", row.id, len(row.data), row.data))
+            objects.on_message_received(can.Message(seconds + us / 1e6, row.id, False, data=row.data))
 
 
 def cpu(command: Sequence[str]) -> float:
@@ -51,13 +68,28 @@ def cpu(command: Sequence[str]) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
+def gained(ours: Sequence[str], rounds: int) -> str:
+    """Return a row of the second table: medians of one process and of two, by the clock and as CPU, and of their ratios."""
+    clock: dict[str, list[float]] = {"1": [], "2": []}
+    spent: dict[str, list[float]] = {"1": [], "2": []}
+    for _ in range(rounds):
+        for jobs in clock:
+            started = time.perf_counter()
+            spent[jobs].append(cpu([*ours, "--jobs", jobs]))
+            clock[jobs].append(time.perf_counter() - started)
+    ratio = statistics.median(one / two for one, two in zip(*clock.values(), strict=True))
+    cells = [statistics.median(times[jobs]) for jobs in clock for times in (clock, spent)]
+    return " | ".join([*(f"{cell:.2f}" for cell in cells), f"{ratio:.2f}"])
+
+
 def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--rounds", type=int, default=3)
     arguments = parser.parse_args()
-    print("| capture | by | CPU s | times ours |\n| --- | --- | --- | --- |")
+    print("| capture | work | by | CPU s | times ours |\n| --- | --- | --- | --- | --- |")
+    jobs = []
     with tempfile.TemporaryDirectory() as folder:
         session = Path(folder, "made.log")
         make = [sys.executable, str(ROOT / "captures" / "make.py"), "--frames", str(arguments.frames)]
@@ -67,35 +99,52 @@ def main() -> None:
             "session": [item for item in open_source(str(session)) if isinstance(item, CanFrame)],
         }
         for name, rows in captures.items():
-            dump, pcap, log = (Path(folder, f"{name}.{end}") for end in ("log", "pcap", "mcap"))
-            write(rows, dump, pcap)
-            ours = [sys.executable, "-m", "analyzer", "decode", "-o", str(log), "--force", "--dialect", "mks-can"]
-            peers = {
-                "servotap decode, candump": [*ours, str(dump)],
-                "servotap decode, pcap": [*ours, str(pcap)],
-                "servotap decode --to parquet, pcap": [
-                    *ours,
-                    "--to",
-                    "parquet",
-                    "-o",
-                    str(log.with_suffix(".parquet")),
-                    str(pcap),
-                ],
-                "plain script, candump": [sys.executable, "-c", SCRIPT.format(str(dump), str(log))],
-            }
-            if shutil.which("tshark"):
-                shown = ["-e", "frame.time_epoch", "-e", "can.id", "-e", "data.data"]
-                peers["tshark -T json, pcap"] = ["tshark", "-r", str(pcap), "-T", "json"]
-                peers["tshark -T fields, pcap"] = ["tshark", "-r", str(pcap), "-T", "fields", *shown]
-            spent: dict[str, list[float]] = {peer: [] for peer in peers}
-            # In turn, so that a drift of the machine's speed hits all.
-            for _ in range(arguments.rounds):
-                for peer, command in peers.items():
-                    spent[peer].append(cpu(command))
-            own = statistics.median(spent["servotap decode, pcap"])
-            for peer, times in spent.items():
-                taken = statistics.median(times)
-                print(f"| {name} | {peer} | {taken:.2f} | {taken / own:.1f} |", flush=True)
+            files = [Path(folder, f"{name}.{end}") for end in ("log", "pcap", "blf", "mcap")]
+            write(rows, *files[:3])
+            commands_of = works(*map(str, files))
+            subprocess.run(commands_of["decode"]["servotap, pcap"], check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
+            unpack(str(files[3]), f"{files[3]}.raw")
+            for work, commands in commands_of.items():
+                spent: dict[str, list[float]] = {by: [] for by in commands}
+                # In turn, so that a drift of the machine's speed hits all.
+                for _ in range(arguments.rounds):
+                    for by, command in commands.items():
+                        spent[by].append(cpu(command))
+                own = statistics.median(next(iter(spent.values())))
+                for by, times in spent.items():
+                    taken = statistics.median(times)
+                    print(f"| {name} | {work} | {by} | {taken:.2f} | {taken / own:.2f} |", flush=True)
+            for by in ("servotap, pcap", "servotap, candump"):
+                jobs.append(f"| {name} | {by} | {gained(commands_of['decode'][by], arguments.rounds)} |")
+    print("\n| capture | by | one process, s | its CPU s | two, s | their CPU s | times as fast |\n|" + 7 * " --- |")
+    print(*jobs, sep="\n")
+
+
+def works(dump: str, pcap: str, blf: str, log: str) -> dict[str, dict[str, list[str]]]:
+    """Return the commands of each work, that of this program first."""
+    python = [sys.executable, "-c"]
+    servotap = [sys.executable, "-m", "analyzer"]
+    decode = [*servotap, "decode", "--force", "--dialect", "mks-can", "-o"]
+    decoding = {
+        "servotap, pcap": [*decode, log, pcap],
+        "servotap, candump": [*decode, log, dump],
+        "servotap --to parquet, pcap": [*decode, f"{log}.parquet", "--to", "parquet", pcap],
+        "plain script, candump": [*python, PLAIN.format(dump, f"{log}.plain")],
+        "zstd alone, the same chunks": [*python, PACK_PEER.format(f"{log}.raw")],
+    }
+    if shutil.which("tshark"):
+        shown = ["-e", "frame.time_epoch", "-e", "can.id", "-e", "data.data"]
+        decoding["tshark -T json, pcap"] = ["tshark", "-r", pcap, "-T", "json"]
+        decoding["tshark -T fields, pcap"] = ["tshark", "-r", pcap, "-T", "fields", *shown]
+    return {
+        "decode": decoding,
+        "read candump": {"servotap": [*python, READ.format(dump)], "python-can": [*python, READ_PEER.format(dump)]},
+        "read BLF": {"servotap": [*python, READ.format(blf)], "python-can": [*python, READ_PEER.format(blf)]},
+        "filter a log": {
+            "servotap show": [*servotap, "show", log, "--filter", FILTER],
+            "mcap and json": [*python, SHOW_PEER.format(log)],
+        },
+    }
 
 
 if __name__ == "__main__":

@@ -6,10 +6,14 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from analyzer.cli.boundary import FOLDER
 
 _FOLDER = pytest.StashKey[Path]()
+# How long an example takes is the machine's business, and no test's.
+settings.register_profile("servotap", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("servotap")
 # Tests start hundreds of processes; each would compile the whole project anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 

@@ -12,8 +12,9 @@ from mcap.reader import make_reader
 from analyzer import dialects
 from analyzer.pipeline import Options, Pipeline
 from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.sinks.forked import available
 from analyzer.sinks.mcap_log import McapLog
-from analyzer.sinks.process import SinkProcess, available
+from analyzer.sinks.process import SinkProcess
 from analyzer.sinks.summary import Summary
 from tests.collect import crc, sum8
 
@@ -85,7 +86,7 @@ def test_what_goes_wrong_there_is_raised_here():
 def test_a_worker_that_is_killed_is_an_error_and_no_hang(tmp_path):
     with (tmp_path / "x.mcap").open("wb") as stream:
         process = SinkProcess(CHOSEN, lambda: (McapLog(stream), Summary()))
-        os.kill(process._worker, signal.SIGKILL)
+        os.kill(process._worker.process, signal.SIGKILL)
         pipeline = Pipeline(CHOSEN, (process,))
         with pytest.raises(OSError, match="died"):
             pipeline.run(item for _ in range(100) for item in items())

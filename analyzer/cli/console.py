@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NoReturn
+from typing import IO, Any, NoReturn
 
 from rich.console import Console as RichConsole
 from rich.console import ConsoleOptions, RenderableType
@@ -14,6 +14,19 @@ from analyzer.values import printable
 
 class Console(RichConsole):
     """A console that shows control characters of its texts instead of sending them."""
+
+    @property
+    def file(self) -> IO[str]:
+        """Where rich writes: behind its own wrapper, which stands around ours while a progress is shown, and behind ours."""
+        file: Any = super().file
+        while (inner := getattr(file, "rich_proxied_file", None)) is not None:
+            file = inner
+        stream: IO[str] = file
+        return stream
+
+    @file.setter
+    def file(self, new_file: IO[str]) -> None:
+        self._file = new_file
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Render, with clean texts."""

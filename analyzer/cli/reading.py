@@ -291,21 +291,30 @@ def open_reading(path: str, arguments: argparse.Namespace, follow: Follow | None
 
 
 @contextmanager
-def progress(source: Source, what: str) -> Iterator[None]:
+def progress(source: Source, what: str, frames: Callable[[], int] | None = None) -> Iterator[None]:
     """Show progress on the terminal while something longer than a second runs; quiet elsewhere."""
     if not sys.stderr.isatty() or source.size is None:
         yield
         return
-    with showing_progress(what, source.size, source.position):
+    with showing_progress(what, source.size, source.position, frames):
         yield
 
 
 @contextmanager
-def showing_progress(what: str, total: int, position: Callable[[], int]) -> Iterator[None]:
-    """Show how far something has come, on a terminal, once it takes longer than a second; both counts are bytes."""
+def showing_progress(
+    what: str | Callable[[], str], total: int, position: Callable[[], int], frames: Callable[[], int] | None = None
+) -> Iterator[None]:
+    """Show how far something has come, on a terminal, once it takes longer than a second; both counts are bytes.
+
+    `frames`: counts those that are done, if their rate is to be shown.
+    """
     import threading
 
     done = threading.Event()
+    started = time.monotonic()
+
+    def rate() -> str:
+        return "" if frames is None else f"{frames() / (time.monotonic() - started):,.0f} frames/s"
 
     def show() -> None:
         if done.wait(1.0):
@@ -315,11 +324,14 @@ def showing_progress(what: str, total: int, position: Callable[[], int]) -> Iter
 
         from analyzer.cli.console import Console
 
-        columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(escape(what), total=total)
-            while not done.wait(0.2):
-                bar.update(task, completed=position())
+        shown = TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TextColumn("{task.fields[rate]}")
+        with Progress(*shown, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task("", total=total, rate="")
+            while True:
+                described = escape(what if isinstance(what, str) else what())
+                bar.update(task, description=described, completed=position(), rate=rate())
+                if done.wait(0.2):
+                    return
 
     if not sys.stderr.isatty():
         yield

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.records import CanFrame, Chunk, Frame
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 #: Who sent a frame, as the capture marks it, by its number in a block.
 DIRECTIONS = (Role.UNKNOWN, Role.REQUEST, Role.REPLY)
+#: What tells frames of different kinds apart: identifier, length and some bytes at the beginning.
+Head = tuple[int, int, bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,8 @@ class CanBlock:
     sizes: Integers
     data: Bytes
     directions: Integers
+    #: Whether times say anything: frames without times do not come in blocks.
+    timed: ClassVar[bool] = True
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -46,12 +50,10 @@ class CanBlock:
         """When each frame began: on CAN, as far as is known, when it ended."""
         return self.t_ns
 
-    @property
-    def waits_ns(self) -> Integers:
-        """The time from the frame before to each; not above 0: it is not known."""
-        import numpy as np
-
-        return np.diff(self.t_ns, prepend=self.t_ns[:1])
+    def part(self, rows: slice) -> CanBlock:
+        """Return some frames as a block."""
+        t_ns, ids, sizes, directions = (column[rows] for column in (self.t_ns, self.ids, self.sizes, self.directions))
+        return CanBlock(self.port, t_ns, ids, sizes, self.data[rows], directions)
 
     def alike(self, count: int) -> Integers:
         """Return numbers that are the same where identifier, length and so many bytes at the beginning are."""
@@ -59,6 +61,10 @@ class CanBlock:
 
         # The rank of an identifier instead of itself: so numbers are small, of which groups are found fast.
         return numbered(self.data[:, :count], ranks(self.ids)[1].astype("i8") << 4 | self.sizes)
+
+    def head(self, row: int, count: int) -> Head:
+        """Return identifier, length and so many bytes at the beginning of a frame."""
+        return int(self.ids[row]), int(self.sizes[row]), self.data[row, :count].tobytes()
 
     def frame_of(self, row: int, dialect: Dialect, offset: int) -> Frame:
         """Return one frame as one of a dialect. `offset`: bytes of the bus before it."""
@@ -124,7 +130,7 @@ class ByteBlock:
         return map(self.chunk, range(start, len(self) if stop is None else stop))
 
 
-#: Bytes of a frame that stand in columns at most. A longer frame is none of a lane.
+#: Bytes of a frame that stand in columns at most, in whole words. A longer frame is none of a lane.
 WIDEST_ROW = 40
 
 
@@ -150,16 +156,23 @@ class FrameBlock:
     def __len__(self) -> int:
         return len(self.starts)
 
+    def part(self, rows: slice) -> FrameBlock:
+        """Return some frames as a block, with their bytes alone."""
+        starts, sizes = self.starts[rows], self.sizes[rows]
+        first, end = int(starts[0]), int(starts[-1] + sizes[-1])
+        about = self.first_ns[rows], self.t_ns[rows], self.directions[rows], self.decided[rows]
+        return FrameBlock(self.port, self.whole[first:end], self.offset + first, starts - first, sizes, *about, self.timed)
+
     @cached_property
     def data(self) -> Bytes:
-        """The bytes of the frames, of shape (frames, bytes of the longest), zeros behind a frame's own."""
+        """The bytes of the frames, of shape (frames, whole words for the longest), zeros behind a frame's own."""
         import numpy as np
 
-        width = min(int(self.sizes.max(initial=0)), WIDEST_ROW)
+        width = min(-(-int(self.sizes.max(initial=1)) // 8) * 8, WIDEST_ROW)
         first, last = int(self.starts[0]), int(self.starts[-1])
         codes = np.frombuffer(self.whole[first : last + width] + bytes(width), dtype=np.uint8)
         rows = np.lib.stride_tricks.sliding_window_view(codes, width)[self.starts - first]
-        result: Bytes = rows * (np.arange(width) < self.sizes[:, None])
+        result: Bytes = np.ascontiguousarray(rows * (np.arange(width) < self.sizes[:, None]))
         return result
 
     @property
@@ -167,21 +180,15 @@ class FrameBlock:
         """Bytes of all frames."""
         return int(self.sizes.sum())
 
-    @property
-    def waits_ns(self) -> Integers:
-        """The time from the frame before to each; not above 0: it is not known."""
-        import numpy as np
-
-        waits = np.zeros(len(self), dtype=np.int64)
-        if self.timed:
-            waits[1:] = self.first_ns[1:] - self.t_ns[:-1]
-        return waits
-
     def alike(self, count: int) -> Integers:
         """Return numbers that are the same where length and so many bytes at the beginning are."""
         from analyzer.columns.groups import numbered
 
         return numbered(self.data[:, :count], self.sizes)
+
+    def head(self, row: int, count: int) -> Head:
+        """Return 0, length and so many bytes at the beginning of a frame."""
+        return 0, int(self.sizes[row]), self.data[row, :count].tobytes()
 
     def frame_of(self, row: int, dialect: Dialect, offset: int = 0) -> Frame:
         """Return one frame as one of a dialect; where it stands tells its offset."""
@@ -192,5 +199,4 @@ class FrameBlock:
 
     def __getstate__(self) -> dict[str, object]:
         # What passes to another process is the frames alone.
-        first, end = int(self.starts[0]), int(self.starts[-1] + self.sizes[-1])
-        return vars(self) | {"whole": self.whole[first:end], "offset": self.offset + first, "starts": self.starts - first}
+        return vars(self.part(slice(None)))

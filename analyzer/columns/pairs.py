@@ -1,23 +1,27 @@
-"""Which frames of a block are plain exchanges: a request that is in order, and right behind it the reply that ends it.
+"""Which frames of a block are plain exchanges: a request that is in order, and the reply that ends it.
 
-Theory of operation. Identifier, length and code of a frame name its lanes, as for single frames. A frame can be a request,
-a reply, or, where the two look alike, either. At row `i` a plain exchange begins under three conditions: row `i` can be a
-request, row `i + 1` a final reply to that command, and nothing is wrong with the two. Exchanges that follow each other are
-a run. A run is passed on whole as far as no open request has to do with it: until one would be given up, and but for drives
-that still wait for a reply. All other frames go one by one, in their order.
+Theory of operation. Identifier, length and code of a frame say its kind: which lanes it can have, as for single frames. A frame
+can be a request, a reply, or, where the two look alike, either. Two frames of one drive that follow each other are a plain
+exchange under three conditions: the first can be a request, the second a final reply to that command, and nothing is wrong
+with the two. On CAN, exchanges of several drives may interleave. On a serial line the reply stands right behind its request,
+which on some links alone tells what the reply is.
+
+Rows that are all plain, and in which each exchange that begins ends, are a run. A run is passed on whole as far as no open
+request has to do with it: until one would be given up, and but for drives that still wait for a reply. All other frames go
+one by one, in their order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from inspect import unwrap
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analyzer.catalogue import Command, Dialect, Role
-from analyzer.columns.block import DIRECTIONS, WIDEST_ROW, CanBlock, FrameBlock
+from analyzer.columns.block import DIRECTIONS, CanBlock, FrameBlock, Head
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
 from analyzer.columns.groups import groups, numbered, ranks
 from analyzer.context import Request, RequestOutcome, State
@@ -33,9 +37,13 @@ SHORTEST_RUN = 64
 LEAST_SHARE = 0.25
 #: Frames that are passed on one by one after a run that what is known of the drives forbids.
 AFTER_REFUSAL = 32
-#: Bytes by which the link says how many tell what a frame is.
+#: Times that exchanges are left out because one that was left out stands within; more would be of no use.
+_ROUNDS = 4
+#: Bytes by which a link says how many tell what a frame is.
 _FEW = 3
 _UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
+#: All that one byte can be.
+_BYTES: Bytes = np.arange(256, dtype=np.uint8)[:, None]
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,8 @@ class Plain:
     """The frames of a block that are part of plain exchanges.
 
     `lanes`: those that occur; `lane`: of each row, a place in `lanes`, -1 where a frame is not plain. `offsets`: bytes of the
-    bus before each frame. `first`: sequence number of the first row; the others count on from it.
+    bus before each frame. `first`: sequence number of the first row; the others count on from it. `asked`: of a reply, the
+    sequence number of its request; `latencies`: the time since then, not above 0 where it is not known.
     """
 
     dialect: Dialect
@@ -52,15 +61,85 @@ class Plain:
     lane: Integers
     offsets: Integers
     first: int
+    asked: Integers
+    latencies: Integers
 
     def frame(self, row: int) -> Frame:
         """Return one frame."""
         return self.block.frame_of(row, self.dialect, int(self.offsets[row]))
 
-    @cached_property
-    def latencies(self) -> Integers:
-        """The time from the frame before to each; not above 0: it is not known."""
-        return self.block.waits_ns
+    def data(self, row: int) -> bytes:
+        """Return the bytes of one frame."""
+        return self.block.data[row, : self.block.sizes[row]].tobytes()
+
+    def firsts(self, start: int, stop: int, wanted: Flags) -> list[int]:
+        """Return the first row of each lane that is wanted and occurs in some rows, in their order."""
+        own = self.lane[start:stop]
+        numbers = np.flatnonzero(wanted & (np.bincount(own, minlength=len(wanted)) > 0))
+        return sorted(start + int((own == number).argmax()) for number in numbers)
+
+    def part(self, first: int, runs: Sequence[tuple[int, int]]) -> tuple[Plain, Integers]:
+        """Return what is plain in some runs, with no other lanes, and the places of its lanes here.
+
+        `runs`: from which row to which, counted from the row `first`, which begins the part. They follow each other.
+        """
+        rows = slice(first, first + runs[-1][1])
+        lane = np.full(runs[-1][1], -1, dtype=np.int64)
+        for start, stop in runs:
+            lane[start:stop] = self.lane[first + start : first + stop]
+        used = np.flatnonzero(np.bincount(lane + 1)[1:])
+        places = np.full(len(self.lanes) + 1, -1, dtype=np.int64)
+        places[used] = np.arange(len(used))
+        lanes = tuple(self.lanes[n] for n in used.tolist())
+        offsets, asked, latencies = (column[rows] for column in (self.offsets, self.asked, self.latencies))
+        block = self.block.part(rows)
+        return Plain(self.dialect, block, lanes, places[lane], offsets, self.first + first, asked, latencies), used
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What frames of one identifier, length and code can be: places of lanes, as requests and as replies.
+
+    `start`, `stop`: where the command's own data stand. `address`: of the drive, -1 where there is no lane.
+    """
+
+    asking: tuple[int, ...] = ()
+    telling: tuple[int, ...] = ()
+    start: int = 0
+    stop: int = 0
+    address: int = -1
+
+
+class _Tables:
+    """What frames of each kind can be, as arrays.
+
+    `said`: by part, kind and byte of data, see `Pairing.say`; part 0 is the request, the others are replies.
+    """
+
+    def __init__(self, pairing: Pairing, kinds: Sequence[_Kind], said: Sequence[Sequence[NDArray[np.int8]]]) -> None:
+        parts = 1 + max(len(kind.telling) for kind in kinds)
+        self.starts = np.array([kind.start for kind in kinds])
+        self.addresses = np.array([kind.address for kind in kinds])
+        self.said = np.zeros((parts, len(kinds), 256), dtype=np.int8)
+        self.asking = _padded([kind.asking for kind in kinds])
+        self.telling = _padded([kind.telling for kind in kinds])
+        #: Kinds whose data are read alike have one number; 0: what their one byte says stands in the table.
+        self.readings = np.zeros(len(kinds), dtype=np.int64)
+        self.examples: list[_Kind] = []
+        known: dict[object, int] = {}
+        for number, (kind, own) in enumerate(zip(kinds, said, strict=True)):
+            if own:
+                self.said[: len(own), number] = own
+                continue
+            self.readings[number] = known.setdefault(pairing.reading(kind), len(known) + 1)
+            if len(known) > len(self.examples):
+                self.examples.append(kind)
+
+
+def _padded(lanes: Sequence[tuple[int, ...]]) -> Integers:
+    """Return places of lanes as an array, a row for each kind."""
+    most = max(1, *map(len, lanes)) if lanes else 1
+    return np.array([[*own, *[-1] * (most - len(own))] for own in lanes], dtype=np.int64)
 
 
 class Pairing:
@@ -70,12 +149,17 @@ class Pairing:
         self._port = port
         self._late_ns = late_ns
         self._dialect = dialect
-        self._decoder = port.decoders[self._dialect.name]
+        self._decoder = port.decoders[dialect.name]
         self._lanes: list[Lane] = []
-        #: By identifier, length and first bytes: places in `_lanes` of what a frame can be, requests and replies.
-        self._known: dict[tuple[int | None, int, bytes], tuple[list[int], list[int]]] = {}
-        self._codecs: list[ColumnCodec] = []
-        self._finals: list[dict[bytes, bool]] = []
+        #: By identifier, length, first bytes and what was asked before: places in `_kinds`.
+        self._known: dict[tuple[Head, int | None], int] = {}
+        self._kinds: list[_Kind] = []
+        #: Of each kind whose data are one byte at most, what each byte says, by part.
+        self._said: list[tuple[NDArray[np.int8], ...]] = []
+        self._tables: _Tables | None = None
+        #: Of each lane the number of its command and drive; requests that no drive answers have none, -1.
+        self._exchanges: list[int] = []
+        self._exchange_numbers: dict[tuple[int, int], int] = {}
 
     @staticmethod
     def dialect_of(port: Port, block: CanBlock | FrameBlock) -> Dialect | None:
@@ -92,19 +176,30 @@ class Pairing:
 
     def look(self, block: CanBlock | FrameBlock, first: int, offset: int) -> Plain:
         """Return what is plain in the next block: its first frame has the number `first` and `offset` bytes before it."""
-        requests, replies = self._roles(block)
-        begins = _first_of_two(self._pairs(block, requests, replies))
-        lane = np.where(begins, requests, -1)
-        lane[1:] = np.where(begins[:-1], replies[1:], lane[1:])
-        used, places = ranks(lane + 1)
-        used, places = (used[1:], places.astype(np.int64) - 1) if used[0] == 0 else (used, places.astype(np.int64))
+        count = len(block)
+        requests, replies, lane = self._exchanges_of(block)
+        used = np.flatnonzero(np.bincount(lane + 1, minlength=len(self._lanes) + 1)[1:])
+        places = np.full(len(self._lanes) + 1, -1, dtype=np.int64)
+        places[used] = np.arange(len(used))
+        asked, latencies = np.zeros((2, count), dtype=np.int64)
+        asked[replies] = first + requests
+        if block.timed:
+            latencies[replies] = block.first_ns[replies] - block.t_ns[requests]
         offsets = offset + np.cumsum(block.sizes) - block.sizes
-        self._plain = Plain(self._dialect, block, tuple(self._lanes[n - 1] for n in used), places, offsets, first)
+        lanes = tuple(self._lanes[n] for n in used.tolist())
+        self._plain = Plain(self._dialect, block, lanes, places[lane], offsets, first, asked, latencies)
+        # Between two rows may be cut where no exchange is open.
+        self._asks = np.zeros(count, dtype=np.bool_)
+        self._asks[requests] = True
+        change = self._asks.astype(np.int64)
+        change[replies] -= 1
+        self._cuts = np.flatnonzero(np.concatenate(([0], np.cumsum(change))) == 0)
         edges = np.diff(np.concatenate(([0], (lane >= 0).astype(np.int8), [0])))
-        starts, stops = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+        starts = self._cuts[self._cuts.searchsorted(np.flatnonzero(edges > 0))]
+        stops = self._cuts[self._cuts.searchsorted(np.flatnonzero(edges < 0), side="right") - 1]
         long = stops - starts >= SHORTEST_RUN
         self._starts, self._stops = starts[long], stops[long]
-        if (self._stops - self._starts).sum() < LEAST_SHARE * len(lane):
+        if (self._stops - self._starts).sum() < LEAST_SHARE * count:
             self._starts = self._stops = starts[:0]
         return self._plain
 
@@ -114,15 +209,15 @@ class Pairing:
         place = int(np.searchsorted(self._stops, at, side="right"))
         if place == len(self._stops):
             return count, count
-        start, stop = int(self._starts[place]), int(self._stops[place])
-        # A run that was begun one by one goes on with its next request.
-        start += max(0, -(-(at - start) // 2)) * 2
+        # A run that was begun one by one goes on where no exchange is open.
+        start, stop = max(at, int(self._starts[place])), int(self._stops[place])
+        start = int(self._cuts[self._cuts.searchsorted(start)])
         return (start, stop) if start < stop else self.next_run(stop)
 
     def take(self, start: int, stop: int) -> int:
         """Tell the bus of as many exchanges of a run as can be passed on whole. Return where they end."""
         context, transactions, plain = self._port.context, self._port.transactions, self._plain
-        if context.borrowed or not transactions.may_follow(plain.frame(start).data):
+        if context.borrowed or not transactions.may_follow(plain.data(start)):
             return start
         own = plain.lane[start:stop]
         refused = [n for n in np.flatnonzero(np.bincount(own)).tolist() if not self._allowed(plain.lanes[n])]
@@ -134,35 +229,39 @@ class Pairing:
         until_ns = transactions.patient_until_ns()
         if until_ns is not None:
             frames = min(frames, int(plain.block.t_ns[start:stop].searchsorted(until_ns, side="right")))
-        stop = start + frames // 2 * 2
+        stop = int(self._cuts[self._cuts.searchsorted(start + frames, side="right") - 1])
         if stop > start:
             self._tell(start, stop)
         return stop
 
     def _tell(self, start: int, stop: int) -> None:
         plain = self._plain
-        asked, told = plain.frame(stop - 2), plain.frame(stop - 1)
-        lane = plain.lanes[plain.lane[stop - 2]]
-        request = Request(asked, lane.address, lane.command, plain.first + stop - 2, lane.topic)
+        asks = self._asks[start:stop]
+        row = stop - 1 - int(asks[::-1].argmax())
+        lane = plain.lanes[plain.lane[row]]
+        request = Request(plain.frame(row), lane.address, lane.command, plain.first + row, lane.topic)
         request.lane, request.state, request.outcome = lane, State.DONE, RequestOutcome.ANSWERED
-        addresses = np.array([lane.address for lane in plain.lanes])[plain.lane[start + 1 : stop : 2]]
-        known, rows = np.unique(addresses[::-1], return_index=True)
-        lasts = (stop - 1 - 2 * rows).tolist()
-        replies = {a: plain.frame(row).data for a, row in zip(known.tolist(), lasts, strict=True)}
-        ended = (plain.lanes[n] for n in np.unique(plain.lane[start + 1 : stop : 2]).tolist())
+        rows = start + np.flatnonzero(~asks)
+        addresses = np.array([lane.address for lane in plain.lanes])
+        newest = np.full(int(addresses.max()) + 1, -1, dtype=np.int64)
+        newest[addresses[plain.lane[rows]]] = rows
+        replies = {address: plain.data(int(newest[address])) for address in np.flatnonzero(newest >= 0).tolist()}
+        ended = (plain.lanes[n] for n in np.flatnonzero(np.bincount(plain.lane[rows])).tolist())
         moved = {lane.address for lane in ended if lane.command.silenced}
-        self._port.transactions.were_answered(request, told, replies, moved, plain.block.t_ns[start:stop])
+        self._port.transactions.were_answered(request, plain.frame(stop - 1), replies, moved, plain.block.t_ns[start:stop])
 
     def _allowed(self, lane: Lane) -> bool:
         """Say whether what is known of the drives lets frames of a lane be plain."""
         context, address, command = self._port.context, lane.address, lane.command
-        identifier = self._dialect.link.identifier(command, address)
+        link = self._dialect.link
+        identifier = link.identifier(command, address)
         return (
             (identifier is None or identifier in self._port.nodes.drives)
+            # Where requests tell what their replies are, an open one could tell another thing.
+            and (bool(link.deciding_bytes) or address not in context.open)
             and address not in context.groups
             and not (command.silenced and address in context.silenced)
             and context.speaks.get(address, lane.dialect) == lane.dialect
-            and (bool(self._dialect.link.deciding_bytes) or address not in context.open)
             and all(
                 # What a drive still does takes no reply of another code; a request that waits is overtaken by any.
                 other.state is State.RUNNING
@@ -175,110 +274,187 @@ class Pairing:
 
     # --- what each frame can be -----------------------------------------------------------------------------------
 
-    def _roles(self, block: CanBlock | FrameBlock) -> tuple[Integers, Integers]:
-        """Return the lane that each frame has as a request, and as a reply to the frame before it; -1: none."""
+    def _exchanges_of(self, block: CanBlock | FrameBlock) -> tuple[Integers, Integers, Integers]:
+        """Return the rows of requests that are answered, those of their replies, and the lane of each row, -1 for none."""
+        kinds, said, tables = self._said_by(block)
         sound = self._checked(block)
-        requests = np.full(len(block), -1, dtype=np.int64)
-        replies = np.full(len(block), -1, dtype=np.int64)
-        kinds = [(*self._kinds(block, int(rows[0])), rows) for rows in self._alike(block)]
-        for asking, _, group in kinds:
-            left = group[sound[group] & (block.directions[group] != _REPLY)]
-            for number in asking:
-                own = block.data[left, self._lanes[number].start : self._lanes[number].stop]
-                matches = self._codecs[number].matches(own)
-                # The first that matches is the frame's lane, even if its values are then found wrong.
-                requests[left[matches & self._codecs[number].valid(own)]] = number
-                left = left[~matches]
-        for _, telling, group in kinds:
-            rows = group[(group > 0) & sound[group] & (block.directions[group] != _REQUEST)]
-            for number in telling:
-                lane = self._lanes[number]
-                asked = [n for n, each in enumerate(self._lanes) if each.is_request and self._asks(each, lane)]
-                fitting = rows[np.isin(requests[rows - 1], asked)] if asked else rows[:0]
-                own = block.data[fitting, lane.start : lane.stop]
-                matches = self._codecs[number].matches(own)
-                good = matches & self._codecs[number].valid(own)
-                if len(telling) > 1:
-                    # Of several forms of one reply, the first that matches counts.
-                    rows = np.setdiff1d(rows, fitting[matches], assume_unique=True)
-                if lane.command.judged:
-                    good &= self._final(number, own)
-                replies[fitting[good]] = number
-        return requests, replies
-
-    @staticmethod
-    def _asks(request: Lane, reply: Lane) -> bool:
-        return request.command is reply.command and request.address == reply.address and request.plain
-
-    def _pairs(self, block: CanBlock | FrameBlock, requests: Integers, replies: Integers) -> Flags:
-        """Say of each row whether a plain exchange begins there."""
-        pairs = np.zeros(len(block), dtype=np.bool_)
-        if len(block) < 2:
-            return pairs
+        chosen = said[0]
+        good = (chosen > 0) & (chosen % 2 == 0) & sound & (block.directions != _REPLY)
+        requests = np.where(good, tables.asking[kinds, (chosen - 1) >> 1], -1)
         self._repeated = repeated = np.zeros(len(block), dtype=np.bool_)
         repeated[1:] = (block.sizes[1:] == block.sizes[:-1]) & (block.data[1:] == block.data[:-1]).all(axis=1)
-        # The first row of a run is compared with the frame before it when the run is taken.
-        pairs[:-1] = (requests[:-1] >= 0) & (replies[1:] >= 0) & (np.diff(block.t_ns) <= self._late_ns)
-        result: Flags = pairs & ~repeated
-        return result
+        if isinstance(block, CanBlock):
+            repeated[1:] &= (block.ids[1:] == block.ids[:-1]) | (tables.addresses[kinds[1:]] == block.ids[:-1])
+            # Frames of one drive follow each other here; of those that are of none, it does not matter.
+            order = np.argsort(ranks(tables.addresses[kinds] + 1)[1], kind="stable")
+        else:
+            order = np.arange(len(block))
+        before, after = order[:-1], order[1:]
+        exchanges = np.array([*self._exchanges, -1])
+        asked = np.where(repeated[before], -1, exchanges[requests[before]])
+        if not self._dialect.link.deciding_bytes:
+            asked_before = np.full(len(block), -1, dtype=np.int64)
+            asked_before[after] = asked
+            kinds, said, tables = self._said_by(block, asked_before)
+            exchanges = np.array([*self._exchanges, -1])
+        replies = np.full(len(after), -1, dtype=np.int64)
+        open_ = (asked >= 0) & sound[after] & (block.directions[after] != _REQUEST)
+        open_ &= block.t_ns[after] - block.t_ns[before] <= self._late_ns
+        for part in range(1, len(said)):
+            # The first reply to the command that matches is the one; then its values are looked at.
+            places = np.flatnonzero(open_ & (said[part][after] > 0))
+            lanes = tables.telling[kinds[after[places]], part - 1]
+            fits = exchanges[lanes] == asked[places]
+            places, lanes = places[fits], lanes[fits]
+            open_[places] = False
+            replies[places] = np.where(said[part][after[places]] % 2 == 0, lanes, -1)
+        places = np.flatnonzero(_first_of_two(replies >= 0))
+        asking, telling = before[places], after[places]
+        lane = np.full(len(block), -1, dtype=np.int64)
+        lane[asking], lane[telling] = requests[asking], replies[places]
+        for _ in range(_ROUNDS):
+            # An exchange with another frame within goes one by one, so that the others around it need not.
+            others = np.concatenate(([0], np.cumsum(lane < 0)))
+            crossed = others[telling] > others[asking]
+            if not crossed.any():
+                break
+            lane[asking[crossed]] = lane[telling[crossed]] = -1
+            asking, telling = asking[~crossed], telling[~crossed]
+        return asking, telling, lane
+
+    def _said_by(
+        self, block: CanBlock | FrameBlock, asked: Integers | None = None
+    ) -> tuple[Integers, list[NDArray[np.int8]], _Tables]:
+        """Return the kind of each row, and what its data say of each part.
+
+        `asked`: the number of the exchange that the row before asks for, -1 for none; None: replies need no request to be told,
+        or only requests are looked for.
+        """
+        numbers, widths = self._alike(block)
+        if asked is not None:
+            numbers = ranks(numbers)[1].astype(np.int64) * (len(self._exchange_numbers) + 1) + asked + 1
+        alike, at = ranks(numbers)
+        examples = np.empty(len(alike), dtype=np.int64)
+        examples[at] = np.arange(len(at))
+        numbers = np.empty(len(alike), dtype=np.int64)
+        for number, row in enumerate(examples.tolist()):
+            before = None if asked is None else int(asked[row])
+            head = block.head(row, widths if isinstance(widths, int) else int(widths[row])), before
+            known = self._known.get(head)
+            if known is None:
+                known = self._known[head] = len(self._kinds)
+                self._add_kind(block, row, before)
+            numbers[number] = known
+        tables = self._tables = self._tables or _Tables(self, self._kinds, self._said)
+        kinds = numbers[at]
+        width = block.data.shape[1]
+        starts = np.minimum(tables.starts, width - 1)
+        bytes_ = block.data.reshape(-1)[np.arange(0, width * len(block), width) + starts[kinds]]
+        entries = kinds * 256 + bytes_
+        said = [part.reshape(-1)[entries] for part in tables.said]
+        for number, rows in groups(tables.readings[kinds]) if tables.examples else ():
+            if number:
+                kind = tables.examples[number - 1]
+                for part, own_said in enumerate(self.say(kind, block.data[rows, kind.start : kind.stop])):
+                    said[part][rows] = own_said
+        return kinds, said, tables
+
+    def _alike(self, block: CanBlock | FrameBlock) -> tuple[Integers, Integers | int]:
+        """Return numbers that are the same where all is that tells what a frame is, and how many first bytes those are."""
+        link = self._dialect.link
+        if link.deciding_bytes:
+            return block.alike(link.deciding_bytes), link.deciding_bytes
+        # Frames of one length and the same first bytes have as many.
+        alike, at = ranks(numbers := block.alike(_FEW))
+        examples = np.empty(len(alike), dtype=np.int64)
+        examples[at] = np.arange(len(at))
+        told = [link.deciding(block.frame_of(row, self._dialect, 0).data) for row in examples.tolist()]
+        widths = np.array(told, dtype=np.int64)[at]
+        more = block.data[:, _FEW : max(told)]
+        return numbered(more * (np.arange(_FEW, _FEW + more.shape[1]) < widths[:, None]), numbers), widths
+
+    def _add_kind(self, block: CanBlock | FrameBlock, row: int, asked: int | None) -> None:
+        kind = self._kind(block.frame_of(row, self._dialect, 0), asked) if block.sizes[row] <= block.data.shape[1] else _Kind()
+        size = kind.stop - kind.start
+        self._kinds.append(kind)
+        self._said.append(tuple(self.say(kind, _BYTES[:, :size])) if size <= 1 else ())
+        self._tables = None
+
+    def _kind(self, frame: Frame, asked: int | None) -> _Kind:
+        """Return what frames like this one can be. `asked`: what a reply can answer; None: anything, or it is a request."""
+        link = self._dialect.link
+        lanes: tuple[list[int], list[int]] = [], []
+        start = stop = 0
+        address = -1
+        for lane in self._decoder.lanes(frame) if link.deciding(frame.data) else ():
+            if not ColumnCodec.fits(lane.form.layout) or lane.command.borrows:
+                continue
+            if not lane.is_request and lane.command.changes_answers:
+                continue
+            own = id(lane.command), lane.address
+            answered = not lane.is_request or lane.plain
+            exchange = self._exchange_numbers.setdefault(own, len(self._exchange_numbers)) if answered else -1
+            if not link.deciding_bytes and (asked is not None if lane.is_request else exchange != asked):
+                continue
+            lane.topic = self._port.topic_of(lane.address, lane.command, lane.role)
+            start, stop, address = lane.start, lane.stop, lane.address
+            lanes[not lane.is_request].append(len(self._lanes))
+            self._lanes.append(lane)
+            self._exchanges.append(exchange)
+        return _Kind(tuple(lanes[0]), tuple(lanes[1]), start, stop, address)
+
+    def reading(self, kind: _Kind) -> object:
+        """Return what kinds have in common whose data say the same."""
+        lanes = [self._lanes[n] for n in (*kind.asking, *kind.telling)]
+        return kind.start, kind.stop, len(kind.asking), tuple((id(lane.form), id(lane.command)) for lane in lanes)
+
+    def say(self, kind: _Kind, own: Bytes) -> Iterator[NDArray[np.int8]]:
+        """Yield what data say: 0: it is none. For a request 2 n + 1: it is the n-th that it can be, one more: and in order.
+
+        For each reply that it can be, 1: it is that one, 2: and it ends its exchange well.
+        """
+        said = np.zeros(len(own), dtype=np.int8)
+        for place, number in enumerate(kind.asking):
+            codec = ColumnCodec(self._lanes[number].form.layout)
+            # The first that matches is the frame's lane, even if its values are then found wrong.
+            said = np.where((said == 0) & codec.matches(own), 2 * place + 1 + codec.valid(own), said).astype(np.int8)
+        yield said
+        for number in kind.telling:
+            lane = self._lanes[number]
+            codec = ColumnCodec(lane.form.layout)
+            matches = codec.matches(own)
+            good = matches & codec.valid(own)
+            if lane.command.judged:
+                good[good] = self._final(lane, own[good])
+            yield (matches.astype(np.int8) + good).astype(np.int8)
 
     def _checked(self, block: CanBlock | FrameBlock) -> Flags:
         link = self._dialect.link
         if isinstance(block, FrameBlock):
             # Found by their checks; what is too long for a row is left out.
-            return block.sizes <= WIDEST_ROW
+            short: Flags = block.sizes <= block.data.shape[1]
+            return short
         if not link.checked:
             fits: Flags = np.ones(len(block), dtype=np.bool_)
         elif unwrap(type(link).fits) is CanLink.fits and not link.left_out:
-            last = np.take_along_axis(block.data, np.maximum(block.sizes - 1, 0)[:, None], axis=1)[:, 0]
-            total = block.ids + block.data.sum(axis=1, dtype=np.int64) - last
-            fits = (total & 0xFF) == last
+            last = block.data.reshape(-1)[np.arange(0, 8 * len(block), 8) + np.maximum(block.sizes - 1, 0)]
+            # All bytes and the identifier, of which the low byte counts, without the check itself.
+            total = np.add.reduce(block.data, axis=1, dtype=np.uint8) + block.ids.astype(np.uint8) - last
+            fits = total == last
         else:
             fits = np.array([link.fits(frame.data, frame.id) for frame in block.frames()], dtype=np.bool_)
         return fits & (block.sizes >= link.shortest)
 
-    def _alike(self, block: CanBlock | FrameBlock) -> Iterator[Integers]:
-        """Yield the rows of each identifier, length and first bytes that tell what a frame is."""
-        link = self._dialect.link
-        few = link.deciding_bytes or _FEW
-        for _, rows in groups(block.alike(few)):
-            more = 0 if link.deciding_bytes else link.deciding(block.frame_of(int(rows[0]), self._dialect, 0).data)
-            if more <= few:
-                yield rows
-            else:
-                yield from (rows[own] for _, own in groups(numbered(block.data[rows, few:more])))
-
-    def _kinds(self, block: CanBlock | FrameBlock, row: int) -> tuple[list[int], list[int]]:
-        frame, link = block.frame_of(row, self._dialect, 0), self._dialect.link
-        key = None if frame.can is None else frame.can.id, len(frame.data), frame.data[: link.deciding(frame.data)]
-        known = self._known.get(key)
-        if known is None:
-            known = self._known[key] = ([], [])
-            for lane in self._decoder.lanes(frame):
-                if not ColumnCodec.fits(lane.form.layout) or lane.command.borrows:
-                    continue
-                if not lane.is_request and lane.command.changes_answers:
-                    continue
-                lane.topic = self._port.topic_of(lane.address, lane.command, lane.role)
-                known[not lane.is_request].append(len(self._lanes))
-                self._lanes.append(lane)
-                self._codecs.append(ColumnCodec(lane.form.layout))
-                self._finals.append({})
-        return known
-
-    def _final(self, number: int, own: Bytes) -> Flags:
+    def _final(self, lane: Lane, own: Bytes) -> Flags:
         """Say of each reply whether it ends its exchange well."""
-        lane, known = self._lanes[number], self._finals[number]
         if not len(own):
             return np.zeros(0, dtype=np.bool_)
         unique, places = np.unique(own, axis=0, return_inverse=True)
         told = []
         for data in map(bytes, unique):
-            if data not in known:
-                frame = Frame(self._port.name, 0, 0, 0, data, self._dialect, Role.REPLY, True)
-                message = Message(frame, lane.role, lane.address, lane.command, lane.form, data)
-                known[data] = meaning_of(message, lane.command)[0] == "final"
-            told.append(known[data])
+            frame = Frame(self._port.name, 0, 0, 0, data, self._dialect, Role.REPLY, True)
+            message = Message(frame, lane.role, lane.address, lane.command, lane.form, data)
+            told.append(meaning_of(message, lane.command)[0] == "final")
         result: Flags = np.array(told, dtype=np.bool_)[places.reshape(-1)]
         return result
 

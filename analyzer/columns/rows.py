@@ -1,13 +1,15 @@
 """The plain frames of a block as messages of a log: for each its fields, and behind a reply the state that it carries.
 
-    | header | fields as JSON, padded | header | state as JSON, padded |     one row a frame
+    | header | fields as JSON | the log's own keys | header | state as JSON |     one row a frame
 
-A row is as wide as the widest. Zeros in the text are padding and are taken out, so the rows follow each other as in a file.
+How long each row is stands fixed first. Then the texts of rows that are alike are written to their places, as they stand in a
+chunk of the log.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from binascii import hexlify
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,10 +20,10 @@ from analyzer.catalogue import Role
 from analyzer.columns import text
 from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
-from analyzer.columns.groups import groups
+from analyzer.columns.groups import groups, ranks
 from analyzer.columns.pairs import Plain
 from analyzer.layout import Field
-from analyzer.records import Lane, Message
+from analyzer.records import Lane
 
 HEADER = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
@@ -35,124 +37,163 @@ _MARKS = [b"" if role is Role.UNKNOWN else f',"_direction":"{role}"'.encode() fo
 
 @dataclass(frozen=True, slots=True)
 class Messages:
-    """Messages as they stand in a chunk. `ends`: where each ends in `data`; `channels`, `log_ns`: likewise one entry each."""
+    """Messages as they stand in a chunk. `starts`, `ends`: places in `data`; these and the others have one entry each."""
 
     data: Bytes
+    starts: Integers
     ends: Integers
     channels: Integers
     log_ns: Integers
 
 
 class Rows:
-    """The messages of a block's plain frames, made once for all of them and given out by runs."""
+    """The messages of a block's plain frames, made once for all of them and given out by runs.
 
-    def __init__(self, plain: Plain) -> None:
+    `channels`: of each lane that is used, that of its topic and that of its state, 0 where it has none.
+    """
+
+    def __init__(self, plain: Plain, channels: Integers) -> None:
         self.plain = plain
-        count, head = len(plain.lane), HEADER.itemsize
-        groups = list(alike(plain))
-        cells = [(rows, _fields(plain, rows, lane), _state(plain, rows, lane)) for rows, lane in groups]
-        # Both parts end where a word does, so that the bytes kept in them can be counted by words.
-        self._second_head = _whole_words(head + max((own.shape[1] for _, own, _ in cells), default=0))
-        width = self._second_head + _whole_words(head + max((state.shape[1] for _, _, state in cells), default=0))
-        self._rows = np.zeros((count, width), dtype=np.uint8)
-        self._has_state = np.zeros(count, dtype=np.bool_)
-        for places, own, state in cells:
-            self._rows[places, head : head + own.shape[1]] = own
-            self._rows[places, self._second_head + head : self._second_head + head + state.shape[1]] = state
-            self._has_state[places] = state.shape[1] > 0
-        self._kept: Flags = self._rows != 0
-        self._kept[:, :head] = True
-        self._kept[:, self._second_head : self._second_head + head] = self._has_state[:, None]
-        #: Bytes of the messages in each row.
-        self._sizes = np.stack((_sizes(self._kept[:, : self._second_head]), _sizes(self._kept[:, self._second_head :])), axis=1)
-        self._channels = np.zeros((len(plain.lanes), 2), dtype=np.int64)
-
-    def new_lanes(self, start: int, stop: int) -> list[int]:
-        """Return the lanes in some rows that have no channel yet, in their order."""
-        numbers, firsts = np.unique(self.plain.lane[start:stop], return_index=True)
-        new = self._channels[numbers, 0] == 0
-        self._firsts = dict(zip(numbers.tolist(), (start + firsts).tolist(), strict=True))
-        result: list[int] = numbers[new][np.argsort(firsts[new])].tolist()
-        return result
-
-    def example(self, number: int) -> tuple[Lane, Message]:
-        """Return a lane and the first message of it in the rows that `new_lanes` was asked about."""
-        lane = self.plain.lanes[number]
-        return lane, lane.message(self.plain.frame(self._firsts[number]))
-
-    def set_channels(self, number: int, own: int, state: int) -> None:
-        """Say where the messages of a lane go: the channel of its topic, and of the state, 0 if it has none."""
-        self._channels[number] = own, state
+        self._channels = channels
+        count = len(plain.lane)
+        #: Of each row, the bytes of its message and of the state behind it.
+        sizes = np.zeros((count, 2), dtype=np.int64)
+        parts = [*_tails(plain), *_heads(plain)]
+        for place, rows, pieces in parts:
+            sizes[rows, place] += text.width(pieces)
+        self._has_state = sizes[:, 1] > 0
+        sizes[plain.lane >= 0, 0] += HEADER.itemsize
+        sizes[self._has_state, 1] += HEADER.itemsize
+        self._sizes = sizes
+        self._ends = np.cumsum(sizes).reshape(count, 2)
+        self._data = np.empty(int(self._ends[-1, 1]), dtype=np.uint8)
+        left = self._ends.copy()
+        for place, rows, pieces in parts:
+            ends = left[rows, place]
+            text.place(self._data, ends, pieces)
+            left[rows, place] = ends - text.width(pieces)
 
     def messages(self, start: int, stop: int, log_ns: Integers) -> Messages:
-        """Return the messages of some rows; all their lanes have channels. `log_ns`: of each row, rising."""
-        plain, head = self.plain, HEADER.itemsize
-        rows, has_state, sizes = self._rows[start:stop], self._has_state[start:stop], self._sizes[start:stop]
+        """Return the messages of some rows. `log_ns`: of each row, rising."""
+        plain = self.plain
+        sizes, ends, has_state = self._sizes[start:stop], self._ends[start:stop], self._has_state[start:stop]
         channels = self._channels[plain.lane[start:stop]]
-        for place, at in enumerate((0, self._second_head)):
-            headers = np.zeros(stop - start, dtype=HEADER)
-            headers["opcode"] = _MESSAGE
-            headers["length"] = sizes[:, place] - _UNCOUNTED
-            headers["channel"] = channels[:, place]
-            headers["sequence"] = np.arange(plain.first + start, plain.first + stop) & 0xFFFFFFFF
-            headers["log_ns"] = log_ns
-            headers["publish_ns"] = np.maximum(plain.block.first_ns[start:stop], 0)
-            rows[:, at : at + head] = headers.view(np.uint8).reshape(stop - start, head)
+        headers = np.empty(stop - start, dtype=HEADER)
+        headers["opcode"] = _MESSAGE
+        headers["sequence"] = np.arange(plain.first + start, plain.first + stop) & 0xFFFFFFFF
+        headers["log_ns"] = log_ns
+        headers["publish_ns"] = np.maximum(plain.block.first_ns[start:stop], 0)
+        for place, rows in ((0, slice(None)), (1, np.flatnonzero(has_state))):
+            own = headers[rows]
+            own["length"] = sizes[rows, place] - _UNCOUNTED
+            own["channel"] = channels[rows, place]
+            begins = ends[rows, place] - sizes[rows, place]
+            text.put(self._data, begins + HEADER.itemsize, own.view(np.uint8).reshape(len(own), HEADER.itemsize))
         there = np.stack((np.ones(stop - start, dtype=np.bool_), has_state), axis=1)
-        return Messages(
-            rows[self._kept[start:stop]], np.cumsum(sizes[there]), channels[there],
-            np.repeat(log_ns[:, None], 2, axis=1)[there],
-        )  # fmt: skip
+        ends, sizes = ends[there], sizes[there]
+        return Messages(self._data, ends - sizes, ends, channels[there], np.repeat(log_ns[:, None], 2, axis=1)[there])
 
 
-def _whole_words(size: int) -> int:
-    return -(-size // 8) * 8
+def alike(plain: Plain, wanted: Flags | None = None) -> Iterator[tuple[Integers, Lane]]:
+    """Yield the rows of lanes that read alike and have frames of one length, with one of these lanes.
 
-
-def _sizes(kept: Flags) -> Integers:
-    """Return how many bytes of each row are kept, by words: their bytes are 0 or 1 and a row has at most 255 words."""
-    words = kept.view(np.uint64).sum(axis=1)
-    low, one = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
-    result: Integers = ((((words & low) + (words >> np.uint64(8) & low)) * one) >> np.uint64(48)).astype(np.int64)
-    return result
-
-
-def alike(plain: Plain) -> Iterator[tuple[Integers, Lane]]:
-    """Yield the rows of lanes that read alike and have frames of one length, with one of these lanes."""
+    `wanted`: of each row, whether it is; None: all that are plain.
+    """
     kinds: dict[tuple[int, bool, int], int] = {}
     numbers = [kinds.setdefault((id(lane.form), lane.is_request, lane.start), len(kinds)) for lane in plain.lanes]
     examples = dict(zip(numbers, plain.lanes, strict=True))
     kind = np.array([*numbers, -1], dtype=np.int64)[plain.lane] + 1
-    for number, rows in groups(kind):
+    for number, rows in groups(kind if wanted is None else kind * wanted):
         if number:
             yield rows, examples[number - 1]
 
 
-def _fields(plain: Plain, rows: Integers, lane: Lane) -> Bytes:
-    """Return the fields of some rows as JSON, with the log's own keys."""
+#: Pieces of some rows: 0 for their messages, 1 for the states; the rows.
+_Part = tuple[int, Integers, list[text.Piece]]
+
+
+def _tails(plain: Plain) -> Iterator[_Part]:
+    """Yield the ends of all messages, which are the log's own keys: of requests and of replies."""
     block = plain.block
-    named = lane.form.layout.named
-    pieces: list[Bytes | bytes] = [b"{"]
-    for name, values in ColumnCodec(lane.form.layout).wire(block.data[rows, lane.start : lane.stop]).items():
-        field = named[name]
-        pieces += [f'"{name}":'.encode(), _number(values, field), b","]
-        if field.choices is not None:
-            pieces += [f'"{name}_name":"'.encode(), text.names(values, field.choice_names), b'",']
-    # A code that has one layout has one length.
-    size = int(block.sizes[rows[0]])
-    pieces += [b'"_raw":"', text.hexadecimal(block.data[rows, :size]), b'","_checksum_ok":true,"_offset":']
-    pieces.append(text.naturals(plain.offsets[rows]))
-    if not lane.is_request:
-        pieces += _reply(plain, rows)
-    if isinstance(block, CanBlock):
-        pieces += [b',"_can_id":', text.naturals(block.ids[rows])]
-        marks = block.directions[rows]
-        if marks.any():
-            pieces.append(text.of_table(marks, _MARKS))
-    return text.joined([*pieces, b"}"], len(rows))
+    is_request = np.array([*(lane.is_request for lane in plain.lanes), False])[plain.lane]
+    for rows, reply in ((np.flatnonzero(is_request), False), (np.flatnonzero((plain.lane >= 0) & ~is_request), True)):
+        if not len(rows):
+            continue
+        pieces: list[text.Piece] = [b'","_checksum_ok":true,"_offset":', text.naturals(plain.offsets[rows])]
+        if reply:
+            pieces += _reply(plain, rows)
+        if isinstance(block, CanBlock):
+            pieces += [b',"_can_id":', text.naturals(block.ids[rows])]
+            marks = block.directions[rows]
+            if marks.any():
+                pieces.append(text.of_table(marks, _MARKS))
+        yield 0, rows, [*pieces, b"}"]
 
 
-def _number(values: Integers, field: Field) -> Bytes:
+def _reply(plain: Plain, rows: Integers) -> list[text.Piece]:
+    latencies = plain.latencies[rows]
+    seconds, rest = np.divmod(np.maximum(latencies, 0), _SECOND)
+    pieces: list[text.Piece] = [b',"_latency":', text.naturals(seconds), b".", text.fixed_digits(rest, 9)]
+    if not (known := latencies > 0).all():
+        pieces = [text.only(known, piece) for piece in pieces]
+    return [*pieces, b',"_request_sequence":', text.naturals(plain.asked[rows])]
+
+
+def _heads(plain: Plain) -> Iterator[_Part]:
+    """Yield the beginnings of all messages, which are the fields of a command and the bytes, and the states that they carry."""
+    block, singly = plain.block, plain.lane >= 0
+    for rows, places, texts in _few(plain):
+        singly[rows] = False
+        yield 0, rows, [text.of_table(places, texts)]
+    for rows, lane in alike(plain, singly):
+        named = lane.form.layout.named
+        wire = ColumnCodec(lane.form.layout).wire(block.data[rows, lane.start : lane.stop])
+        pieces: list[text.Piece] = [b"{"]
+        for name, values in wire.items():
+            field = named[name]
+            pieces += [f'"{name}":'.encode(), _number(values, field), b","]
+            if field.choices is not None:
+                pieces += [f'"{name}_name":"'.encode(), text.names(values, field.choice_names), b'",']
+        # A code that has one layout has one length.
+        size = int(block.sizes[rows[0]])
+        yield 0, rows, [*pieces, b'"_raw":"', text.hexadecimal(block.data[rows, :size])]
+        if lane.states:
+            parts: list[text.Piece] = []
+            for quantity, shares in states(lane, wire).items():
+                parts += [(b"," if parts else b"{") + f'"{quantity}":'.encode(), text.floats(shares)]
+            yield 1, rows, [*parts, b"}"]
+
+
+def _few(plain: Plain) -> Iterator[tuple[Integers, Integers, list[bytes]]]:
+    """Yield the rows of lanes whose frames can have few texts: for each row a place among the texts, and these."""
+    lanes, block = plain.lanes, plain.block
+    short = np.array([lane.stop - lane.start <= 1 and not lane.states for lane in lanes])
+    rows = np.flatnonzero(np.append(short, False)[plain.lane])
+    if not len(rows):
+        return
+    width = block.data.shape[1]
+    starts = np.array([min(lane.start, width - 1) for lane in lanes])[plain.lane[rows]]
+    known, places = ranks(plain.lane[rows] << 8 | block.data.reshape(-1)[width * rows + starts])
+    examples = np.empty(len(known), dtype=np.int64)
+    examples[places] = rows
+    # Without a checksum, two frames of a lane and a value can still differ.
+    words = np.ascontiguousarray(block.data).view(np.uint64)
+    same = (words[rows] == words[examples][places]).all(axis=1)
+    texts = []
+    for row, number in zip(examples.tolist(), (known >> 8).tolist(), strict=True):
+        data, lane = block.data[row, : block.sizes[row]].tobytes(), lanes[number]
+        texts.append(lane.json(data[lane.start : lane.stop]) + b'"_raw":"' + hexlify(data, " ").upper())
+    # Texts that are about as wide stand in one table.
+    bands = np.array([len(t) // text.ROOM for t in texts])
+    for band, own in groups(np.where(same, bands[places] + 1, 0)):
+        if band:
+            chosen = np.flatnonzero(bands == band - 1)
+            number_of = np.zeros(len(texts), dtype=np.int64)
+            number_of[chosen] = np.arange(len(chosen))
+            yield rows[own], number_of[places[own]], [texts[n] for n in chosen.tolist()]
+
+
+def _number(values: Integers, field: Field) -> text.Cell:
     shown = physical_column(values, field)
     return text.integers(shown) if shown.dtype == np.int64 else text.floats(shown)
 
@@ -163,29 +204,8 @@ def physical_column(values: Integers, field: Field) -> NDArray[Any]:
     return whole if field.scale.denominator == 1 else whole / field.scale.denominator
 
 
-def _reply(plain: Plain, rows: Integers) -> list[Bytes | bytes]:
-    latencies = plain.latencies[rows]
-    known = latencies > 0
-    seconds, rest = np.divmod(np.maximum(latencies, 0), _SECOND)
-    cell = text.joined([b',"_latency":', text.naturals(seconds), b".", text.fixed_digits(rest, 9)], len(rows))
-    if not known.all():
-        cell[~known] = 0
-    return [cell, b',"_request_sequence":', text.naturals(plain.first + rows - 1)]
-
-
-def _state(plain: Plain, rows: Integers, lane: Lane) -> Bytes:
-    """Return the state that some rows carry as JSON, without columns where they carry none."""
-    if not lane.states:
-        return np.zeros((len(rows), 0), dtype=np.uint8)
-    pieces: list[Bytes | bytes] = []
-    for quantity, values in states(plain, rows, lane).items():
-        pieces += [(b"," if pieces else b"{") + f'"{quantity}":'.encode(), text.floats(values)]
-    return text.joined([*pieces, b"}"], len(rows))
-
-
-def states(plain: Plain, rows: Integers, lane: Lane) -> dict[str, NDArray[np.float64]]:
-    """Return the state that some rows carry, by quantity."""
-    wire = ColumnCodec(lane.form.layout).wire(plain.block.data[rows, lane.start : lane.stop])
+def states(lane: Lane, wire: Mapping[str, Integers]) -> dict[str, NDArray[np.float64]]:
+    """Return the state that frames of a lane carry, by quantity. `wire`: their fields as sent."""
     parts = [f for f in lane.form.layout.fields if f.state is not None]
     sums: dict[str, NDArray[np.float64]] = {}
     for field in parts:

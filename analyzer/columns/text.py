@@ -1,118 +1,217 @@
-"""Numbers as JSON text, many at once.
+"""Texts of many rows at once, as JSON has them, and how they come to stand where they belong.
 
-A cell is an array of shape (rows, width) of ASCII codes. A 0 in it stands for nothing: once the cells of all rows stand side by
-side, the zeros are taken out, and the rows follow each other as text.
+A cell holds one text a row, at its right side. What stands to the left of a narrow text is of no meaning: pieces of a row are
+written from the right to the left, so the piece before a cell is written over it. So no row needs a step of its own, and
+nothing has to be taken out afterwards.
+
+      {"speed": | 0000-12 | ,"_raw":"32 FF"}        pieces
+                     <---                            what is written first and what then
+      {"speed":-12,"_raw":"32 FF"}
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer.columns.codec import Bytes, Integers
+from analyzer.columns.codec import Bytes, Flags, Integers
+from analyzer.columns.groups import ranks
 
+#: Bytes that stand before the first cell of any message, at least: so much of a cell may be without meaning.
+ROOM = 31
 _GROUP = 10_000
-#: Four digits as one word, with leading zeros and without.
+#: Four digits as one word.
 _DIGITS = np.frombuffer(b"".join(b"%04d" % n for n in range(_GROUP)), dtype=np.uint32)
-_LEADING = np.frombuffer(b"".join((b"%4d" % n).replace(b" ", b"\0") for n in range(_GROUP)), dtype=np.uint32)
-_HEX = np.array([list(f"{n:02X} ".encode()) for n in range(256)], dtype=np.uint8)
+_MINUS = ord("-")
+#: Two bytes as hex digits, each with a blank behind it.
+_HEX = np.frombuffer(np.arange(1 << 16, dtype="<u2").tobytes().hex(" ").upper().encode() + b" ", dtype="V6")
 #: Where Python writes a number with an exponent, and JSON encoders write that in another way.
 _SMALL, _GREAT = 1e-4, 1e16
 
 
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One text a row. `codes`: shape (rows, width), ASCII; `widths`: how many at the right of each row are its text."""
+
+    codes: Bytes
+    widths: Integers | int
+
+
+#: A text that all rows have, or one for each.
+Piece = bytes | Cell
+
+
+def width(pieces: Sequence[Piece]) -> Integers | int:
+    """Return how long rows of such pieces are."""
+    return sum((len(p) if isinstance(p, bytes) else p.widths for p in pieces), 0)
+
+
+def place(out: Bytes, ends: Integers, pieces: Sequence[Piece]) -> None:
+    """Write rows of pieces side by side, so that each row ends where it should.
+
+    Left of each row must be room: `ROOM` bytes that are written afterwards.
+    """
+    fixed: list[Bytes | bytes] = []
+    for piece in reversed(pieces):
+        if isinstance(piece, bytes) or isinstance(piece.widths, int):
+            fixed.insert(0, piece if isinstance(piece, bytes) else piece.codes)
+            continue
+        codes = joined([piece.codes, *fixed], len(ends))
+        _put(out, ends, codes, piece.codes.shape[1] - piece.widths)
+        ends = ends - (codes.shape[1] - piece.codes.shape[1]) - piece.widths
+        fixed = []
+    if fixed:
+        put(out, ends, joined(fixed, len(ends)))
+
+
+def put(out: Bytes, ends: Integers, codes: Bytes) -> None:
+    """Write rows of one width, each so that it ends where it should."""
+    size = codes.shape[1]
+    if size and len(ends):
+        # One item of a type as wide as a row is written at once.
+        there = np.ndarray(len(out) - size + 1, dtype=f"V{size}", buffer=out, strides=(1,))
+        there[ends - size] = codes.view(f"V{size}")[:, 0]
+
+
+def _put(out: Bytes, ends: Integers, codes: Bytes, spare: Integers) -> None:
+    """Write rows of which some bytes at the left are without meaning: not many of these."""
+    while len(ends) and (narrow := spare > ROOM).any():
+        put(out, ends[~narrow], codes[~narrow])
+        ends, codes, spare = ends[narrow], np.ascontiguousarray(codes[narrow, ROOM:]), spare[narrow] - ROOM
+    put(out, ends, codes)
+
+
 def joined(pieces: Sequence[Bytes | bytes], rows: int) -> Bytes:
-    """Return cells side by side; a piece that is plain bytes stands in each row."""
-    cell = np.empty((rows, sum(len(p) if isinstance(p, bytes) else p.shape[1] for p in pieces)), dtype=np.uint8)
-    at = 0
+    """Return rows side by side; a piece that is plain bytes stands in each row."""
+    if len(pieces) == 1 and not isinstance(pieces[0], bytes) and pieces[0].flags.c_contiguous:
+        return pieces[0]
+    common = b"".join(p if isinstance(p, bytes) else bytes(p.shape[1]) for p in pieces)
+    size, at = len(common), 0
+    whole = np.empty(rows, dtype=f"V{size}")
+    whole[:] = np.frombuffer(common, dtype=whole.dtype)[0]
     for piece in pieces:
-        own = np.frombuffer(piece, dtype=np.uint8) if isinstance(piece, bytes) else piece
-        end = at + own.shape[-1]
-        cell[:, at:end] = own
-        at = end
-    return cell
+        if isinstance(piece, bytes):
+            at += len(piece)
+        elif piece.shape[1]:
+            own = f"V{piece.shape[1]}"
+            np.ndarray(rows, dtype=own, buffer=whole, offset=at, strides=(size,))[:] = piece.view(own)[:, 0]
+            at += piece.shape[1]
+    return whole.view(np.uint8).reshape(rows, size)
 
 
-def integers(values: Integers) -> Bytes:
+def only(wanted: Flags, piece: Piece) -> Cell:
+    """Return a piece that some rows have, the others have nothing."""
+    codes = joined([piece if isinstance(piece, bytes) else piece.codes], len(wanted))
+    return Cell(codes, width([piece]) * wanted)
+
+
+def integers(values: Integers) -> Cell:
     """Return integers of any sign as text."""
-    negative = values < 0
+    negative = np.flatnonzero(values < 0)
+    if not len(negative):
+        return naturals(values)
     cell = naturals(np.abs(values))
-    if not negative.any():
-        return cell
-    return np.hstack((np.where(negative, np.uint8(ord("-")), np.uint8(0))[:, None], cell))
+    return _signed(cell, negative)
 
 
-def naturals(values: Integers) -> Bytes:
+def _signed(cell: Cell, negative: Integers) -> Cell:
+    """Return texts of which some get a minus."""
+    rows, size = cell.codes.shape
+    widths = np.full(rows, cell.widths) if isinstance(cell.widths, int) else cell.widths
+    codes = np.empty((rows, size + 1), dtype=np.uint8)
+    codes[:, 1:] = cell.codes
+    codes.reshape(-1)[negative * (size + 1) + size - widths[negative]] = _MINUS
+    widths[negative] += 1
+    return Cell(codes, widths)
+
+
+def naturals(values: Integers) -> Cell:
     """Return integers that are not negative as text."""
-    greatest = int(values.max(initial=0))
-    groups = max(1, -(-len(str(greatest)) // 4))
-    cell = np.zeros((len(values), groups), dtype=np.uint32)
-    rest = values
-    for place in range(groups - 1, 0, -1):
-        rest, low = np.divmod(rest, _GROUP)
-        # Digits count from the first that is not 0; behind it, all four of a group do.
-        cell[:, place] = np.where(rest > 0, _DIGITS[low], np.where(low > 0, _LEADING[low], 0))
-        last = place == groups - 1
-        if last:
-            cell[:, place] = np.where((rest == 0) & (low == 0), _LEADING[0], cell[:, place])
-    cell[:, 0] = np.where(rest > 0, _LEADING[rest], 0 if groups > 1 else _LEADING[0])
-    return cell.view(np.uint8)
+    if not len(values):
+        return Cell(np.zeros((0, 1), dtype=np.uint8), 1)
+    least, greatest = len(str(int(values.min()))), len(str(int(values.max())))
+    codes = _digits(values, greatest)
+    if least == greatest:
+        return Cell(codes, greatest)
+    widths = np.full(len(values), least, dtype=np.int64)
+    for digits in range(least, greatest):
+        widths += values >= 10**digits
+    return Cell(codes, widths)
 
 
-def fixed_digits(values: Integers, digits: int) -> Bytes:
+def fixed_digits(values: Integers, digits: int) -> Cell:
     """Return integers that are not negative as text with so many digits, leading zeros written."""
+    return Cell(_digits(values, digits), digits)
+
+
+def _digits(values: Integers, digits: int) -> Bytes:
     groups = -(-digits // 4)
-    cell = np.empty((len(values), groups), dtype=np.uint32)
-    rest = values
-    for place in range(groups - 1, -1, -1):
-        rest, low = np.divmod(rest, _GROUP)
-        cell[:, place] = _DIGITS[low]
-    return cell.view(np.uint8)[:, 4 * groups - digits :]
+    codes = np.empty((len(values), groups), dtype=np.uint32)
+    # Small words are divided faster.
+    rest = values.astype(np.uint32) if digits <= 9 else values
+    for place in range(groups - 1, 0, -1):
+        above = rest // _GROUP
+        codes[:, place] = _DIGITS[rest - above * _GROUP]
+        rest = above
+    codes[:, 0] = _DIGITS[rest]
+    return codes.view(np.uint8)[:, 4 * groups - digits :]
 
 
-def floats(values: NDArray[np.float64]) -> Bytes:
+def floats(values: NDArray[np.float64]) -> Cell:
     """Return numbers as the shortest text that reads back the same, as Python writes it."""
     size = np.abs(values)
     odd = (size < _SMALL) & (size > 0) | (size >= _GREAT) | ~np.isfinite(values)
-    text = msgspec.json.encode(np.where(odd, 0.0, values).tolist())[1:-1]
+    if not odd.any():
+        return _split(msgspec.json.encode(values.tolist())[1:-1])
+    texts = msgspec.json.encode(np.where(odd, 0.0, values).tolist())[1:-1].split(b",")
+    for row in np.flatnonzero(odd).tolist():
+        texts[row] = repr(float(values[row])).encode()
+    return _split(b",".join(texts))
+
+
+def _split(text: bytes) -> Cell:
+    """Return texts between commas."""
     codes = np.frombuffer(text, dtype=np.uint8)
-    ends = np.append(np.flatnonzero(codes == ord(",")), len(codes)) if len(values) else np.zeros(0, dtype=np.int64)
-    lengths = np.diff(ends, prepend=-1) - 1
-    cell = spread(codes[codes != ord(",")], lengths)
-    if odd.any():
-        texts = [repr(float(v)).encode() for v in values[odd]]
-        wide = np.zeros((len(values), max(cell.shape[1], *(len(t) for t in texts))), dtype=np.uint8)
-        wide[:, : cell.shape[1]] = cell
-        for row, own in zip(np.flatnonzero(odd), texts, strict=True):
-            wide[row] = 0
-            wide[row, : len(own)] = np.frombuffer(own, dtype=np.uint8)
-        cell = wide
-    return cell
+    ends = np.append(np.flatnonzero(codes == ord(",")), len(codes))
+    return _at(text, ends, np.diff(ends, prepend=-1) - 1)
 
 
-def spread(codes: Bytes, lengths: Integers) -> Bytes:
-    """Return texts that follow each other, one a row."""
-    width = int(lengths.max(initial=0))
-    cell = np.zeros((len(lengths), width), dtype=np.uint8)
-    cell[np.arange(width) < lengths[:, None]] = codes
-    return cell
+def _at(text: bytes, ends: Integers, widths: Integers) -> Cell:
+    """Return the texts that end at some places of a text."""
+    size = int(widths.max(initial=1))
+    before = bytes(size) + text
+    windows = np.ndarray(len(text) + 1, dtype=f"V{size}", buffer=before, strides=(1,))
+    return Cell(windows[ends].view(np.uint8).reshape(len(ends), size), widths)
 
 
-def names(values: Integers, table: Mapping[int, str]) -> Bytes:
+def names(values: Integers, table: Mapping[int, str]) -> Cell:
     """Return the name of each value. Raises KeyError for a value without one."""
-    known, places = np.unique(values, return_inverse=True)
+    known, places = ranks(values) if not len(values) or values.min() >= 0 else np.unique(values, return_inverse=True)
     return of_table(places, [table[v].encode() for v in known.tolist()])
 
 
-def of_table(places: Integers, texts: Sequence[bytes]) -> Bytes:
+def of_table(places: NDArray[np.integer], texts: Sequence[bytes]) -> Cell:
     """Return, for each place, the text at it."""
-    lengths = np.array([len(t) for t in texts], dtype=np.int64)
-    return spread(np.frombuffer(b"".join(texts), dtype=np.uint8), lengths)[places]
+    widths = np.array([len(t) for t in texts], dtype=np.int64)
+    cell = _at(b"".join(texts), np.cumsum(widths), widths)
+    if len(set(widths.tolist())) == 1:
+        return Cell(_taken(cell.codes, places), int(widths[0]))
+    return Cell(_taken(cell.codes, places), widths[places])
 
 
-def hexadecimal(data: Bytes) -> Bytes:
+def _taken(codes: Bytes, places: NDArray[np.integer]) -> Bytes:
+    rows: Bytes = codes.view(f"V{codes.shape[1]}")[places, 0].view(np.uint8).reshape(len(places), codes.shape[1])
+    return rows
+
+
+def hexadecimal(data: Bytes) -> Cell:
     """Return bytes as hex digits with blanks between."""
-    rows, width = data.shape
-    return _HEX[data].reshape(rows, 3 * width)[:, : max(0, 3 * width - 1)]
+    rows, size = data.shape
+    padded = np.zeros((rows, size + size % 2), dtype=np.uint8)
+    padded[:, :size] = data
+    codes = _HEX[padded.view("<u2")].view(np.uint8).reshape(rows, 3 * padded.shape[1])
+    return Cell(codes[:, : max(0, 3 * size - 1)], max(0, 3 * size - 1))

@@ -114,7 +114,7 @@ class Watch:
     def _row(self, row: int) -> _Kept:
         plain = self._plain
         lane = plain.lanes[plain.lane[row]]
-        return lane, plain.frame(row), plain.first + row, None if lane.is_request else plain.first + row - 1
+        return lane, plain.frame(row), plain.first + row, None if lane.is_request else int(plain.asked[row])
 
     def entry(self, entry: Entry) -> None:
         """Take a decoded frame."""

@@ -63,6 +63,9 @@ do
   proto.experts = infos
 end
 
+-- Fields of other protocols are there at Wireshark's first look at a packet only if a listener filters by them. In two passes
+-- tshark has them at the second look, which goes in order too.
+local listener = Listener.new("frame", "can.id || frame.interface_id || tcp.stream")
 local can_id, can_extended = Field.new("can.id"), Field.new("can.flags.xtd")
 local interface, stream = Field.new("frame.interface_id"), Field.new("tcp.stream")
 
@@ -82,6 +85,9 @@ local function xor(a, b)
   end
   return result
 end
+
+-- Wireshark has had a library of bits in each version so far; without it the numbers are taken apart.
+xor = bit and bit.bxor or bit32 and bit32.bxor or xor
 
 local CRC = {}
 for i = 0, 255 do
@@ -577,19 +583,21 @@ local function show(dialect, tvb, bytes, at, length, id, tree, result)
   return line
 end
 
+-- A packet is judged when it comes first, in the order of the capture; later looks at it see the same.
+local function place_of(tvb, pinfo) return pinfo.number .. "/" .. tvb:offset() end
+
 local function show_all(dialect, tvb, pinfo, tree, bytes, frames, id)
-  local results, lines = kept[pinfo.number] or {}, {}
-  kept[pinfo.number] = results
-  local covered = 0
+  local place, lines, covered = place_of(tvb, pinfo), {}, 0
+  if not kept[place] then
+    local results = {}
+    kept[place] = {dialect = dialect, frames = frames, results = results}
+    for i, frame in ipairs(frames) do results[i] = judge(dialect, bytes, frame.at, frame.length, id, pinfo) end
+  end
   for i, frame in ipairs(frames) do
-    local key = tvb:offset() .. "/" .. i
-    if not pinfo.visited or not results[key] then
-      results[key] = judge(dialect, bytes, frame.at, frame.length, id, pinfo)
-    end
     if frame.at - 1 > covered then
       tree:add(own.junk, tvb(covered, frame.at - 1 - covered)):add_proto_expert_info(expert.junk)
     end
-    lines[#lines + 1] = show(dialect, tvb, bytes, frame.at, frame.length, id, tree, results[key])
+    lines[#lines + 1] = show(dialect, tvb, bytes, frame.at, frame.length, id, tree, kept[place].results[i])
     covered = frame.at - 1 + frame.length
   end
   if covered < #bytes then
@@ -617,13 +625,20 @@ local function on_can(tvb, pinfo, tree, sure)
   local head = links.can.head(dialect, bytes, 1, #bytes, address)
   local known = #entries(dialect, "request", head) > 0 or #entries(dialect, "reply", head) > 0
   if right and known then drives[key] = true end
-  if not sure and not (right and known) and not drives[key] then return 0 end
+  local place = place_of(tvb, pinfo)
+  if not kept[place] and not (sure or right and known or drives[key]) then kept[place] = {} end
+  if kept[place] and not kept[place].dialect then return 0 end
   show_all(dialect, tvb, pinfo, tree, bytes, {{at = 1, length = #bytes}}, address)
   return tvb:len()
 end
 
 local function on_serial(tvb, pinfo, tree)
-  local bytes, bus = bytes_of(tvb()), bus_of()
+  local bytes, bus, before = bytes_of(tvb()), bus_of(), kept[place_of(tvb, pinfo)]
+  if before then
+    if not before.dialect then return 0 end
+    show_all(before.dialect, tvb, pinfo, tree, bytes, before.frames)
+    return tvb:len()
+  end
   local best, best_frames, most = nil, nil, 0
   for _, dialect in ipairs(dialects) do
     local allowed = proto.prefs.dialect == "auto" or proto.prefs.dialect == dialect.name
@@ -637,8 +652,11 @@ local function on_serial(tvb, pinfo, tree)
       end
     end
   end
-  if not best then return 0 end
-  if not pinfo.visited then last_dialect[bus] = best end
+  if not best then
+    kept[place_of(tvb, pinfo)] = {}
+    return 0
+  end
+  last_dialect[bus] = best
   show_all(best, tvb, pinfo, tree, bytes, best_frames)
   return tvb:len()
 end

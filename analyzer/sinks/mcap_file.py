@@ -1,8 +1,8 @@
 """An MCAP file being written: records of the `mcap` library, in chunks that are built here.
 
 The library's writer builds each message field by field (about 3 us). A log has two messages per frame, so that would cost more
-than framing and decoding. Here a message is one packed header plus its data, and an index is an array. A thread compresses
-each chunk while the next one fills. The library's own record classes write everything else.
+than framing and decoding. Here a message is one packed header plus its data, and an index is an array. A thread, or other
+processes, pack each batch of chunks while the next one fills. The library's own record classes write everything else.
 
 Rules: nothing is written twice; `finish` completes the file; after `flush` all messages can be recovered. A chunk and its
 indexes go out in one write. If that raises (a full disk), nothing is lost, and `flush` or `finish` may be called again.
@@ -16,15 +16,12 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import starmap
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-import zstandard
-from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    Chunk,
     DataEnd,
     Footer,
     Header,
@@ -37,16 +34,15 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
+from analyzer.sinks.mcap_chunk import CHUNK_SIZE, MESSAGE, Batch, Chunk, Packed, Run, pack, record_bytes
 from analyzer.sinks.mcap_index import Index, MemoryIndex
 
 if TYPE_CHECKING:
-    from analyzer.columns.rows import Messages
+    from analyzer.columns.codec import Integers
+    from analyzer.columns.pairs import Plain
 
-#: Uncompressed bytes of a chunk.
-CHUNK_SIZE = 1 << 20
-#: Fewer messages than this are indexed faster one by one than by channels.
-_FEW = 256
-_MESSAGE = struct.Struct("<BQHIQQ")
+#: Rows of a block that are packed together: fewer cost more for each kind of frame, more need more memory.
+ROWS = 1 << 14
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 #: channel and place of its message index, for each;
@@ -54,10 +50,7 @@ _OFFSET = struct.Struct("<HQ")
 #: bytes of the message indexes, compression, size with and without it.
 _CHUNK_SIZES = struct.Struct("<QI4sQQ")
 _CHUNK_INDEX_REST = _CHUNK_INDEX.size - 9 + _CHUNK_SIZES.size
-#: Of the index of a channel's messages in a chunk: opcode, length, channel, bytes of its entries.
-INDEX_HEAD = struct.Struct("<BQHI")
-_LEVEL = 1
-#: Chunks that may wait for the compressor.
+#: Batches that may wait to be packed.
 _AHEAD = 2
 #: What of a file under way is kept besides its index, for a process that goes on with it.
 _STATE = ("_position", "_counts", "_first_ns", "_last_ns", "_messages", "_chunks", "_metadata", "_schemas", "_channels")
@@ -79,7 +72,7 @@ class LogFile(Protocol):
 
     @property
     def messages(self) -> int:
-        """Messages added so far."""
+        """Messages written so far."""
 
     def add_schema(self, name: str, data: bytes) -> int:
         """Register a JSON Schema and return its id."""
@@ -103,35 +96,40 @@ class LogFile(Protocol):
         """Give the file up."""
 
 
-class _Building:
-    """A chunk under construction."""
+class Packer(Protocol):
+    """What packs batches while the next one fills. `ahead`: how many may wait."""
+
+    ahead: int
+
+    def submit(self, batch: Batch) -> Future[list[Packed]]:
+        """Pack a batch, now or soon."""
+
+    def shutdown(self, *, at_once: bool = False) -> None:
+        """End. `at_once`: with nothing finished."""
+
+
+class _Thread:
+    """A packer of this process: a thread compresses, which needs no Python."""
+
+    ahead = _AHEAD
 
     def __init__(self) -> None:
-        self.parts: list[bytes] = []
-        self.size = 0
-        self.first_ns = 0
-        self.last_ns = 0
-        self.messages = 0
-        self.index: dict[int, array[int]] = {}
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="servotap-compress")
 
+    def submit(self, batch: Batch) -> Future[list[Packed]]:
+        chunks = batch.chunks()
+        return self._pool.submit(lambda: [pack(chunk) for chunk in chunks])
 
-def record_bytes(record: McapRecord) -> bytes:
-    """Return a record as it stands in a file, its opcode first."""
-    builder = RecordBuilder()
-    record.write(builder)
-    data: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return data
-
-
-def _compress(data: bytes) -> tuple[bytes, int]:
-    return zstandard.ZstdCompressor(level=_LEVEL).compress(data), zlib.crc32(data)
+    def shutdown(self, *, at_once: bool = False) -> None:
+        self._pool.shutdown(wait=not at_once, cancel_futures=at_once)
 
 
 class McapFile:
     """Writes an MCAP file to a stream open for binary writing. Not safe to use from several threads.
 
-    `index`: what the summary will hold, in memory unless said otherwise. `patient`: where a message fills a chunk that
-    cannot be written, nothing is raised but `stalled` set; the next `flush` tries again.
+    `index`: what the summary will hold, in memory unless said otherwise. `packer`: a thread unless said otherwise.
+    `patient`: where a message fills a chunk that cannot be written, nothing is raised but `stalled` set; the next `flush`
+    tries again.
     """
 
     def __init__(
@@ -143,23 +141,28 @@ class McapFile:
         chunk_size: int = CHUNK_SIZE,
         index: Index | None = None,
         patient: bool = False,
+        packer: Packer | None = None,
     ) -> None:
-        self._begin(stream, chunk_size, index or MemoryIndex(), patient)
+        self._begin(stream, chunk_size, index or MemoryIndex(), patient, packer or _Thread())
         self._put(MCAP0_MAGIC + record_bytes(Header(profile, library)))
 
-    def _begin(self, stream: Writable, chunk_size: int, index: Index, patient: bool) -> None:
+    def _begin(self, stream: Writable, chunk_size: int, index: Index, patient: bool, packer: Packer) -> None:
         self._stream = stream
         self._patient = patient
         #: A chunk could not be written and waits.
         self.stalled = False
         self._chunk_size = chunk_size
         self._index = index
-        self._building = _Building()
+        #: Messages behind the last rows; what stands before them in the batch; the block of its rows, and where they begin.
+        self._building = Chunk()
+        self._pieces: list[Chunk | Run] = []
+        self._plain: Plain | None = None
+        self._first_row = 0
         self._position = self._first_ns = self._last_ns = self._messages = 0
         self._chunks = self._metadata = self._schemas = self._channels = self._attachments = 0
         self._counts: dict[int, int] = {}
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="servotap-compress")
-        self._waiting: list[tuple[_Building, int, Future[tuple[bytes, int]]]] = []
+        self._packer = packer
+        self._waiting: list[Future[list[Packed]]] = []
 
     @classmethod
     def resume(
@@ -170,7 +173,7 @@ class McapFile:
         `state`: what it returned as such; `stream`: stands at that place; `index`: holds what it held.
         """
         file = cls.__new__(cls)
-        file._begin(stream, chunk_size, index, patient)
+        file._begin(stream, chunk_size, index, patient, _Thread())
         for name in _STATE:
             setattr(file, name, state[name])
         return file
@@ -181,7 +184,7 @@ class McapFile:
 
     @property
     def messages(self) -> int:
-        """Messages added so far."""
+        """Messages written so far."""
         return self._messages
 
     @property
@@ -232,49 +235,30 @@ class McapFile:
         index.append(log_ns)
         index.append(building.size)
         size = len(data)
-        building.parts += (_MESSAGE.pack(5, size + 22, channel_id, sequence & 0xFFFFFFFF, log_ns, publish_ns), data)
+        building.parts += (MESSAGE.pack(5, size + 22, channel_id, sequence & 0xFFFFFFFF, log_ns, publish_ns), data)
         building.size += size + 31
         building.last_ns = log_ns
         building.messages += 1
         if building.size >= self._chunk_size:
-            self._end_chunk()
+            self._end_batch()
 
-    def add_messages(self, added: Messages) -> None:
-        """Add messages that are packed already."""
-        import numpy as np
+    def add_rows(self, plain: Plain, channels: Integers, start: int, stop: int, log_ns: Integers) -> None:
+        """Add the messages of some rows of a block; `log_ns` of each, as for single messages.
 
-        from analyzer.columns.groups import groups
-
-        starts = np.concatenate(([0], added.ends[:-1]))
-        at, count = 0, len(added.ends)
-        while at < count:
-            building, base = self._building, int(starts[at])
-            # As for single messages: the message that fills a chunk is its last.
-            stop = min(count, int(np.searchsorted(added.ends, base + self._chunk_size - building.size)) + 1)
-            end = int(added.ends[stop - 1])
-            places = starts[at:stop] - base + building.size
-            if not building.messages:
-                building.first_ns = int(added.log_ns[at])
-            if stop - at < _FEW:
-                for channel, *entry in zip(
-                    *(c.tolist() for c in (added.channels[at:stop], added.log_ns[at:stop], places)), strict=True
-                ):
-                    building.index.setdefault(channel, array("Q")).extend(entry)
-            else:
-                entries = np.stack((added.log_ns[at:stop], places), axis=1)
-                for channel, rows in groups(added.channels[at:stop]):
-                    building.index.setdefault(channel, array("Q")).frombytes(entries[rows].tobytes())
-            building.parts.append(added.data[base:end].tobytes())
-            building.size += end - base
-            building.last_ns = int(added.log_ns[stop - 1])
-            building.messages += stop - at
-            at = stop
-            if building.size >= self._chunk_size:
-                self._end_chunk()
+        `channels`: of each lane of the block, that of its topic and that of its state, 0 where it has none.
+        """
+        while start < stop:
+            if self._plain is not plain or start - self._first_row >= ROWS:
+                self._end_batch()
+                self._plain, self._row_channels, self._first_row = plain, channels, start
+            end = min(stop, self._first_row + ROWS)
+            self._end_piece()
+            self._pieces.append(Run(start - self._first_row, end - self._first_row, log_ns[: end - start]))
+            start, log_ns = end, log_ns[end - start :]
 
     def flush(self) -> None:
         """Write everything so far to the stream and flush it."""
-        self._end_chunk()
+        self._end_batch()
         while self._waiting:
             self._write_oldest()
         self._index.flush()
@@ -302,31 +286,34 @@ class McapFile:
             if rewind is not None:
                 rewind(start)
             raise
-        self._pool.shutdown()
+        self._packer.shutdown()
 
     def abandon(self) -> None:
-        """Give the file up: stop the compressor and write nothing more."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        """Give the file up: stop the packer and write nothing more."""
+        self._packer.shutdown(at_once=True)
         self._waiting.clear()
 
     # --- chunks ---------------------------------------------------------------------------------------------------
 
-    def _end_chunk(self) -> None:
+    def _end_piece(self) -> None:
+        """Begin new messages behind those so far."""
         building = self._building
-        if not building.parts:
+        if building.parts:
+            self._pieces.append(building)
+            self._building = Chunk()
+
+    def _end_batch(self) -> None:
+        """Have packed what is there so far: its last chunk ends here."""
+        self._end_piece()
+        if not self._pieces:
             return
-        self._building = _Building()
-        if not self._messages:
-            self._first_ns = building.first_ns
-        self._messages += building.messages
-        if building.messages:
-            self._last_ns = max(self._last_ns, building.last_ns)
-        for channel_id, index in building.index.items():
-            self._counts[channel_id] += len(index) // 2
-        data = b"".join(building.parts)
-        building.parts = []
-        self._waiting.append((building, len(data), self._pool.submit(_compress, data)))
-        while len(self._waiting) > _AHEAD:
+        batch, self._pieces = Batch(self._chunk_size, self._pieces), []
+        if self._plain is not None:
+            batch.plain, lanes = self._plain.part(self._first_row, [run[:2] for run in batch.pieces if isinstance(run, Run)])
+            batch.channels = self._row_channels[lanes]
+            self._plain = None
+        self._waiting.append(self._packer.submit(batch))
+        while self._waiting and (len(self._waiting) > self._packer.ahead or self._waiting[0].done()):
             try:
                 self._write_oldest()
             except OSError:
@@ -336,39 +323,29 @@ class McapFile:
                 return
 
     def _write_oldest(self) -> None:
-        building, size, future = self._waiting[0]
-        compressed, crc = future.result()
-        start = self._position
-        chunk = record_bytes(
-            Chunk(
-                compression="zstd",
-                data=compressed,
-                message_end_time=building.last_ns,
-                message_start_time=building.first_ns,
-                uncompressed_crc=crc,
-                uncompressed_size=size,
-            )
-        )
-        parts = [chunk]
-        offsets = {}
-        index_start = place = start + len(chunk)
-        for channel_id, logged in building.index.items():
-            offsets[channel_id] = place
-            entries = logged.tobytes()
-            parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries)), entries)
-            place += INDEX_HEAD.size + len(entries)
-        # Packed here: a chunk has an entry for each channel, and the library writes them number by number.
-        places = b"".join(starmap(_OFFSET.pack, offsets.items()))
-        fixed = building.first_ns, building.last_ns, start, len(chunk)
-        index = b"".join((
-            _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, _CHUNK_INDEX_REST + len(places), *fixed, len(places)), places,
-            _CHUNK_SIZES.pack(place - index_start, 4, b"zstd", len(compressed), size),
-        ))  # fmt: skip
-        self._put(b"".join(parts))
-        # Only now is it gone from memory: the write may have failed.
+        chunks = self._waiting[0].result()
+        while chunks:
+            packed = chunks[0]
+            start = self._position
+            # Packed here: a chunk has an entry for each channel, and the library writes them number by number.
+            places = b"".join(_OFFSET.pack(channel, start + place) for channel, place in packed.places.items())
+            fixed = packed.first_ns, packed.last_ns, start, packed.length
+            index = b"".join((
+                _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, _CHUNK_INDEX_REST + len(places), *fixed, len(places)), places,
+                _CHUNK_SIZES.pack(len(packed.data) - packed.length, 4, b"zstd", packed.packed_size, packed.size),
+            ))  # fmt: skip
+            self._put(packed.data)
+            # Only now is it gone from memory: the write may have failed.
+            del chunks[0]
+            self._chunks += 1
+            self._index.add(index)
+            for channel, count in packed.counts.items():
+                self._counts[channel] += count
+            if packed.messages:
+                self._first_ns = self._first_ns if self._messages else packed.first_ns
+                self._last_ns = max(self._last_ns, packed.last_ns)
+                self._messages += packed.messages
         del self._waiting[0]
-        self._chunks += 1
-        self._index.add(index)
 
     # --- the end --------------------------------------------------------------------------------------------------
 

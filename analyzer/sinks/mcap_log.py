@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from binascii import hexlify
 from collections.abc import Callable, Mapping
-from functools import cache
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
@@ -31,8 +30,8 @@ from analyzer.sources.recording_parts import CLOCK_METADATA
 from analyzer.sources.times import Clock
 
 if TYPE_CHECKING:
+    from analyzer.columns.codec import Integers
     from analyzer.columns.pairs import Plain
-    from analyzer.columns.rows import Rows
 
 PROFILE = "servotap"
 LIBRARY = f"servotap {__version__}"
@@ -96,8 +95,9 @@ class McapLog:
         self._channels: dict[str, int] = {}
         self._last_ns = 0
         self._seconds: dict[str, Second] = {}
-        #: Returns the rows of the present block, which are made when the first run of it comes.
-        self._rows_of: Callable[[], Rows]
+        #: The present block, and of each of its lanes the channels of its topic and its state, 0 where none is open.
+        self._plain: Plain
+        self._channels_of: Integers
         self._speed = Speed(byte_ns, bit_ns)
         self._speeds = dict(speeds or {})
         if clock is not Clock.UTC:
@@ -158,28 +158,28 @@ class McapLog:
 
     def begin(self, plain: Plain) -> None:
         """Take the next block of frames."""
-        from analyzer.columns.rows import Rows
+        import numpy as np
 
-        self._rows_of = cache(lambda: Rows(plain))
+        self._plain, self._channels_of = plain, np.zeros((len(plain.lanes), 2), dtype=np.int64)
 
     def run(self, start: int, stop: int) -> None:
         """Write plain exchanges, and the state that they carry."""
         assert isinstance(self._file, McapFile)  # only a capture that is read whole comes in blocks
-        rows = self._rows_of()
-        plain, block = rows.plain, rows.plain.block
+        plain, block = self._plain, self._plain.block
         if block.t_ns[start] < self._last_ns - JUMP_BACK_NS:
             # Its clock was set back: each message says how far.
             for row in range(start, stop):
                 lane, latency_ns = plain.lanes[plain.lane[row]], int(plain.latencies[row])
-                asked_by = None if lane.is_request else plain.first + row - 1
+                asked_by = None if lane.is_request else int(plain.asked[row])
                 known_ns = latency_ns if asked_by is not None and latency_ns > 0 else None
                 self.plain(lane, plain.frame(row), plain.first + row, known_ns, asked_by)
             return
-        for number in rows.new_lanes(start, stop):
-            lane, message = rows.example(number)
-            kept = self._lanes.get(lane.topic) or self._open_lane(lane.topic, message)
+        for row in plain.firsts(start, stop, self._channels_of[:, 0] == 0):
+            number = plain.lane[row]
+            lane = plain.lanes[number]
+            kept = self._lanes.get(lane.topic) or self._open_lane(lane.topic, lane.message(plain.frame(row)))
             state = self._state_topic(kept, block.port, lane.address) if lane.states else None
-            rows.set_channels(number, kept.channel, 0 if state is None else state.channel)
+            self._channels_of[number] = kept.channel, 0 if state is None else state.channel
         log_ns = block.t_ns[start:stop].clip(self._last_ns, _LATEST_NS)
         second = self._seconds.get(block.port)
         written = counted = 0
@@ -189,7 +189,7 @@ class McapLog:
                 _count(second, block, start + counted, start + behind)
             # The first frame of a second stands before the counts of the last second.
             end = min(behind + 1, len(log_ns))
-            self._file.add_messages(rows.messages(start + written, start + end, log_ns[written:end]))
+            self._file.add_rows(plain, self._channels_of, start + written, start + end, log_ns[written:end])
             self._last_ns = int(log_ns[end - 1])
             if behind < len(log_ns):
                 second = self._second(block.port, int(log_ns[behind]))

@@ -29,7 +29,8 @@ from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, 
 
 from analyzer import __version__
 from analyzer.errors import UnreadableError
-from analyzer.sinks.mcap_file import Writable, record_bytes
+from analyzer.sinks.mcap_chunk import record_bytes
+from analyzer.sinks.mcap_file import Writable
 from analyzer.sinks.mcap_taken import TakenFile
 from analyzer.sources import mcap_scan as scan
 from analyzer.sources.recording_parts import METADATA

@@ -12,7 +12,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex, ChunkIndex, Header
 
 from analyzer import __version__
-from analyzer.sinks.mcap_file import INDEX_HEAD, McapFile, Writable, record_bytes
+from analyzer.sinks.mcap_chunk import INDEX_HEAD, record_bytes
+from analyzer.sinks.mcap_file import McapFile, Writable
 from analyzer.sources import mcap_scan as scan
 
 

@@ -1,7 +1,7 @@
 """Numbers for the objects of the catalogue, so that records with such objects can go to another process.
 
-Both sides have the same dialects and send only their numbers. If the other process may be another version of this program,
-`digest` tells whether the dialects are the same.
+Both sides have the same dialects and send only their numbers; a lane is made anew from what it is of. If the other process
+may be another version of this program, `digest` tells whether the dialects are the same.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from analyzer import __version__
-from analyzer.catalogue import Command, Dialect, Form
+from analyzer.catalogue import Command, Dialect, Form, Role
+from analyzer.records import Lane
 
 
 class Table:
@@ -43,6 +44,14 @@ class TablePickler(pickle.Pickler):
     def __init__(self, stream: io.BytesIO, table: Table) -> None:
         super().__init__(stream, pickle.HIGHEST_PROTOCOL)
         self._numbers = table.numbers
+        self._dialects = {dialect.name: dialect for dialect in table.dialects}
+
+    def reducer_override(self, obj: Any) -> Any:
+        """Return how a lane is made."""
+        if not isinstance(obj, Lane):
+            return NotImplemented
+        about = (obj.role, obj.address, obj.command, obj.form, obj.start, obj.stop, obj.topic)
+        return _lane, (self._dialects[obj.dialect], *about)
 
     def persistent_id(self, obj: Any) -> int | None:
         """Return the number of an object of the catalogue."""
@@ -59,3 +68,16 @@ class TableUnpickler(pickle.Unpickler):
     def persistent_load(self, pid: Any) -> Any:
         """Return an object of the catalogue by its number."""
         return self._objects[pid]
+
+
+def _lane(dialect: Dialect, role: Role, address: int, command: Command, form: Form, start: int, stop: int, topic: str) -> Lane:
+    lane = Lane(dialect, role, address, command, form, start, stop)
+    lane.topic = topic
+    return lane
+
+
+def dumped(what: Any, table: Table) -> bytes:
+    """Return something as bytes for the other process."""
+    stream = io.BytesIO()
+    TablePickler(stream, table).dump(what)
+    return stream.getvalue()

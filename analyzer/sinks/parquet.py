@@ -160,9 +160,10 @@ class ParquetTables:
         if not lane.is_request:
             latencies = plain.latencies[rows]
             columns["_latency"] = pa.array(latencies / _SECOND, mask=latencies <= 0)
-            columns["_request_sequence"] = pa.array(plain.first + rows - 1)
+            columns["_request_sequence"] = pa.array(plain.asked[rows])
         layout = lane.form.layout
-        for name, values in ColumnCodec(layout).wire(block.data[rows, lane.start : lane.stop]).items():
+        wire = ColumnCodec(layout).wire(block.data[rows, lane.start : lane.stop])
+        for name, values in wire.items():
             shown = physical_column(values, layout.named[name])
             columns[name] = pa.array(shown).cast(table.schema.field(name).type)
             if name in table.choices:
@@ -170,7 +171,7 @@ class ParquetTables:
         table.add(columns, count)
         self._held += count
         if lane.states:
-            found = {name: pa.array(each) for name, each in states(plain, rows, lane).items()}
+            found = {name: pa.array(each) for name, each in states(lane, wire).items()}
             self._states().add({**common, **found}, count)
             self._held += count
 

@@ -2,7 +2,7 @@
 
     pipeline -> SinkProcess | pipe | worker -> sinks
 
-The pipe carries batches, each after its length. A batch is a row of records, each after a tag byte:
+The pipe carries batches. A batch is a row of records, each after a tag byte:
 
     P  a frame of a lane: a fixed head, then the frame's bytes
     O  anything else: a length, then a pickle in which dialects, commands and forms are numbers of a shared table
@@ -14,19 +14,17 @@ here as the same error. A worker whose parent is gone ends without finishing any
 
 from __future__ import annotations
 
-import contextlib
 import io
-import os
 import pickle
-import signal
 import struct
 from collections.abc import Callable, Sequence
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.pipeline import Entry, EventSink, PlainSink, RunSink, Sink
 from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lane
-from analyzer.sinks.object_table import Table, TablePickler, TableUnpickler
+from analyzer.sinks.forked import Ends, Forked
+from analyzer.sinks.object_table import Table, TableUnpickler, dumped
 
 if TYPE_CHECKING:
     from analyzer.columns.pairs import Plain
@@ -37,11 +35,6 @@ _HEAD = struct.Struct("<cHQqqQqqH")
 _LENGTH = struct.Struct("<cI")
 #: Bytes that are collected before they go into the pipe.
 _BATCH = 1 << 16
-
-
-def available() -> bool:
-    """Say whether this machine can run sinks in parallel to the pipeline."""
-    return hasattr(os, "fork") and (os.cpu_count() or 1) > 1
 
 
 class SinkProcess:
@@ -56,16 +49,7 @@ class SinkProcess:
         self._lanes: dict[object, int] = {}
         self._parts: list[bytes] = []
         self._size = 0
-        read, write = os.pipe()
-        self._answers, answer = os.pipe()
-        self._worker = os.fork()
-        if self._worker == 0:
-            os.close(write)
-            os.close(self._answers)
-            _work(read, answer, self._table, make)
-        os.close(read)
-        os.close(answer)
-        self._pipe = io.FileIO(write, "wb")
+        self._worker = Forked(lambda ends: _work(ends, self._table, make))
 
     # --- sink -----------------------------------------------------------------------------------------------------
 
@@ -91,7 +75,8 @@ class SinkProcess:
         # Rows without a lane come first, under 0.
         firsts = [int(rows[0]) for number, rows in groups(plain.lane + 1) if number]
         lanes = tuple(self._number(lane, plain.frame(row)) for lane, row in zip(plain.lanes, firsts, strict=True))
-        self._other(("begin", (plain.dialect, plain.block, lanes, plain.lane, plain.offsets, plain.first)))
+        columns = plain.lane, plain.offsets, plain.first, plain.asked, plain.latencies
+        self._other(("begin", (plain.dialect, plain.block, lanes, *columns)))
 
     def run(self, start: int, stop: int) -> None:
         """Pass a run on."""
@@ -130,26 +115,18 @@ class SinkProcess:
 
     def abandon(self) -> None:
         """End the worker at once, with nothing finished."""
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(self._worker, signal.SIGKILL)
-        self._join()
+        self._worker.kill()
+        self._worker.ended()
 
     def close(self) -> None:
         """End the worker after the last call."""
-        self._join()
-
-    def _join(self) -> None:
-        if self._worker:
-            self._pipe.close()
-            os.close(self._answers)
-            os.waitpid(self._worker, 0)
-            self._worker = 0
+        self._worker.ended()
 
     def _answer(self) -> Any:
-        size = _read_whole(self._answers, 4)
-        if len(size) < 4:
+        answer = self._worker.take()
+        if not answer:
             raise OSError("the process that writes the log has died")
-        good, result = pickle.loads(_read_whole(self._answers, int.from_bytes(size, "little")))
+        good, result = pickle.loads(answer)
         if not good:
             raise result
         return result
@@ -168,9 +145,7 @@ class SinkProcess:
         return number
 
     def _other(self, what: tuple[str, tuple[Any, ...]]) -> None:
-        stream = io.BytesIO()
-        TablePickler(stream, self._table).dump(what)
-        data = stream.getvalue()
+        data = dumped(what, self._table)
         self._parts += (_LENGTH.pack(_OTHER, len(data)), data)
         self._size += len(data)
         if self._size >= _BATCH:
@@ -178,12 +153,10 @@ class SinkProcess:
 
     def _flush(self) -> None:
         batch = b"".join(self._parts)
-        view = memoryview(len(batch).to_bytes(4, "little") + batch)
         self._parts.clear()
         self._size = 0
         try:
-            while view:
-                view = view[self._pipe.write(view) :]
+            self._worker.give(batch)
         except BrokenPipeError:
             # The worker has ended; what it says of the reason is worth more than the broken pipe.
             self._answer()
@@ -193,22 +166,18 @@ class SinkProcess:
 # --- the worker ---------------------------------------------------------------------------------------------------
 
 
-def _work(pipe: int, answers: int, table: Table, make: Callable[[], Sequence[Sink]]) -> None:
-    """Run the sinks until the pipe ends; never return."""
-    # Ctrl-C reaches both processes; only the parent decides what it means.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+def _work(ends: Ends, table: Table, make: Callable[[], Sequence[Sink]]) -> None:
+    """Run the sinks until the pipe ends."""
     try:
-        with io.FileIO(pipe) as raw, io.BufferedReader(raw, 1 << 18) as stream:
-            _serve(stream, answers, table, make())
+        _serve(ends, table, make())
+    except BrokenPipeError:
+        raise
     except BaseException as error:
         # The parent raises the same error again.
-        _say(answers, (False, error if isinstance(error, Exception) else OSError(repr(error))))
-    finally:
-        os._exit(0)
+        ends.give(pickle.dumps((False, error if isinstance(error, Exception) else OSError(repr(error)))))
 
 
-def _serve(stream: IO[bytes], answers: int, table: Table, sinks: Sequence[Sink]) -> None:
+def _serve(ends: Ends, table: Table, sinks: Sequence[Sink]) -> None:
     plain_sinks = [s.plain for s in sinks if isinstance(s, PlainSink)]
     others = [s for s in sinks if not isinstance(s, PlainSink)]
     run_sinks = [s for s in sinks if isinstance(s, RunSink)]
@@ -216,8 +185,7 @@ def _serve(stream: IO[bytes], answers: int, table: Table, sinks: Sequence[Sink])
     lanes: list[tuple[Lane, Dialect, str, Role, CanFrame | None]] = []
     head, plain_tag, other_tag = _HEAD.size, _PLAIN[0], _OTHER[0]
     unpack = struct.Struct("<xHQqqQqqH").unpack_from
-    while size := stream.read(4):
-        batch = stream.read(int.from_bytes(size, "little"))
+    while batch := bytes(ends.take()):
         at, end = 0, len(batch)
         while at < end:
             if batch[at] == plain_tag:
@@ -244,7 +212,7 @@ def _serve(stream: IO[bytes], answers: int, table: Table, sinks: Sequence[Sink])
                 lanes.append(_lane(*arguments))
             elif what == "call":
                 index, method, rest_of = arguments
-                _say(answers, (True, getattr(sinks[index], method)(*rest_of) if method else sinks[index]))
+                ends.give(pickle.dumps((True, getattr(sinks[index], method)(*rest_of) if method else sinks[index])))
             elif what == "begin":
                 block = _plain(lanes, *arguments)
                 for taker in run_sinks:
@@ -273,21 +241,3 @@ def _lane(
     # All frames of a lane have the same identifier, so one CAN frame stands for them all.
     can = None if can_id is None else CanFrame(None, port, can_id, b"")
     return lane, dialect, port, marked, can
-
-
-def _say(answers: int, what: tuple[bool, Any]) -> None:
-    data = pickle.dumps(what)
-    with io.FileIO(answers, "wb", closefd=False) as pipe:
-        view = memoryview(len(data).to_bytes(4, "little") + data)
-        while view:
-            view = view[pipe.write(view) :]
-
-
-def _read_whole(pipe: int, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        more = os.read(pipe, size - len(data))
-        if not more:
-            break
-        data += more
-    return data

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _GRAVITY = (Severity.INFO, Severity.WARNING, Severity.ERROR)
 #: Findings of each rule that are kept to be shown.
 FIRST_FEW = 3
+#: Bits of the number of a bucket of times.
+_BUCKET_BITS = 12
 #: Nodes that are counted apart of those that are no drives: there are as many identifiers as one likes.
 MOST_OTHERS = 2000
 #: Frames of a node without one fitting check that are no chance.
@@ -45,16 +47,11 @@ class Latencies:
         bucket = latency_ns if more <= 0 else (more << 6) + (latency_ns >> more)
         self._buckets[bucket] = self._buckets.get(bucket, 0) + 1
 
-    def add_all(self, latencies_ns: Integers) -> None:
-        """Count many times."""
-        import numpy as np
-
-        self.count += len(latencies_ns)
-        self.greatest = max(self.greatest, int(latencies_ns.max(initial=0)))
-        more = np.maximum(np.frexp(latencies_ns.astype(np.float64))[1] - 6, 0).astype(np.int64)
-        buckets, counts = np.unique(np.where(more > 0, (more << 6) + (latencies_ns >> more), latencies_ns), return_counts=True)
-        for bucket, count in zip(buckets.tolist(), counts.tolist(), strict=True):
-            self._buckets[bucket] = self._buckets.get(bucket, 0) + count
+    def add_counted(self, bucket: int, count: int, greatest: int) -> None:
+        """Count times of one bucket. `greatest`: not below the greatest of them."""
+        self.count += count
+        self.greatest = max(self.greatest, greatest)
+        self._buckets[bucket] = self._buckets.get(bucket, 0) + count
 
     def quantile(self, share: float) -> int:
         """Return the time that this share (0..1) of all does not exceed, in ns; 0 without any."""
@@ -65,6 +62,15 @@ class Latencies:
             if seen >= wanted:
                 return min(_upper(bucket), self.greatest)
         return 0
+
+
+def _buckets_of(latencies_ns: Integers) -> Integers:
+    """Return the bucket of each time, as for one time."""
+    import numpy as np
+
+    more = np.maximum(np.frexp(latencies_ns.astype(np.float64))[1] - 6, 0).astype(np.int64)
+    buckets: Integers = np.where(more > 0, (more << 6) + (latencies_ns >> more), latencies_ns)
+    return buckets
 
 
 def _upper(bucket: int) -> int:
@@ -156,24 +162,34 @@ class Summary:
             return self
         import numpy as np
 
-        from analyzer.columns.groups import groups
+        from analyzer.columns.groups import ranks
 
         rows = np.concatenate([np.arange(each.start, each.stop) for each in self._taken])
-        for number, places in groups(plain.lane[rows]):
-            each = rows[places]
+        firsts = np.zeros(len(plain.lanes), dtype=np.int64)
+        firsts[plain.lane[rows[::-1]]] = rows[::-1]
+        counts = np.bincount(plain.lane[rows], minlength=len(plain.lanes))
+        known: dict[int, Row] = {}
+        for number in np.flatnonzero(counts).tolist():
             lane = plain.lanes[number]
             row = self._known.get(lane.topic)
             if row is None:
-                message = lane.message(plain.frame(int(each[0])))
+                message = lane.message(plain.frame(int(firsts[number])))
                 if message.frame.can is not None:
                     self._sound.add((plain.block.port, message.who))
                 row = self._row(Entry(message, 0, lane.topic))
-            if lane.is_request:
-                row.requests += len(each)
-            else:
-                row.replies += len(each)
-                times = plain.latencies[each]
-                row.latencies.add_all(times[times > 0])
+            row.requests += int(counts[number]) * lane.is_request
+            row.replies += int(counts[number]) * (not lane.is_request)
+            known[number] = row
+        timed = rows[plain.latencies[rows] > 0]
+        timed = timed[np.argsort(plain.lane[timed], kind="stable")]
+        if len(timed):
+            numbers, times = plain.lane[timed], plain.latencies[timed]
+            begins = np.flatnonzero(np.diff(numbers, prepend=-1))
+            greatest = dict(zip(numbers[begins].tolist(), np.maximum.reduceat(times, begins).tolist(), strict=True))
+            keys, places = ranks(numbers << _BUCKET_BITS | _buckets_of(times))
+            for key, count in zip(keys.tolist(), np.bincount(places).tolist(), strict=True):
+                number, bucket = key >> _BUCKET_BITS, key & ((1 << _BUCKET_BITS) - 1)
+                known[number].latencies.add_counted(bucket, count, greatest[number])
         self._plain = None
         return self
 

@@ -25,43 +25,55 @@ __all__ = ["FORMATS", "Format", "Problem", "Record", "Source", "open_source"]
 
 
 class Format(NamedTuple):
-    """A capture format. `endings` are for help only: what a file is called decides nothing."""
+    """A capture format. `endings` are for help only: what a file is called decides nothing.
+
+    `blocks`: long captures can be given in blocks.
+    """
 
     module: str
     title: str
     summary: str
     endings: tuple[str, ...]
     kind: str
+    blocks: bool = False
 
 
 #: Every format by name; the first of two that fit equally wins.
 FORMATS: dict[str, Format] = {
     "mcap": Format("mcap_log", "Servotap log", "a log of this program, to be decoded again", (".mcap",), "log"),
-    "pcapng": Format("pcapng", "pcapng", "SocketCAN, USER and RTAC serial links", (".pcapng",), "serial"),
-    "pcap": Format("pcap", "pcap", "SocketCAN, USER and RTAC serial links", (".pcap",), "serial"),
-    "blf": Format("blf", "BLF", "Vector binary log, CAN", (".blf",), "can"),
+    "pcapng": Format("pcapng", "pcapng", "SocketCAN, USER and RTAC serial links", (".pcapng",), "serial", blocks=True),
+    "pcap": Format("pcap", "pcap", "SocketCAN, USER and RTAC serial links", (".pcap",), "serial", blocks=True),
+    "blf": Format("blf", "BLF", "Vector binary log, CAN", (".blf",), "can", blocks=True),
     "mf4": Format("mf4", "MF4", "ASAM measurement data, CAN bus logging (needs asammdf)", (".mf4",), "can"),
     "asc": Format("asc", "ASC", "Vector text log, CAN", (".asc",), "can"),
     "trc": Format("trc", "TRC", "PEAK text trace, CAN", (".trc",), "can"),
-    "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can"),
+    "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can", blocks=True),
     "can-state": Format("can_state", "CAN state", "what ip and the kernel say of a CAN controller", (".txt", ".log"), "can"),
     "can-csv": Format("can_csv", "python-can CSV", "CAN frames as python-can's CSV writer puts them", (".csv",), "can"),
     "can-text": Format(
         "can_text", "CAN text", "frames as python-can, slcan, BUSMASTER and programs print them", (".txt",), "can"
     ),
-    "spy": Format("spy", "pyserial spy", "log of a spy:// port of pyserial", (".log", ".txt"), "serial"),
-    "saleae": Format("saleae", "Saleae CSV", "decoded bytes of Logic 1 and Logic 2", (".csv", ".txt"), "serial"),
-    "sigrok": Format("sigrok", "sigrok UART", "annotations of sigrok-cli and PulseView", (".txt", ".csv"), "serial"),
+    "spy": Format("spy", "pyserial spy", "log of a spy:// port of pyserial", (".log", ".txt"), "serial", blocks=True),
+    "saleae": Format("saleae", "Saleae CSV", "decoded bytes of Logic 1 and Logic 2", (".csv", ".txt"), "serial", blocks=True),
+    "sigrok": Format(
+        "sigrok", "sigrok UART", "annotations of sigrok-cli and PulseView", (".txt", ".csv"), "serial", blocks=True
+    ),
     "columns": Format(
         "columns", "table", "CSV with a heading (SavvyCAN, ...), JSON lines, Markdown", (".csv", ".json"), "serial"
     ),
-    "hexdump": Format("hexdump", "hex dump", "raw bytes as hexdump -C and xxd print them", (".txt", ".hex"), "serial"),
-    "hex": Format("hextext", "hex text", "lines of hex bytes, with or without times and marks", (".log", ".txt"), "serial"),
-    "raw": Format("raw", "raw bytes", "only the bytes of a serial line", (".bin", ".raw"), "serial"),
+    "hexdump": Format(
+        "hexdump", "hex dump", "raw bytes as hexdump -C and xxd print them", (".txt", ".hex"), "serial", blocks=True
+    ),
+    "hex": Format(
+        "hextext", "hex text", "lines of hex bytes, with or without times and marks", (".log", ".txt"), "serial", blocks=True
+    ),
+    "raw": Format("raw", "raw bytes", "only the bytes of a serial line", (".bin", ".raw"), "serial", blocks=True),
 }
 
 #: A format must be this sure to be chosen.
 _LEAST_SCORE = 0.3
+#: None is surer than this.
+_CERTAIN_SCORE = 1.0
 #: One that is this sure is chosen without waiting for more of a pipe.
 _SURE_SCORE = 0.5
 
@@ -104,7 +116,7 @@ def open_source(path: str | Path, *, format: str | None = None, baud: int | None
     try:
         name = _find(source) if format is None else _forced(source, format)
         entry = FORMATS[name]
-        source.format, source.title, source.kind = name, entry.title, entry.kind
+        source.format, source.title, source.kind, source.gives_blocks = name, entry.title, entry.kind, entry.blocks
         source.stream.unread(source.head)
         source.begin(_module(name).read(source))
     except BaseException:
@@ -176,7 +188,12 @@ def _find(source: Source) -> str:
         other = next((what for magic, what in _OTHERS if head.startswith(magic)), None)
         if other is not None:
             raise UnreadableError(f"{source.name} is {other}")
-        scores = {name: _module(name).score(head) for name in FORMATS}
+        scores: dict[str, float] = {}
+        for name in FORMATS:
+            scores[name] = _module(name).score(head)
+            # Nothing fits better, and the first of two wins: what comes behind it need not be loaded.
+            if scores[name] >= _CERTAIN_SCORE:
+                break
         best = max(scores, key=scores.__getitem__)
         # What a pipe gave so far may be too little to tell: a title line, half a magic number.
         if source.size is None and scores[best] < _SURE_SCORE and len(head) < BLOCK and _more(source):

@@ -17,16 +17,20 @@ from analyzer.columns.block import CanBlock
 from analyzer.columns.codec import Bytes, Flags, Integers
 from analyzer.columns.groups import groups
 from analyzer.sources.candump import LOG
-from analyzer.sources.found import SHORTEST, STANDARD_ID, Found
+from analyzer.sources.found import SHORTEST, STANDARD_ID, Found, windows
 
 #: Kinds of lines of one length: of several buses, or with other digits.
 _MOST_KINDS = 8
 #: Digits of seconds that fit into 63 bits as nanoseconds.
 _SECONDS = 9 + 1
-_NO_DIGIT = 255
-_NIBBLES = np.full(256, _NO_DIGIT, dtype=np.uint8)
-for _code in b"0123456789ABCDEFabcdef":
-    _NIBBLES[_code] = int(chr(_code), 16)
+#: Two hex digits as one word -> the byte, or more than any.
+_NO_BYTE = 256
+_BYTES = np.full(1 << 16, _NO_BYTE, dtype=np.uint16)
+for _high in b"0123456789ABCDEFabcdef":
+    for _low in b"0123456789ABCDEFabcdef":
+        _BYTES[_low << 8 | _high] = int(chr(_high) + chr(_low), 16)
+_ZEROS = 0x3030303030303030
+_ALL = (1 << 64) - 1
 _MARKS = {None: 0, "R": 0, "r": 0, "T": 1, "t": 1}
 
 
@@ -35,7 +39,8 @@ def pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
 
     `text` ends with a line end. The port of a block is empty.
     """
-    codes = np.frombuffer(text, dtype=np.uint8)
+    # A line is read by whole words: behind the last there must be room.
+    codes = np.frombuffer(text + bytes(8), dtype=np.uint8)
     ends = np.flatnonzero(codes == ord("\n"))
     starts = np.concatenate(([0], ends[:-1] + 1))
     yield from _read(codes, starts, ends - starts).stretches()
@@ -59,26 +64,39 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: Fo
     done[0] = True
     if match is None or match[6] or len(match[1]) > _SECONDS or len(match[4]) != 3 or len(match[5]) > 16 or len(match[5]) % 2:
         return done
-    table = np.lib.stride_tricks.sliding_window_view(codes, length)[starts]
-    seconds, fraction, ident, data = (table[:, slice(*match.span(n))] for n in (1, 2, 4, 5))
-    digits, nibbles = np.hstack((seconds, fraction)) - np.uint8(ord("0")), _NIBBLES[np.hstack((ident, data))]
-    free = np.zeros(length, dtype=np.bool_)
+    size = len(match[5]) // 2
+    table = windows(codes, starts, -(-length // 8) * 8)
+    fixed = np.zeros(table.shape[1], dtype=np.uint8)
+    fixed[:length] = 255
     for group in (1, 2, 4, 5):
-        free[slice(*match.span(group))] = True
-    good = _rows_of(digits <= 9) & _rows_of(nibbles != _NO_DIGIT) & _rows_of(table[:, ~free] == table[0, ~free])
-    ids = nibbles[:, :3].astype(np.int64) @ np.array([256, 16, 1])
+        fixed[slice(*match.span(group))] = 0
+    words = (table.view(np.uint64) ^ table[:1].view(np.uint64)) & fixed.view(np.uint64)
+    seconds, wrong = _number(table, *match.span(1))
+    fraction, also_wrong = _number(table, *match.span(2))
+    # The first digit of an identifier has a blank before it, which a table of two would not know.
+    ident = np.full((len(rows), 4), ord("0"), dtype=np.uint8)
+    ident[:, 1:] = table[:, slice(*match.span(4))]
+    high, low = _BYTES[ident.view("<u2")].T
+    data = _BYTES[table[:, slice(*match.span(5))].view("<u2")] if size else np.zeros((len(rows), 0), dtype=np.uint16)
+    # Usually nothing is wrong in any, which is found out faster.
+    odd = np.bitwise_or.reduce(words, axis=1) | wrong | also_wrong | ((high | low) & _NO_BYTE)
+    good: Flags = odd == 0
+    if (data >= _NO_BYTE).any():
+        good &= (data < _NO_BYTE).all(axis=1)
+    ids = high.astype(np.int64) << 8 | low
     good &= ids <= STANDARD_ID
-    whole, parts = digits[:, : seconds.shape[1]], digits[:, seconds.shape[1] :]
-    t_ns = _number(whole) * 1_000_000_000 + _number(parts) * 10 ** (9 - fraction.shape[1])
+    t_ns = seconds * 1_000_000_000 + fraction * 10 ** (9 - len(match[2]))
     # Of so many digits, the greatest numbers do not fit.
     good &= t_ns >= 0
-    taken = rows[good]
-    found.t_ns[taken] = t_ns[good]
-    found.ids[taken] = ids[good]
-    size = data.shape[1] // 2
+    chosen = slice(None) if good.all() else good
+    taken = rows[chosen]
+    found.t_ns[taken] = t_ns[chosen]
+    found.ids[taken] = ids[chosen]
     found.sizes[taken] = size
-    found.data[taken, :size] = nibbles[good, 3::2] << 4 | nibbles[good, 4::2]
     found.marks[taken] = _MARKS[match[7]]
+    whole = np.zeros((len(rows), 8), dtype=np.uint8)
+    whole[:, :size] = data
+    found.data.view(np.uint64)[taken] = whole.view(np.uint64)[chosen]
     name = match[3]
     if name not in found.names:
         found.names.append(name)
@@ -87,24 +105,22 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: Fo
     return done
 
 
-def _rows_of(cells: Flags) -> Flags:
-    """Say of each row whether all its cells are true; usually all of all rows are, which is found out faster."""
-    if cells.all():
-        return np.ones(len(cells), dtype=np.bool_)
-    rows: Flags = np.logical_and.reduce(cells, axis=1)
-    return rows
+def _number(table: Bytes, start: int, stop: int) -> tuple[Integers, NDArray[np.uint64]]:
+    """Return the numbers that digits in some columns stand for, and of each row something that is not 0 if they are none.
 
-
-def _number(digits: NDArray[np.uint8]) -> Integers:
-    """Return the numbers that rows of digits stand for: eight digits at once as the bytes of a word."""
-    rows, count = digits.shape
-    padded = np.zeros((rows, -(-count // 8) * 8), dtype=np.uint8)
-    padded[:, padded.shape[1] - count :] = digits
-    words = padded.view("<u8")
-    for width, mask in ((8, 0x00FF00FF00FF00FF), (16, 0x0000FFFF0000FFFF), (32, 0x00000000FFFFFFFF)):
-        # Of two neighbours, the one of more weight stands in the lower bits.
-        words = (words * np.uint64(10 ** (width // 8)) + (words >> np.uint64(width))) & np.uint64(mask)
-    value = words[:, 0].astype(np.int64)
-    for place in range(1, words.shape[1]):
-        value = value * 100_000_000 + words[:, place].astype(np.int64)
-    return value
+    Eight digits are reckoned at once, as the bytes of a word.
+    """
+    value, wrong = np.zeros(len(table), dtype=np.int64), np.zeros(len(table), dtype=np.uint64)
+    for first in range(stop - -(-(stop - start) // 8) * 8, stop, 8):
+        words = table[:, max(first, 0) : max(first, 0) + 8].view("<u8")[:, 0]
+        if first < start:
+            # The last digits stand in the upper bytes; in the others belong zeros.
+            kept = _ALL << 8 * (start - first) & _ALL
+            words = words << np.uint64(8 * max(-first, 0)) & np.uint64(kept) | np.uint64(_ZEROS & ~kept)
+        digits = words ^ np.uint64(_ZEROS)
+        wrong |= (digits | digits + np.uint64(0x7676767676767676)) & np.uint64(0x8080808080808080)
+        for width, mask in ((8, 0x00FF00FF00FF00FF), (16, 0x0000FFFF0000FFFF), (32, 0x00000000FFFFFFFF)):
+            # Of two neighbours, the one of more weight stands in the lower bits.
+            digits = (digits * np.uint64(10 ** (width // 8)) + (digits >> np.uint64(width))) & np.uint64(mask)
+        value = value * 100_000_000 + digits.astype(np.int64)
+    return value, wrong

@@ -112,9 +112,7 @@ class Lines:
         held: list[bytes] = []
         held_size = dropped = 0
         first = True
-        while block := read():
-            while source.in_blocks and len(block) < TOGETHER and (more := read()):
-                block += more
+        while block := source.stream.exactly(TOGETHER) if source.in_blocks else read():
             if first:
                 block = block.removeprefix(b"\xef\xbb\xbf")
                 first = False

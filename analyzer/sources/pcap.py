@@ -93,9 +93,7 @@ def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Recor
                 pay()
                 if taken is not None:
                     yield taken
-        more = stream.block()
-        while source.in_blocks and len(more) < TOGETHER and (further := stream.block()):
-            more += further
+        more = stream.exactly(TOGETHER) if source.in_blocks else stream.block()
         if not more:
             break
         buffer, at, offset = buffer[at:] + more, 0, offset + at

@@ -8,19 +8,18 @@ Most writers store 16 bytes of each frame, so that records of one length follow 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analyzer.columns.block import CanBlock
-from analyzer.columns.codec import Bytes, Integers
-from analyzer.sources.found import STANDARD_ID, Found, without_rest
+from analyzer.columns.codec import Bytes, Flags, Integers
+from analyzer.sources.found import STANDARD_ID, Found, windows, without_rest
 from analyzer.sources.source import SECOND_NS
 
 _RECORD_SIZE = 16
 _CAN_HEADER = 8
-_FD_SIZE = 72
+FD_SIZE = 72
 #: Records whose lengths are compared at first.
 _AHEAD = 64
 _WHOLE = _RECORD_SIZE + _CAN_HEADER + 8
@@ -32,28 +31,38 @@ def pieces(buffer: bytes, at: int, order: str, unit: int) -> Iterator[tuple[int,
     The last stretch ends with the buffer, which may end within a record. The port of a block is empty.
     """
     codes = np.frombuffer(buffer + bytes(_WHOLE), dtype=np.uint8)
-    starts, end = _starts(buffer, codes, at, order)
+    length = struct.Struct(order + "L").unpack_from
+
+    def size_of(at: int) -> int:
+        size: int = _RECORD_SIZE + length(buffer, at + 8)[0]
+        return size if size <= _RECORD_SIZE + FD_SIZE else 0
+
+    starts, end = starts_of(buffer, codes, at, size_of, slice(8, 12))
     for first, last, _, block in _found(codes, starts, order, unit).stretches():
         yield int(starts[first]), int(starts[last]) if last < len(starts) else end, block
     yield end, len(buffer), None
 
 
-def _starts(buffer: bytes, codes: Bytes, at: int, order: str) -> tuple[Integers, int]:
-    """Return where the whole records begin, as far as their lengths can be true, and where the last of them ends."""
+def starts_of(buffer: bytes, codes: Bytes, at: int, size_of: Callable[[int], int], said: slice) -> tuple[Integers, int]:
+    """Return where the whole records begin, as far as their sizes can be true, and where the last of them ends.
+
+    `codes`: the buffer, with room behind it. `size_of`: tells the size of the record at a place, 0: this is none to be taken.
+    `said`: the bytes of a record that say so.
+    """
     found: list[Integers] = []
     singly: list[int] = []
-    length, end, ahead = struct.Struct(order + "L"), len(buffer), _AHEAD
-    while end - at >= _RECORD_SIZE:
-        size = _RECORD_SIZE + length.unpack_from(buffer, at + 8)[0]
-        count = min((end - at) // size, ahead)
-        if not count or size > _RECORD_SIZE + _FD_SIZE:
+    end, ahead, width = len(buffer), _AHEAD, said.stop - said.start
+    while end - at >= said.stop:
+        size = size_of(at)
+        count = min((end - at) // size, ahead) if size else 0
+        if not count:
             break
         if len(singly) % _AHEAD:
-            # Lengths changed just now: they may go on to.
+            # Sizes changed just now: they may go on to.
             count = 1
         elif count > 1:
-            alike = codes[at + 8 : at + count * size].reshape(-1)[: (count - 1) * size + 4]
-            words = np.lib.stride_tricks.sliding_window_view(alike, 4)[::size]
+            alike = codes[at + said.start : at + (count - 1) * size + said.stop]
+            words = np.lib.stride_tricks.sliding_window_view(alike, width)[::size]
             same = (words == words[0]).all(axis=1)
             count = count if same.all() else int(same.argmin())
         ahead = 2 * count + _AHEAD
@@ -67,23 +76,22 @@ def _starts(buffer: bytes, codes: Bytes, at: int, order: str) -> tuple[Integers,
 
 
 def _found(codes: Bytes, starts: Integers, order: str, unit: int) -> Found:
-    rows = np.lib.stride_tricks.sliding_window_view(codes, _WHOLE)[starts]
+    rows = windows(codes, starts, _WHOLE)
     head = rows[:, :_RECORD_SIZE].view(np.dtype(order + "u4")).astype(np.int64)
-    can = rows[:, _RECORD_SIZE:]
-    ids = _big(can[:, :4])
-    sizes = can[:, 4].astype(np.int64)
-    stored = head[:, 2]
     found = Found.of(len(starts))
     found.names.append("")
-    plain = (ids <= STANDARD_ID) & (sizes <= 8) & (can[:, 5] == 0)
-    plain &= (stored >= _CAN_HEADER + sizes) & (stored >= head[:, 3]) & (stored != _FD_SIZE)
+    plain = take_frames(found, rows[:, _RECORD_SIZE:], head[:, 2], head[:, 3])
     found.t_ns[:] = head[:, 0] * SECOND_NS + head[:, 1] * unit
-    found.ids[:], found.sizes[:] = ids, sizes
-    found.data = without_rest(can[:, _CAN_HEADER:], sizes)
     found.bus[plain] = 0
     return found
 
 
-def _big(words: Bytes) -> NDArray[np.int64]:
-    result: Integers = np.ascontiguousarray(words).view(">u4")[:, 0].astype(np.int64)
-    return result
+def take_frames(found: Found, can: Bytes, stored: Integers, original: Integers) -> Flags:
+    """Take SocketCAN frames apart, of which so many bytes are stored. Say of each whether it is a plain data frame."""
+    ids = np.ascontiguousarray(can[:, :4]).view(">u4")[:, 0].astype(np.int64)
+    sizes = can[:, 4].astype(np.int64)
+    found.ids[:], found.sizes[:] = ids, sizes
+    found.data = without_rest(can[:, _CAN_HEADER : _CAN_HEADER + 8], sizes)
+    plain: Flags = (ids <= STANDARD_ID) & (sizes <= 8) & (can[:, 5] == 0)
+    plain &= (stored >= _CAN_HEADER + sizes) & (stored >= original) & (stored != FD_SIZE)
+    return plain

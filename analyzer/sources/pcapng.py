@@ -14,10 +14,12 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
+from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
 from analyzer.records import Comment
-from analyzer.sources.links import EXPECTED, LINKS, Line, link_name
-from analyzer.sources.source import SECOND_NS, Record, Source
+from analyzer.sources.links import EXPECTED, LINKS, SOCKETCAN, Line, link_name
+from analyzer.sources.source import SECOND_NS, TOGETHER, Record, Source
+from analyzer.sources.stream import Stream
 from analyzer.values import counted
 
 _SECTION_MAGIC = b"\x0a\x0d\x0d\x0a"
@@ -43,6 +45,8 @@ _RESOLUTION = 9
 _OFFSET = 14
 _FLAGS = 2
 _OUTGOING = {1: False, 2: True}
+#: Bytes that are read block by block where no records stand that can be taken together, before they are looked for again.
+_APART = 4096
 #: Bits of a resolution exponent that are of use: 10 ** 18 and 2 ** 60 are finer than any clock.
 _FINEST = 60
 
@@ -76,7 +80,7 @@ def score(head: bytes) -> float:
     return 1.0 if head.startswith(_SECTION_MAGIC) and head[8:12] in _ORDERS else 0.0
 
 
-def read(source: Source) -> Iterator[Record]:
+def read(source: Source) -> Iterator[Record | CanBlock]:
     """Read the records."""
     if source.head[:4] != _SECTION_MAGIC or source.head[8:12] not in _ORDERS:
         shown = source.head[:12].hex(" ").upper()
@@ -101,11 +105,48 @@ def _first_kind(head: bytes, order: str) -> str | None:
     return None
 
 
-def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes]]:
-    """Yield (type, body) of each block; keeps the byte order of the section."""
-    stream = source.stream
-    offset = 0
+class _Ahead:
+    """The bytes of a stream, of which some may be looked at ahead."""
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+        self._data = b""
+        self._at = 0
+
+    def exactly(self, count: int) -> bytes:
+        """Return `count` bytes, fewer only at the end."""
+        end = self._at + count
+        if end > len(self._data):
+            self._data = self._data[self._at :] + self._stream.exactly(end - len(self._data))
+            self._at, end = 0, count
+        taken = self._data[self._at : end]
+        self._at = end
+        return taken
+
+    def look(self) -> bytes:
+        """Return many of the bytes that come."""
+        left = self._data[self._at :]
+        self._data, self._at = left + self._stream.exactly(TOGETHER - len(left)), 0
+        return self._data
+
+
+def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes] | CanBlock]:
+    """Yield (type, body) of each block, or many frames at once; keeps the byte order of the section."""
+    stream = _Ahead(source.stream)
+    #: `singly`: up to here blocks are read one by one. `apart`: how far, after looks that found nothing.
+    offset = singly = apart = 0
     while True:
+        while source.in_blocks and offset >= singly:
+            before = offset
+            for size, block in _pieces(stream.look(), section):
+                if block is None:
+                    singly = offset + size
+                    break
+                stream.exactly(size)
+                yield block
+                offset += size
+            apart = min(2 * apart + 64, _APART) if offset == before else 0
+            singly = max(singly, offset + apart)
         head = stream.exactly(_LEAST_BLOCK)
         if not head:
             return
@@ -131,6 +172,23 @@ def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes]]:
         offset += padded
 
 
+def _pieces(buffer: bytes, section: _Section) -> Iterator[tuple[int, CanBlock | None]]:
+    from analyzer.sources.pcapng_blocks import CanInterface, pieces
+
+    interfaces = [
+        CanInterface(each.line.port, SECOND_NS // each.ticks, each.start_ns)
+        if each.line is not None and each.line.link == SOCKETCAN and not SECOND_NS % each.ticks and _near(each.start_ns)
+        else None
+        for each in section.interfaces
+    ]
+    return pieces(buffer, section.order, interfaces)
+
+
+def _near(t_ns: int) -> bool:
+    """Say whether times that begin here fit into columns."""
+    return abs(t_ns) < 1 << 61
+
+
 def _options(section: _Section, data: bytes) -> dict[int, bytes]:
     """Return a block's options, the first of each code; of comments, which may be several, the first ones in lines."""
     found: dict[int, bytes] = {}
@@ -150,10 +208,15 @@ def _options(section: _Section, data: bytes) -> dict[int, bytes]:
     return found
 
 
-def _records(source: Source) -> Iterator[Record]:
+def _records(source: Source) -> Iterator[Record | CanBlock]:
     section = _Section()
     unknown = 0
-    for kind, body in _blocks(source, section):
+    for each in _blocks(source, section):
+        if isinstance(each, CanBlock):
+            source.stream.budget.record(len(each))
+            yield each
+            continue
+        kind, body = each
         source.stream.budget.record()
         handler = _HANDLERS.get(kind)
         if handler is None:

@@ -100,8 +100,8 @@ class Source:
         self.time_source = "none"
         #: What the times are, for those who show them; known with the first record.
         self.clock = Clock.UTC
-        #: Give many frames as one block where the format can. It may be set at any time.
-        self.in_blocks = False
+        #: Give many frames as one block where the format can. It may be set at any time. `gives_blocks`: it can.
+        self.in_blocks = self.gives_blocks = False
         #: Of a decoded log: give each frame as one piece with the role it was found to have, and raw bytes only where
         #: they were never decoded. Set before the first record is taken.
         self.framed = False

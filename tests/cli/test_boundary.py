@@ -14,10 +14,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from rich.progress import Progress
 
 from analyzer.cli import COMMANDS, main
 from analyzer.cli import show as show_module
-from analyzer.cli.boundary import FOLDER, bounded
+from analyzer.cli.boundary import FOLDER, _clean_streams, bounded
 from analyzer.cli.console import Console
 
 ROOT = Path(__file__).parents[2]
@@ -281,3 +282,22 @@ def test_a_signal_ends_an_export_of_a_pipe_that_says_nothing(kind, number, tmp_p
     late.cancel()
     assert "nothing more was written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_progress_draws_on_the_terminal_and_texts_stay_clean(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    with _clean_streams(), Progress(console=Console(stderr=True), transient=True) as bar:
+        bar.add_task("decoding", total=10)
+        print("a note with \x1b[2J in it", file=sys.stderr)
+        bar.refresh()
+    assert "\r\x1b[2K" in terminal.getvalue()
+    assert "\\x1b" not in terminal.getvalue()
+    # rich takes the escapes of what others print above its display.
+    assert "a note with" in terminal.getvalue()
+    assert "\x1b[2J" not in terminal.getvalue()

@@ -111,3 +111,19 @@ def spoiled(pair: list[CanFrame], chance: random.Random) -> Iterator[CanFrame]:
         if which == 11 and own:
             frame = replace(frame, direction=Role.REQUEST)
         yield frame
+
+
+def interleaved(dialect: Dialect, frames: Sequence[CanFrame], chance: random.Random, share: float) -> list[CanFrame]:
+    """Let some frames come before the one that they followed, where that is of another drive."""
+    import msgspec
+
+    def drive(frame: CanFrame) -> int:
+        return dialect.link.parse(frame.data, frame.id).address
+
+    rows = list(frames)
+    for later in range(1, len(rows)):
+        one, other = rows[later - 1 : later + 1]
+        if drive(one) != drive(other) and chance.random() < share:
+            rows[later - 1] = msgspec.structs.replace(other, t_ns=one.t_ns)
+            rows[later] = msgspec.structs.replace(one, t_ns=other.t_ns)
+    return rows

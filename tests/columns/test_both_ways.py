@@ -6,10 +6,11 @@ import random
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from analyzer import dialects
 from tests.columns.both_ways import same, same_capture, short_runs
-from tests.columns.can_traffic import frames
+from tests.columns.can_traffic import frames, interleaved
 from tests.fuzz.mutators import mutated
 from tests.toy.dialect import DIALECT as TOY
 
@@ -40,6 +41,23 @@ def test_odd_frames_leave_one_by_one():
     assert pipeline.in_runs > 0.9 * len(odd)
 
 
+@pytest.mark.parametrize(("odd", "share"), [(0, 0.3), (0, 0.9), (0.05, 0.5)])
+@pytest.mark.parametrize("dialect", [MKS, TOY], ids=lambda dialect: dialect.name)
+def test_exchanges_of_several_drives_interleave(dialect, odd, share, short_runs):
+    chance = random.Random(4)
+    rows = interleaved(dialect, list(frames(dialect, chance, 1000, 0.02, odd)), chance, share)
+    pipeline = same(rows, dialect, 300)
+    # On a bus where nothing is wrong, they need not go one by one.
+    assert pipeline.in_runs > (0.25 if odd else 0.8) * len(rows)
+
+
+def test_frames_of_other_nodes_within_exchanges(short_runs):
+    polls = list(frames(MKS, random.Random(6), 2000, 0, 0, polls=("read_speed", "read_position", "read_pulses")))
+    rows = [each for n, frame in enumerate(polls) for each in (frame, *[replace(frame, id=0x701, data=b"\5")] * (n % 97 == 0))]
+    pipeline = same(rows, MKS, 1000)
+    assert pipeline.in_runs > 0.9 * len(polls)
+
+
 CAN_CAPTURES = [p for p in sorted(CAPTURES.glob("mks_can.*")) if p.suffix not in (".golden", ".mf4")]
 
 
@@ -48,7 +66,7 @@ def test_captures(path, short_runs):
     same_capture(path, MKS)
 
 
-@pytest.mark.parametrize("name", ["mks_can.blf", "mks_can.candump.log", "mks_can.socketcan.pcap"])
+@pytest.mark.parametrize("name", ["mks_can.blf", "mks_can.candump.log", "mks_can.socketcan.pcap", "mks_can.socketcan.pcapng"])
 def test_damaged_captures(name, short_runs, tmp_path):
     data, path = (CAPTURES / name).read_bytes(), tmp_path / name
     in_runs = 0

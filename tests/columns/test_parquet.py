@@ -10,6 +10,7 @@ import shutil
 import sys
 
 import duckdb
+import pandas
 import polars
 import pytest
 from pyarrow import parquet
@@ -105,9 +106,17 @@ def test_others_read_them(tmp_path, capsys, monkeypatch):
     expected = parquet.read_table(replies)["speed"].to_pylist()
     assert duckdb.sql(f"select speed from '{replies}' order by sequence").fetchall() == [(each,) for each in expected]
     assert polars.read_parquet(replies)["speed"].to_list() == expected
-    assert str(parquet.read_schema(folder / "mks-can.run_speed.reply.parquet").field("status_name").type).startswith(
-        "dictionary"
-    )
+    frame = pandas.read_parquet(replies)
+    assert frame["speed"].to_list() == expected
+    assert str(frame["time"].dtype) == "datetime64[ns, UTC]"
+    assert frame["time"].to_list() == parquet.read_table(replies)["time"].to_pandas().to_list()
+    runs = folder / "mks-can.run_speed.reply.parquet"
+    assert str(parquet.read_schema(runs).field("status_name").type).startswith("dictionary")
+    named = pandas.read_parquet(runs)["status_name"]
+    assert isinstance(named.dtype, pandas.CategoricalDtype)
+    assert named.to_list() == parquet.read_table(runs)["status_name"].to_pylist()
+    for path in folder.iterdir():
+        assert len(pandas.read_parquet(path)) == parquet.read_metadata(path).num_rows, path.name
     # What exists stays, unless it is to be replaced and holds tables alone.
     assert main(words) == 2
     (folder / "notes.txt").touch()

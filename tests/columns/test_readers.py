@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import struct
 
 import can
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from analyzer.columns.block import CanBlock
 from analyzer.records import CanFrame
 from analyzer.sources import found, open_source
-from tests.sources.builders import pcap_file, socketcan
+from tests.sources.builders import enhanced, interface, option, pcap_file, section, socketcan
 
 T = 1_682_894_455_899_123_000
 
@@ -60,6 +61,31 @@ def pcap_short(rows, path):
     pcap(rows, path, 0, ">")
 
 
+def pcapng(rows, path, padding=8, order="<", resolution=9):
+    marks = {"extended": 0x8000_0000, "far": 0x8000_0000, "remote": 0x4000_0000, "error": 0x2000_0000}
+    head = section(order) + interface(227, "can0", resolution, order) + interface(227, "can1", resolution, order)
+    out = [head]
+    for number, (t_ns, ident, data, odd) in enumerate(rows):
+        frame = socketcan(
+            ident | marks.get(odd, 0), data.ljust(padding, b"\0") if odd != "fd" else data, 4 if odd == "fd" else 0
+        )
+        frame = frame[:4] + bytes((len(data),)) + frame[5:]
+        options = option(1, b"a comment", order) + option(0, b"", order) if number % 211 == 0 else b""
+        out.append(enhanced(number % 400 > 300, t_ns // 10 ** (9 - resolution), frame, options, order))
+        if number % 251 == 0:
+            # Some statistics; a block that is damaged; a new section.
+            out.append(struct.pack(order + "LL4xL", 5, 16, 16))
+        if number % 733 == 700:
+            out[-1] = out[-1][:-1] + bytes((out[-1][-1] ^ 1,))
+        if number == 1000:
+            out.append(head)
+    path.write_bytes(b"".join(out))
+
+
+def pcapng_big_short(rows, path):
+    pcapng(rows, path, 0, ">", 6)
+
+
 def blf(rows, path):
     with can.BLFWriter(str(path)) as writer:
         for number, (t_ns, ident, data, odd) in enumerate(rows):
@@ -72,7 +98,7 @@ def blf(rows, path):
             )  # fmt: skip
 
 
-@pytest.mark.parametrize("write", [candump, pcap, pcap_short, blf], ids=lambda write: write.__name__)
+@pytest.mark.parametrize("write", [candump, pcap, pcap_short, pcapng, pcapng_big_short, blf], ids=lambda write: write.__name__)
 @pytest.mark.parametrize("seed", range(3))
 def test_the_same_frames(write, seed, tmp_path, monkeypatch):
     monkeypatch.setattr(found, "SHORTEST", 8)

@@ -1,0 +1,153 @@
+"""Which captures the words of `decode` stand for, and where the log of each goes: no two share one.
+
+FILE...            each beside its capture, or into the folder of -o
+FOLDER -o OUT      all captures of a folder and the folders in it; their logs lie in OUT as they lie in FOLDER
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from analyzer.cli.output import target_of
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.live.spool import spool_folder
+from analyzer.values import printable
+
+_SPOOL = spool_folder(Path("log")).suffix
+
+
+class Capture(NamedTuple):
+    """A capture, and the log that it becomes, or the folder of its tables.
+
+    `size`: its bytes, 0 where they are not known. `mirrored`: the target's folder stands for one of the captures.
+    """
+
+    path: str
+    target: Path
+    size: int = 0
+    mirrored: bool = False
+
+    def make_folder(self) -> None:
+        """Make the target's folder if that mirrors one of the captures. Raises UsageError where it cannot be made."""
+        if self.mirrored:
+            try:
+                self.target.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise UsageError(f"cannot make the folder {self.target.parent}: {error.strerror}") from None
+
+
+def captures(arguments: argparse.Namespace) -> list[Capture]:
+    """Return the captures with their targets. Raises UsageError where a target cannot be written."""
+    given = [each for word in arguments.files for each in _found(word, arguments)]
+    taken: set[Path] = set()
+    found = []
+    for path, below in given:
+        target = _target(path, below, arguments, len(given), taken)
+        taken.add(target)
+        found.append(Capture(path, target, _size(path), below is not None))
+    return found
+
+
+def _size(path: str) -> int:
+    given = Path(path)
+    try:
+        files = [each for each in given.iterdir() if each.suffix == ".mcap"] if given.is_dir() else [given]
+        return sum(each.stat().st_size for each in files if each.is_file())
+    except OSError:
+        return 0
+
+
+def _found(word: str, arguments: argparse.Namespace) -> Iterator[tuple[str, Path | None]]:
+    """Yield the captures that a word stands for, and where below the folder for logs each has its place: None: in it.
+
+    The folder for their logs is made where it is missing.
+    """
+    folder = Path(word)
+    if word == "-" or not folder.is_dir() or any(folder.glob("*.mcap")):
+        yield word, None
+        return
+    if arguments.output is None:
+        raise UsageError(f"{folder} is a folder of captures: name the folder for their logs with -o")
+    target = target_of(Path(arguments.output))
+    known = {_identity(target)} if target.exists() else set()
+    found = list(_below(folder, known))
+    if not found:
+        raise UnreadableError(f"{folder} is a directory without files, expected captures, or the parts of a recording (*.mcap)")
+    try:
+        target.mkdir(exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"-o {target}: expected a folder for the logs of {folder}: {error.strerror}") from None
+    # Of several folders, each has one of its own.
+    own = Path(folder.resolve().name) if sum(Path(each).is_dir() for each in arguments.files) > 1 else Path()
+    for path in found:
+        yield str(path), own / path.parent.relative_to(folder)
+
+
+def _below(folder: Path, known: set[tuple[int, int]]) -> Iterator[Path]:
+    """Yield the files of a folder and those in it, and of a folder with logs the folder for them; no folder comes twice."""
+    identity = _identity(folder)
+    if identity in known:
+        return
+    known.add(identity)
+    try:
+        entries = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
+    except OSError as error:
+        print(f"note: {printable(str(folder))} is passed over: {error.strerror}", file=sys.stderr)
+        return
+    for each in entries:
+        if not each.is_dir():
+            # Links that lead nowhere are told when they are read; what is no file at all is passed over.
+            if each.suffix != ".mcap" and (each.is_file() or each.is_symlink()):
+                yield each
+        elif any(each.glob("*.mcap")) and _identity(each) not in known:
+            yield each
+            yield from _below(each, known)
+        elif each.suffix not in (".parquet", _SPOOL):
+            yield from _below(each, known)
+
+
+def _identity(folder: Path) -> tuple[int, int]:
+    about = os.stat(folder)
+    return about.st_dev, about.st_ino
+
+
+def _target(path: str, below: Path | None, arguments: argparse.Namespace, count: int, taken: set[Path]) -> Path:
+    """Return the log of a capture, or the folder of its tables: another one than those that are taken."""
+    end = "." + arguments.to
+    if arguments.output is None:
+        if path == "-":
+            raise UsageError("standard input has no file name: name the log with -o")
+        if Path(path).is_dir():
+            # Next to the folder: inside it the log would be taken for one more part.
+            folder = Path(path).resolve()
+            target = folder.with_name(folder.name + ".decoded" + end)
+        else:
+            target = Path(path.removesuffix(end) + ".decoded" + end if path.endswith(end) else path + end)
+    else:
+        target = target_of(Path(arguments.output))
+        # A folder of tables that was named so is replaced; in any other the tables of each capture have one.
+        if below is not None or (target.is_dir() and target.suffix != ".parquet"):
+            target = target / (below or Path()) / (Path("standard_input" if path == "-" else path).name + end)
+        elif count > 1:
+            raise UsageError(f"-o {arguments.output} is one file for {count} captures; give a folder")
+    first, number = target, 1
+    while target in taken:
+        number += 1
+        target = first.with_name(f"{first.stem}-{number}{end}")
+    if target is not first:
+        print(
+            f"note: {printable(str(first))} is the log of another capture: {printable(path)} goes to {printable(target.name)}",
+            file=sys.stderr,
+        )
+    if arguments.to == "mcap" and target.exists() and not target.is_file():
+        raise UsageError(f"{target} is not a regular file: cannot write a log there")
+    if path != "-" and target.exists() and Path(path).exists() and target.samefile(path):
+        raise UsageError(f"{target} is the capture itself; choose another name with -o")
+    if target.exists() and not arguments.force:
+        raise UsageError(f"{target} exists; --force replaces it")
+    return target

@@ -1,0 +1,204 @@
+"""Chunks of an MCAP file: messages in, the bytes that stand in the file out. What is here knows nothing of the file.
+
+    batch: messages | rows of a block | messages ...   ->   chunks   ->   packed: chunk record, message indexes
+
+A batch is all that its chunks need. So any thread or process can make them, and whoever does makes the same.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Chunk as ChunkRecord
+from mcap.records import McapRecord
+
+if TYPE_CHECKING:
+    from analyzer.columns.codec import Integers
+    from analyzer.columns.pairs import Plain
+    from analyzer.columns.rows import Messages
+
+#: Uncompressed bytes of a chunk.
+CHUNK_SIZE = 1 << 20
+MESSAGE = struct.Struct("<BQHIQQ")
+#: Of the index of a channel's messages in a chunk: opcode, length, channel, bytes of its entries.
+INDEX_HEAD = struct.Struct("<BQHI")
+_LEVEL = 1
+
+
+def record_bytes(record: McapRecord) -> bytes:
+    """Return a record as it stands in a file, its opcode first."""
+    builder = RecordBuilder()
+    record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
+
+
+class Chunk:
+    """A chunk under construction.
+
+    `index`: channel -> time and place of each message that came alone; `many`: channels, times and places of those that came
+    together.
+    """
+
+    __slots__ = ("first_ns", "index", "last_ns", "many", "messages", "parts", "size")
+
+    def __init__(self) -> None:
+        self.parts: list[bytes | memoryview] = []
+        self.size = 0
+        self.first_ns = 0
+        self.last_ns = 0
+        self.messages = 0
+        self.index: dict[int, array[int]] = {}
+        self.many: list[tuple[Integers, Integers, Integers]] = []
+
+    def join(self, other: Chunk) -> None:
+        """Take all of another chunk behind what is here."""
+        if not self.messages:
+            self.first_ns = other.first_ns
+        for channel, entries in other.index.items():
+            places = array("Q", (place + self.size for place in entries[1::2]))
+            entries[1::2] = places
+            self.index.setdefault(channel, array("Q")).extend(entries)
+        self.parts += other.parts
+        self.size += other.size
+        self.messages += other.messages
+        self.last_ns = other.last_ns if other.messages else self.last_ns
+
+    def fill(self, added: Messages, at: int, most: int) -> int:
+        """Take packed messages from one on until there are so many bytes; the message that fills the chunk is its last.
+
+        Return where the next chunk goes on.
+        """
+        base = int(added.starts[at])
+        stop = min(len(added.ends), int(added.ends.searchsorted(base + most - self.size)) + 1)
+        end = int(added.ends[stop - 1])
+        if not self.messages:
+            self.first_ns = int(added.log_ns[at])
+        self.many.append((added.channels[at:stop], added.log_ns[at:stop], added.starts[at:stop] + (self.size - base)))
+        self.parts.append(added.data.data[base:end])
+        self.size += end - base
+        self.last_ns = int(added.log_ns[stop - 1])
+        self.messages += stop - at
+        return stop
+
+    def indexed(self) -> tuple[bytes, dict[int, int], dict[int, int]]:
+        """Return the index records, where each channel's begins in them, and how many messages it has."""
+        if self.many:
+            return self._indexed_together()
+        parts: list[bytes] = []
+        begins: dict[int, int] = {}
+        counts: dict[int, int] = {}
+        place = 0
+        for channel, logged in self.index.items():
+            entries = logged.tobytes()
+            parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)), entries)
+            begins[channel], counts[channel] = place, len(logged) // 2
+            place += INDEX_HEAD.size + len(entries)
+        return b"".join(parts), begins, counts
+
+    def _indexed_together(self) -> tuple[bytes, dict[int, int], dict[int, int]]:
+        import numpy as np
+
+        from analyzer.columns.index import index_records
+
+        for channel, logged in self.index.items():
+            entries = np.array(logged).astype(np.int64).reshape(-1, 2)
+            self.many.append((np.full(len(entries), channel, dtype=np.int64), entries[:, 0], entries[:, 1]))
+        channels, log_ns, places = map(np.concatenate, zip(*self.many, strict=True))
+        order = places.argsort(kind="stable") if self.index else slice(None)
+        return index_records(channels[order], log_ns[order], places[order])
+
+
+class Packed(NamedTuple):
+    """A chunk as it stands in a file. `data`: its record and, behind it, the indexes of its messages.
+
+    `length`: bytes of the record; `places`: channel -> where in `data` its index begins; `counts`: channel -> messages.
+    """
+
+    data: bytes
+    length: int
+    places: dict[int, int]
+    counts: dict[int, int]
+    messages: int
+    first_ns: int
+    last_ns: int
+    size: int
+    packed_size: int
+
+
+def pack(chunk: Chunk) -> Packed:
+    """Compress a chunk that is complete, and index it."""
+    data = b"".join(chunk.parts)
+    chunk.parts = []
+    compressed = zstandard.ZstdCompressor(level=_LEVEL).compress(data)
+    record = record_bytes(
+        ChunkRecord(
+            compression="zstd",
+            data=compressed,
+            message_end_time=chunk.last_ns,
+            message_start_time=chunk.first_ns,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+    )
+    indexes, begins, counts = chunk.indexed()
+    places = {channel: len(record) + begin for channel, begin in begins.items()}
+    times = chunk.first_ns, chunk.last_ns
+    return Packed(record + indexes, len(record), places, counts, chunk.messages, *times, len(data), len(compressed))
+
+
+class Run(NamedTuple):
+    """Rows of a block that are messages. `log_ns`: of each."""
+
+    start: int
+    stop: int
+    log_ns: Integers
+
+
+@dataclass
+class Batch:
+    """Messages that follow each other: those that are made, and those that are still rows of a block.
+
+    `channels`: of each lane of the block, that of its topic and that of its state, 0 where it has none.
+    """
+
+    chunk_size: int
+    pieces: list[Chunk | Run] = field(default_factory=list)
+    plain: Plain | None = None
+    channels: Integers | None = None
+
+    def chunks(self) -> list[Chunk]:
+        """Return the chunks; the last may be short."""
+        made = [Chunk()]
+        rows = None
+        if self.plain is not None and self.channels is not None:
+            from analyzer.columns.rows import Rows
+
+            rows = Rows(self.plain, self.channels)
+        for piece in self.pieces:
+            if isinstance(piece, Chunk):
+                if made[-1].parts:
+                    made[-1].join(piece)
+                else:
+                    made[-1] = piece
+                if made[-1].size >= self.chunk_size:
+                    made.append(Chunk())
+                continue
+            assert rows is not None  # a run is of a block
+            added, at = rows.messages(*piece), 0
+            while at < len(added.ends):
+                at = made[-1].fill(added, at, self.chunk_size)
+                if made[-1].size >= self.chunk_size:
+                    made.append(Chunk())
+        return [chunk for chunk in made if chunk.parts]
+
+    def packed(self) -> list[Packed]:
+        """Return the chunks as they stand in a file."""
+        return [pack(chunk) for chunk in self.chunks()]

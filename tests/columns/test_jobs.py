@@ -1,0 +1,116 @@
+"""However many processes decode a capture, the log is the same, byte by byte."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import random
+import signal
+
+import pytest
+
+from analyzer import dialects
+from analyzer.cli import decode, main
+from analyzer.pipeline import Pipeline
+from analyzer.sinks import mcap_file
+from analyzer.sinks.forked import available
+from analyzer.sinks.mcap_chunk import Batch, Run
+from analyzer.sinks.mcap_file import McapFile
+from analyzer.sinks.mcap_log import McapLog
+from analyzer.sinks.workers import Workers
+from tests.columns.both_ways import blocks, messages, short_runs
+from tests.columns.can_traffic import frames
+from tests.fuzz.corpus import CAPTURES, INPUT, quick
+
+pytestmark = pytest.mark.skipif(not available(), reason="no fork on this machine, or one core")
+
+MKS = dialects.get("mks-can")
+CAN_CAPTURES = [p.read_bytes() for p in sorted(CAPTURES.glob("mks_can.*")) if p.suffix not in (".golden", ".mf4")]
+GIVEN = [*CAN_CAPTURES, *(each[INPUT] for each in quick("decode"))]
+
+
+@pytest.fixture(autouse=True)
+def _small_batches(monkeypatch):
+    monkeypatch.setattr(mcap_file, "ROWS", 20)
+    with short_runs():
+        yield
+
+
+@pytest.mark.parametrize("data", GIVEN, ids=range(len(GIVEN)))
+def test_decode_writes_the_same_bytes(data, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(decode, "LONG_CAPTURE", 0)
+    monkeypatch.setattr(decode, "now_text", lambda: "now")
+    capture, log = tmp_path / "capture", tmp_path / "out.mcap"
+    capture.write_bytes(data)
+    outcomes = []
+    for jobs in "13":
+        status = main(["decode", str(capture), "-o", str(log), "--force", "--json", "--jobs", jobs])
+        outcomes.append((status, capsys.readouterr(), log.exists() and log.read_bytes()))
+    assert outcomes[0] == outcomes[1]
+
+
+def traffic():
+    return list(blocks(list(frames(MKS, random.Random(8), 2000, 0.02, 0.02)), 700))
+
+
+def written(packer=None, spoil=lambda number: None):
+    """Return the log of some traffic; `spoil` is called before each item."""
+    stream = io.BytesIO()
+    log = McapLog(McapFile(stream, profile="servotap", library="servotap", packer=packer))
+    pipeline = Pipeline([MKS], [log])
+    for number, item in enumerate(traffic()):
+        spoil(number)
+        pipeline.feed(item)
+    pipeline.close()
+    log.finish({})
+    assert pipeline.in_runs > 1000
+    return stream.getvalue()
+
+
+def test_a_long_log_is_the_same(monkeypatch):
+    monkeypatch.setattr(mcap_file, "ROWS", 300)
+    alone = written()
+    assert written(Workers(2, [MKS])) == alone
+    assert len(messages(alone)) > 2000
+
+
+@pytest.mark.parametrize("killed", [1, 2])
+def test_what_a_dead_worker_was_to_do_is_done(killed):
+    workers = Workers(2, [MKS])
+
+    def spoil(number):
+        if number == 1:
+            for worker in workers._workers[:killed]:
+                os.kill(worker.process, signal.SIGKILL)
+
+    assert written(workers, spoil) == written()
+    assert workers.died == ["signal 9"] * killed
+
+
+def test_an_error_in_a_worker_is_raised_here():
+    workers = Workers(1, [MKS])
+    with pytest.raises(AssertionError):
+        workers.submit(Batch(1 << 20, [Run(0, 1, None)])).result()
+    workers.shutdown(at_once=True)
+
+
+def test_an_abandoned_log_leaves_no_process():
+    workers = Workers(2, [MKS])
+    log = McapLog(McapFile(io.BytesIO(), profile="", library="", packer=workers))
+    pipeline = Pipeline([MKS], [log])
+    for item in traffic():
+        pipeline.feed(item)
+    processes = [worker.process for worker in workers._workers]
+    log.abandon()
+    for process in processes:
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
+
+
+def test_a_death_is_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(decode, "LONG_CAPTURE", 0)
+    monkeypatch.setattr(Workers, "settle", lambda self: self.died.append("signal 9"))
+    path = CAPTURES / "mks_can.candump.log"
+    assert main(["decode", str(path), "-o", str(tmp_path / "out.mcap"), "--json", "--jobs", "2"]) == 0
+    assert any("signal 9" in note for note in json.loads(capsys.readouterr().out)["notes"])
