@@ -22,7 +22,7 @@ from mcap.records import McapRecord
 if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
     from analyzer.columns.pairs import Plain
-    from analyzer.columns.rows import Messages
+    from analyzer.columns.rows import Messages, Rows
 
 #: Uncompressed bytes of a chunk.
 CHUNK_SIZE = 1 << 20
@@ -155,33 +155,33 @@ def pack(chunk: Chunk) -> Packed:
 
 
 class Run(NamedTuple):
-    """Rows of a block that are messages. `log_ns`: of each."""
+    """Rows of a block that are messages. `part`: its number in the batch. `log_ns`: of each row."""
 
+    part: int
     start: int
     stop: int
     log_ns: Integers
 
 
+class Part(NamedTuple):
+    """What is needed of a block. `channels`: of each lane, that of its topic and that of its state, 0 where it has none."""
+
+    plain: Plain
+    channels: Integers
+
+
 @dataclass
 class Batch:
-    """Messages that follow each other: those that are made, and those that are still rows of a block.
-
-    `channels`: of each lane of the block, that of its topic and that of its state, 0 where it has none.
-    """
+    """Messages that follow each other: those that are made, and those that are still rows of blocks, part by part."""
 
     chunk_size: int
     pieces: list[Chunk | Run] = field(default_factory=list)
-    plain: Plain | None = None
-    channels: Integers | None = None
+    parts: list[Part] = field(default_factory=list)
 
     def chunks(self) -> list[Chunk]:
         """Return the chunks; the last may be short."""
         made = [Chunk()]
-        rows = None
-        if self.plain is not None and self.channels is not None:
-            from analyzer.columns.rows import Rows
-
-            rows = Rows(self.plain, self.channels)
+        rows: Rows | None = None
         for piece in self.pieces:
             if isinstance(piece, Chunk):
                 if made[-1].parts:
@@ -191,8 +191,10 @@ class Batch:
                 if made[-1].size >= self.chunk_size:
                     made.append(Chunk())
                 continue
-            assert rows is not None  # a run is of a block
-            added, at = rows.messages(*piece), 0
+            part = self.parts[piece.part]
+            if rows is None or rows.plain is not part.plain:
+                rows = _rows(part)
+            added, at = rows.messages(piece.start, piece.stop, piece.log_ns), 0
             while at < len(added.ends):
                 at = made[-1].fill(added, at, self.chunk_size)
                 if made[-1].size >= self.chunk_size:
@@ -202,3 +204,9 @@ class Batch:
     def packed(self) -> list[Packed]:
         """Return the chunks as they stand in a file."""
         return [pack(chunk) for chunk in self.chunks()]
+
+
+def _rows(part: Part) -> Rows:
+    from analyzer.columns.rows import Rows
+
+    return Rows(*part)

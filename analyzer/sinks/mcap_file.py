@@ -34,14 +34,14 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-from analyzer.sinks.mcap_chunk import CHUNK_SIZE, MESSAGE, Batch, Chunk, Packed, Run, pack, record_bytes
+from analyzer.sinks.mcap_chunk import CHUNK_SIZE, MESSAGE, Batch, Chunk, Packed, Part, Run, pack, record_bytes
 from analyzer.sinks.mcap_index import Index, MemoryIndex
 
 if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
     from analyzer.columns.pairs import Plain
 
-#: Rows of a block that are packed together: fewer cost more for each kind of frame, more need more memory.
+#: Rows of blocks that are packed together: fewer cost more for each kind of frame, more need more memory.
 ROWS = 1 << 14
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
@@ -153,11 +153,15 @@ class McapFile:
         self.stalled = False
         self._chunk_size = chunk_size
         self._index = index
-        #: Messages behind the last rows; what stands before them in the batch; the block of its rows, and where they begin.
+        #: Messages behind the last rows; what stands before them in the batch; its parts, and how many rows they have.
         self._building = Chunk()
         self._pieces: list[Chunk | Run] = []
+        self._parts: list[Part] = []
+        self._rows = 0
+        #: The block of the last rows, where they begin in it, and the runs of them.
         self._plain: Plain | None = None
         self._first_row = 0
+        self._runs: list[tuple[int, int]] = []
         self._position = self._first_ns = self._last_ns = self._messages = 0
         self._chunks = self._metadata = self._schemas = self._channels = self._attachments = 0
         self._counts: dict[int, int] = {}
@@ -248,12 +252,18 @@ class McapFile:
         `channels`: of each lane of the block, that of its topic and that of its state, 0 where it has none.
         """
         while start < stop:
-            if self._plain is not plain or start - self._first_row >= ROWS:
+            if self._plain is not plain:
+                self._end_part()
+            left = ROWS - self._rows - (0 if self._plain is None else start - self._first_row)
+            if left <= 0:
                 self._end_batch()
+                continue
+            if self._plain is None:
                 self._plain, self._row_channels, self._first_row = plain, channels, start
-            end = min(stop, self._first_row + ROWS)
+            end = min(stop, start + left)
             self._end_piece()
-            self._pieces.append(Run(start - self._first_row, end - self._first_row, log_ns[: end - start]))
+            self._runs.append((start - self._first_row, end - self._first_row))
+            self._pieces.append(Run(len(self._parts), *self._runs[-1], log_ns[: end - start]))
             start, log_ns = end, log_ns[end - start :]
 
     def flush(self) -> None:
@@ -302,16 +312,22 @@ class McapFile:
             self._pieces.append(building)
             self._building = Chunk()
 
+    def _end_part(self) -> None:
+        """Keep of the last block what the batch needs."""
+        if self._plain is not None:
+            plain, lanes = self._plain.part(self._first_row, self._runs)
+            self._parts.append(Part(plain, self._row_channels[lanes]))
+            self._rows += self._runs[-1][1]
+            self._plain, self._runs = None, []
+
     def _end_batch(self) -> None:
         """Have packed what is there so far: its last chunk ends here."""
         self._end_piece()
+        self._end_part()
         if not self._pieces:
             return
-        batch, self._pieces = Batch(self._chunk_size, self._pieces), []
-        if self._plain is not None:
-            batch.plain, lanes = self._plain.part(self._first_row, [run[:2] for run in batch.pieces if isinstance(run, Run)])
-            batch.channels = self._row_channels[lanes]
-            self._plain = None
+        batch = Batch(self._chunk_size, self._pieces, self._parts)
+        self._pieces, self._parts, self._rows = [], [], 0
         self._waiting.append(self._packer.submit(batch))
         while self._waiting and (len(self._waiting) > self._packer.ahead or self._waiting[0].done()):
             try:
