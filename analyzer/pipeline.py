@@ -272,14 +272,18 @@ class Pipeline:
 
     def _feed_frames(self, port: Port, block: ByteBlock, frames: FrameBlock) -> None:
         """Pass plain exchanges of a row of frames on together, all other frames one by one."""
+        from analyzer.columns.framing import SHORTEST_TOGETHER
 
         def one_by_one(start: int, stop: int) -> None:
-            for row in range(start, stop):
-                block.taken = int(frames.decided[row])
-                self._frame(port, frames.frame_of(row, framer.dialects[0]))
+            own = frames.frames(framer.dialects[0], start, stop)
+            for block.taken, frame in zip(frames.decided[start:stop].tolist(), own, strict=True):
+                self._frame(port, frame)
 
         framer = self._framer(port)
-        self._feed_runs(port, frames, 0, int(frames.starts[0]) + frames.offset, one_by_one)
+        if len(frames) < SHORTEST_TOGETHER:
+            one_by_one(0, len(frames))
+        else:
+            self._feed_runs(port, frames, 0, int(frames.starts[0]) + frames.offset, one_by_one)
 
     def _take(self, port: Port, events: Iterator[Frame | Junk]) -> None:
         """Take the framer's events one at a time: each may change what it makes of the next."""

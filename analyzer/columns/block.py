@@ -192,10 +192,14 @@ class FrameBlock:
 
     def frame_of(self, row: int, dialect: Dialect, offset: int = 0) -> Frame:
         """Return one frame as one of a dialect; where it stands tells its offset."""
-        start = int(self.starts[row])
-        data = self.whole[start : start + int(self.sizes[row])]
-        times = int(self.first_ns[row]), int(self.t_ns[row])
-        return Frame(self.port, *times, self.offset + start, data, dialect, DIRECTIONS[self.directions[row]], True)
+        return next(self.frames(dialect, row, row + 1))
+
+    def frames(self, dialect: Dialect, start: int, stop: int) -> Iterator[Frame]:
+        """Yield frames from one row to another as those of a dialect."""
+        columns = (self.starts, self.sizes, self.first_ns, self.t_ns, self.directions)
+        for at, size, first_ns, t_ns, direction in zip(*(column[start:stop].tolist() for column in columns), strict=True):
+            data = self.whole[at : at + size]
+            yield Frame(self.port, first_ns, t_ns, self.offset + at, data, dialect, DIRECTIONS[direction], True)
 
     def __getstate__(self) -> dict[str, object]:
         # What passes to another process is the frames alone.
