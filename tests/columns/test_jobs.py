@@ -9,8 +9,9 @@ import random
 import signal
 
 import pytest
+from mcap.reader import make_reader
 
-from analyzer import dialects
+from analyzer import dialects, sources
 from analyzer.cli import decode, main
 from analyzer.pipeline import Pipeline
 from analyzer.sinks import mcap_file
@@ -19,15 +20,19 @@ from analyzer.sinks.mcap_chunk import Batch, Run
 from analyzer.sinks.mcap_file import McapFile
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.workers import Workers
+from analyzer.sources import stream
+from benchmarks.framing_noise import damage
 from tests.columns.both_ways import blocks, messages, short_runs
 from tests.columns.can_traffic import frames
+from tests.columns.serial_traffic import POLLS, polls
 from tests.fuzz.corpus import CAPTURES, INPUT, quick
 
 pytestmark = pytest.mark.skipif(not available(), reason="no fork on this machine, or one core")
 
 MKS = dialects.get("mks-can")
 CAN_CAPTURES = [p.read_bytes() for p in sorted(CAPTURES.glob("mks_can.*")) if p.suffix not in (".golden", ".mf4")]
-GIVEN = [*CAN_CAPTURES, *(each[INPUT] for each in quick("decode"))]
+SERIAL_CAPTURES = [(CAPTURES / name).read_bytes() for name in ("mks_rs485.log", "lk_rs485.log", "mks_modbus.log")]
+GIVEN = [*CAN_CAPTURES, *SERIAL_CAPTURES, *(each[INPUT] for each in quick("decode"))]
 
 
 @pytest.fixture(autouse=True)
@@ -48,6 +53,24 @@ def test_decode_writes_the_same_bytes(data, tmp_path, monkeypatch, capsys):
         status = main(["decode", str(capture), "-o", str(log), "--force", "--json", "--jobs", jobs])
         outcomes.append((status, capsys.readouterr(), log.exists() and log.read_bytes()))
     assert outcomes[0] == outcomes[1]
+
+
+@pytest.mark.parametrize("name", POLLS)
+def test_a_serial_line_is_the_same_and_goes_by_columns(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(decode, "LONG_CAPTURE", 0)
+    monkeypatch.setattr(decode, "now_text", lambda: "now")
+    for module in (stream, sources):
+        # The first read is never part of a block.
+        monkeypatch.setattr(module, "BLOCK", 1000)
+    line, _ = damage(polls(name, random.Random(3), 1000), 0.001, random.Random(4))
+    capture, logs = tmp_path / "line.bin", []
+    capture.write_bytes(b"\x00\x80" + line)
+    for jobs in "12":
+        log = tmp_path / f"{jobs}.mcap"
+        assert main(["decode", str(capture), "-o", str(log), "--dialect", name, "--json", "--jobs", jobs]) == 0
+        logs.append((log.read_bytes(), capsys.readouterr().out.replace(log.name, "")))
+    assert logs[0] == logs[1]
+    assert b"frames_by_columns" in logs[0][0]
 
 
 def traffic():
@@ -73,6 +96,13 @@ def test_a_long_log_is_the_same(monkeypatch):
     alone = written()
     assert written(Workers(2, [MKS])) == alone
     assert len(messages(alone)) > 2000
+
+
+def test_blocks_that_follow_each_other_share_a_chunk(monkeypatch):
+    monkeypatch.setattr(mcap_file, "ROWS", 1 << 14)
+    summary = make_reader(io.BytesIO(written())).get_summary()
+    assert len(traffic()) > 2
+    assert summary.statistics.chunk_count == 1
 
 
 @pytest.mark.parametrize("killed", [1, 2])

@@ -15,16 +15,17 @@ import polars
 import pytest
 from pyarrow import parquet
 
-from analyzer import dialects
+from analyzer import dialects, sources
 from analyzer.cli import decode, main
 from analyzer.cli.output import OutputFolder
 from analyzer.errors import UsageError
 from analyzer.pipeline import Options, Pipeline
 from analyzer.sinks import parquet as tables
 from analyzer.sinks.mcap_log import McapLog
-from analyzer.sources import open_source
+from analyzer.sources import open_source, stream
 from tests.columns.both_ways import blocks, messages, short_runs
 from tests.columns.can_traffic import frames
+from tests.columns.serial_traffic import POLLS, polls
 from tests.test_captures import CAPTURES
 
 MKS = dialects.get("mks-can")
@@ -91,6 +92,26 @@ def test_serial_captures(name, tmp_path):
     dialect = dialects.get(name.removesuffix(".log").replace("_", "-"))
     with open_source(CAPTURES / name) as source:
         assert check(*written(list(source), tmp_path / "tables", dialect)) > 10
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("name", POLLS)
+def test_serial_lines_by_blocks(name, jobs, tmp_path, capsys, monkeypatch):
+    capture = tmp_path / "line.bin"
+    capture.write_bytes(b"\x00\x80" + b"".join(frame.data for frame in polls(name, random.Random(5), 1500)))
+    for module in (stream, sources):
+        # The first read is never part of a block.
+        monkeypatch.setattr(module, "BLOCK", 1000)
+    made = []
+    for long in (1 << 30, 0):
+        monkeypatch.setattr(decode, "LONG_CAPTURE", long)
+        folder = tmp_path / f"{long}"
+        assert main(["decode", str(capture), "-o", str(folder), "--dialect", name, "--to", "parquet", "--jobs", jobs]) == 0
+        made.append({path.stem: parquet.read_table(path).to_pylist() for path in sorted(folder.iterdir())})
+    single, together = made
+    in_runs = ["frames_by_columns" in [row["name"] for row in each.pop("metadata")] for each in made]
+    assert in_runs == [False, True]
+    assert together == single
 
 
 def test_others_read_them(tmp_path, capsys, monkeypatch):

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from analyzer import dialects
+from analyzer.columns import framing
+from analyzer.records import Chunk
 from benchmarks.framing_noise import damage, traffic
 from tests.columns.both_ways import same_capture, same_line, short_runs
 from tests.columns.serial_traffic import chunks_of, polls
@@ -32,6 +34,12 @@ def test_exchanges(name, seed, share, short_runs):
     chunks = list(chunks_of(line, chance, [p.stop for p in placed], longest=chance.choice((3, 40, 5000)), steady=not seed))
     in_runs = same_line(chunks, dialects.get(name), chance.choice((5, 50, 10_000)) if seed else 10_000, timed=seed != 1)
     assert in_runs > 100 or seed or share
+
+
+@pytest.mark.parametrize(("count", "together"), [(framing.SHORTEST_TOGETHER - 20, False), (1200, True)])
+def test_short_rows_go_one_by_one(count, together):
+    line = b"".join(frame.data for frame in polls("mks-rs485", random.Random(2), count))
+    assert bool(same_line([Chunk(9_000_000_000, "line", line)], dialects.get("mks-rs485"), 1)) is together
 
 
 SERIAL_CAPTURES = [
