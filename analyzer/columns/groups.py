@@ -44,6 +44,8 @@ def numbered(data: Bytes, numbers: Integers | None = None) -> Integers:
     if numbers is None:
         numbers = np.zeros(len(data), dtype=np.int64)
     for place in range(data.shape[1]):
-        # Ranks keep them small.
-        numbers = ranks(numbers)[1].astype(np.int64) << 8 | data[:, place]
+        if int(numbers.max(initial=0)) >= _DENSE >> 8:
+            # Ranks keep them small.
+            numbers = ranks(numbers)[1].astype(np.int64)
+        numbers = numbers << 8 | data[:, place]
     return numbers

@@ -153,9 +153,10 @@ class Pairing:
         self._lanes: list[Lane] = []
         #: By identifier, length, first bytes and what was asked before: places in `_kinds`.
         self._known: dict[tuple[Head, int | None], int] = {}
-        self._kinds: list[_Kind] = []
+        #: The first is that of all frames without a lane: there are as many heads of such as one likes.
+        self._kinds = [_Kind()]
         #: Of each kind whose data are one byte at most, what each byte says, by part.
-        self._said: list[tuple[NDArray[np.int8], ...]] = []
+        self._said: list[tuple[NDArray[np.int8], ...]] = [(np.zeros(len(_BYTES), dtype=np.int8),)]
         self._tables: _Tables | None = None
         #: Of each lane the number of its command and drive; requests that no drive answers have none, -1.
         self._exchanges: list[int] = []
@@ -342,8 +343,7 @@ class Pairing:
             head = block.head(row, widths if isinstance(widths, int) else int(widths[row])), before
             known = self._known.get(head)
             if known is None:
-                known = self._known[head] = len(self._kinds)
-                self._add_kind(block, row, before)
+                known = self._known[head] = self._new_kind(block, row, before)
             numbers[number] = known
         tables = self._tables = self._tables or _Tables(self, self._kinds, self._said)
         kinds = numbers[at]
@@ -373,12 +373,18 @@ class Pairing:
         more = block.data[:, _FEW : max(told)]
         return numbered(more * (np.arange(_FEW, _FEW + more.shape[1]) < widths[:, None]), numbers), widths
 
-    def _add_kind(self, block: CanBlock | FrameBlock, row: int, asked: int | None) -> None:
-        kind = self._kind(block.frame_of(row, self._dialect, 0), asked) if block.sizes[row] <= block.data.shape[1] else _Kind()
+    def _new_kind(self, block: CanBlock | FrameBlock, row: int, asked: int | None) -> int:
+        """Return the place of the kind of a frame, which none before had."""
+        kind = _Kind()
+        if block.sizes[row] <= block.data.shape[1]:
+            kind = self._kind(block.frame_of(row, self._dialect, 0), asked)
+        if not kind.asking and not kind.telling:
+            return 0
         size = kind.stop - kind.start
         self._kinds.append(kind)
         self._said.append(tuple(self.say(kind, _BYTES[:, :size])) if size <= 1 else ())
         self._tables = None
+        return len(self._kinds) - 1
 
     def _kind(self, frame: Frame, asked: int | None) -> _Kind:
         """Return what frames like this one can be. `asked`: what a reply can answer; None: anything, or it is a request."""
