@@ -72,11 +72,7 @@ def test_can_drives_tell_their_type():
 
 @pytest.mark.parametrize(
     "drive",
-    [
-        "mks-can@1,fault=reply-under-id-0",
-        "mks-rs485@255,fault=wrong-reply-address",
-        "lk-rs485@32,fault=lk-reply-address-wrong",
-    ],
+    ["mks-can@1,fault=reply-under-id-0", "mks-rs485@255,fault=wrong-reply-address", "lk-rs485@32,fault=lk-reply-address-wrong"],
 )
 def test_a_drive_that_answers_under_an_address_of_no_drive_is_found_where_it_was_asked(drive: str):
     name, _, _ = drive.partition(",")
