@@ -559,6 +559,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3.4.1/right",
         "With EndLimit 1 and the right limit closed the motor no longer turns to the right.",
         "motion/set_limit_remap/right-on",
+        "motion/set_home/end-limit-stops-*-right",
     ),
     said("3.4.1/back", "It turns away from a limit that is closed.", "motion/set_home/end-limit-lets-back"),
     unseen(
@@ -746,7 +747,7 @@ STATEMENTS: tuple[Statement, ...] = (
     said("4.2.1/up", "2: it speeds up.", "motion/read_status/crossed"),
     said("4.2.1/down", "3: it slows down.", "motion/read_status/slowing-down"),
     said("4.2.1/full", "4: it has its full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
-    said("4.2.1/homing", "5: it is homing.", "motion/home/status"),
+    said("4.2.1/homing", "5: it is homing.", "motion/home/status", "motion/home/status-*"),
     said("4.2.1/calibrating", "6: it is calibrating.", "motion/calibrate/status"),
     unseen("4.2.1/fail", "0: the query failed.", "the manual names nothing that makes it fail"),
     unseen("4.2.1/pulse-modes", "In pulse modes only a calibration is told.", "what is answered there instead is not said"),
