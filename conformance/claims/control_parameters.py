@@ -318,28 +318,29 @@ _of_ramp = partial(_of_run, theme=Theme.TIMING)
 _of_change = partial(_of_ramp, settings=("speed_ramp",))
 
 
-def _acceleration(probe: Probe, ramp: int, how: Command) -> tuple[float, Exchange]:
+def _acceleration(probe: Probe, ramp: int, how: Command, way: int = 1) -> tuple[float, Exchange]:
     """Turn the shaft by a ramp and return the mean acceleration to full speed (deg/s2).
 
     Two positions, both at full speed, tell how long it takes to it: the way that is missing.
     """
+    ramp_ns = 18_000 * SECOND_NS // ramp
     motion.ready_to_move(probe)
     _set(probe, "speed_ramp", ramp)
     here = motion.position(probe)
     kept = _parameter(probe, "speed_limit") or 0
     # A move has no speed of its own: the limit is its speed, which it keeps for more turns than it is looked at.
     _set(probe, "speed_limit", 18_000)
-    exchange = motion.ask(probe, how, 20 * 360, rpm=30, quiet_ns=0)
-    # The ramp takes a second.
-    probe.wait(1500 * MS)
+    runs = motion.of(how).kind is MotionKind.RUN
+    exchange = motion.ask(probe, how, way * 20 * 360, rpm=way * 30 if runs else 30, quiet_ns=0)
+    probe.wait(ramp_ns * 3 // 2)
     first = motion.position(probe)
-    rpm, _ = motion.mean_speed(probe, 500 * MS)
+    rpm, _ = motion.mean_speed(probe, ramp_ns // 2)
     motion.stand_still(probe)
     _set(probe, "speed_limit", kept)
-    speed = rpm * 6
+    speed = rpm * 6 * way
     if not speed:
         raise Inconclusive(f"{how.name} does not turn the shaft")
-    missing_s = (first.t_ns - exchange.sent_ns) / SECOND_NS - (first.value - here.value) / speed
+    missing_s = (first.t_ns - exchange.sent_ns) / SECOND_NS - (first.value - here.value) * way / speed
     return speed / (2 * missing_s) if missing_s > 1e-4 else float("inf"), exchange
 
 
@@ -352,12 +353,50 @@ def _ramped(dialect: Dialect) -> Iterator[Case]:
 @_of_ramp(each=_ramped, name="{command}/speed-ramp-{run}", refuted_by="another acceleration")
 def _speed_ramp(probe: Probe, run: Command) -> None:
     """The speed of {run} rises by the speed ramp: 0.01 deg/s2 a unit."""
-    kept = _parameter(probe, "speed_ramp")
-    if kept is not None:
-        seen, exchange = _acceleration(probe, 18_000, run)
-        _set(probe, "speed_ramp", kept)
+    if (found := _ramps(probe, run)) is not None:
+        seen, exchange = found[0]
         probe.measured["deg_s2"] = seen
         probe.expect(seen, near=180, within=5, unit="deg/s2", refutes="the speed rises by another ramp", exchange=exchange)
+
+
+def ramped_each_way(probe: Probe, run: Command) -> tuple[tuple[float, Exchange], ...]:
+    """Return the accelerations by two ramps, the steeper one the other way; nothing where the drive has no such parameter."""
+    kept = _parameter(probe, "speed_ramp")
+    if kept is None:
+        return ()
+    found = tuple(_acceleration(probe, ramp, run, way) for ramp, way in ((18_000, 1), (_BACK_RAMP, -1)))
+    _set(probe, "speed_ramp", kept)
+    return found
+
+
+#: The ramp that is tried the other way.
+_BACK_RAMP = 36_000
+
+
+def _ramps(probe: Probe, run: Command) -> tuple[tuple[float, Exchange], ...] | None:
+    found = probe.recorded(ramped_each_way, run)
+    if not found:
+        probe.meets(_FIRMWARE)
+        return None
+    return found
+
+
+@_of_ramp(
+    each=_ramped,
+    name="{command}/speed-ramp-{run}-each-way",
+    refuted_by="a steeper or a slower ramp one way",
+    at_best=Certainty.LIKELY,
+    rests_on=(),
+)
+def _speed_ramp_each_way(probe: Probe, run: Command) -> None:
+    """The speed ramp that holds for {run} one way holds the other way too."""
+    if (found := _ramps(probe, run)) is None:
+        return
+    (forward, _), (back, exchange) = found
+    if abs(forward - 180) > 180 * (1 - _SHORTER):
+        raise Observed(f"the speed of {run.name} rises by another ramp than was set")
+    text, wanted = f"the speed of {run.name} rises by another ramp the other way", _BACK_RAMP / 100
+    probe.expect(back, near=wanted, within=wanted * (1 - _SHORTER), unit="deg/s2", refutes=text, exchange=exchange)
 
 
 @_of_change(name="{command}/speed-ramp-at-once", refuted_by="a change of speed by the ramp of before")

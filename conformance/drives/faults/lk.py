@@ -1051,6 +1051,11 @@ ROWS: Rows = {
             moving(("move_multi_turn_limited",), _half_as_fast_below),
         ),
         Row(
+            "lk-ramp-steep-below",
+            "0xA8 counter-clockwise speeds up four times as fast",
+            replaced("move_increment_limited", _without("acceleration", lambda drive, request: request.values["position"] < 0)),
+        ),
+        Row(
             "lk-speed-limit-below-only",
             "0xA7 clockwise ignores the speed limit",
             moving(("move_increment",), _unlimited_clockwise),
