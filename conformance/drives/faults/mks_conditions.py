@@ -545,6 +545,10 @@ def _without_open_limits(drive: MksCore) -> None:
     drive._limit_time = lambda side: None if "open" in drive.mode else reached(side)  # type: ignore[method-assign]
 
 
+def _capped(value: int) -> int:
+    return min(value, 2900)
+
+
 def _without_right_limit(drive: MksCore) -> None:
     """Have no right limit for relative moves by pulses."""
     reached = drive._limit_time
@@ -868,6 +872,7 @@ DOING: Rows = {
     ),
     "update": (
         Row("update-undone", "F5 while the shaft turns says success and is lost", undone_when(_turns, Verb.MOVE_ABSOLUTE_AXIS)),
+        Row("current-capped", "currents above 2900 mA are stored as 2900", Change(_stored_as("current", _capped).install, CAN)),
         Row(
             "tolerance-capped",
             "stall tolerances above 360 degrees hold as that",
