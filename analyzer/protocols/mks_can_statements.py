@@ -336,6 +336,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3.2.3/limits",
         "The current goes up to 3000 mA on a 42E and 5200 mA on a 57E.",
         "ranges/set_current/current/highest",
+        "read-back/set_current/ends",
         "ranges/set_current/current/above",
     ),
     said("3.2.3/default", "The default is 1600 mA on a 42E and 3200 mA on a 57E.", "read-back/restore/settings"),
@@ -695,7 +696,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "shape/read_parameter/code",
     ),
     said("3.9/layout", "The reply has the layout that sets the parameter.", "shape/read_parameter/of/*"),
-    said("3.9/value", "The value reads as it was set.", "read-back/set_*/read"),
+    said("3.9/value", "The value reads as it was set.", "read-back/set_*/read", "read-back/set_*/ends"),
     said("3.9/unreadable", "A parameter that cannot be read is answered FF FF.", "shape/read_parameter/unreadable"),
     # Part 4: motion
     said("4/bus-modes-only", "Motion by the bus needs a bus mode.", "motion/*/pulse-mode"),
