@@ -163,16 +163,17 @@ def _stops_at_the_other_side(probe: Probe, run: Command) -> None:
     probe.expect(-seen, at_least=_HALF / 4, unit="counts", refutes=text, exchange=exchange)
 
 
-def _with_remap(dialect: Dialect) -> Iterator[Case]:
-    if Verb.SET_LIMIT_REMAP in dialect.by_verb:
+def _with_right_limit(dialect: Dialect) -> Iterator[Case]:
+    if Verb.SET_LIMIT_REMAP in dialect.by_verb or dialect.model.startswith("57"):
         yield from _runs_and_moves(dialect)
 
 
-@_of_limits("a shaft that runs beyond it", each=_with_remap, name="{command}/end-limit-stops-{run}-right")
+@_of_limits("a shaft that runs beyond it", each=_with_right_limit, name="{command}/end-limit-stops-{run}-right")
 def _stops_at_the_right(probe: Probe, run: Command) -> None:
     """With the end limit on, {run} towards the right stops at the right end stop."""
     motion.ready_to_move(probe)
-    probe.do(Verb.SET_LIMIT_REMAP, {"limit_remap": 1})
+    if Verb.SET_LIMIT_REMAP in probe.dialect.by_verb:
+        probe.do(Verb.SET_LIMIT_REMAP, {"limit_remap": 1})
     _homed(probe, mode=run.modes[0] if run.modes else "")
     exchange = probe.ask(run, _values(probe, run, 1), timeout_ns=10 * SECOND_NS)
     probe.reply(exchange)
