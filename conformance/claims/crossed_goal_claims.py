@@ -32,6 +32,7 @@ from conformance.claims.crossed_goals import (
     crossed,
     first_of,
     first_rows,
+    met_after_s,
     motions_of,
     moves,
     reads_of,
@@ -49,6 +50,8 @@ from conformance.talk.probe import Probe
 _LEAST_RAMP, _RPM = 1800, 1.0
 #: A speed that replies leave more uncertain than this share is not judged.
 _BLIND = 0.1
+#: How long a speed must last to be seen.
+_SEEN_S = 0.1
 #: From when on, of the begin of a run or torque, its speed and current are steady.
 _STEADY_NS = 550 * MS
 #: What a drive turns at on its own at most, and how far a position may jump beside that, in rpm and degrees.
@@ -277,8 +280,7 @@ def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
         shown: dict[str, Any] = {"refutes": text, "exchange": tried.begun.exchange, "key": text, "unit": "rpm"}
         fastest = max(rpm - spread for rpm, spread in seen)
         probe.expect(fastest, at_most=row.rpm + share, expected=f"at most {row.rpm + share:.4g} rpm: {row}", **shown)
-        # Up and down again, by the least ramp.
-        if runs or (row.meets is None and not row.start and row.turns * 360 >= (row.rpm * 6) ** 2 / _LEAST_RAMP):
+        if runs or _has_its_speed(tried):
             reached = min(rpm + spread for rpm, spread in seen) if runs else max(rpm + spread for rpm, spread in seen)
             probe.expect(reached, at_least=row.rpm - share, expected=f"at least {row.rpm - share:.4g} rpm: {row}", **shown)
 
@@ -300,6 +302,17 @@ def _first(probe: Probe, command: Command) -> None:
     rows = _rows(probe, command, few=True)
     for judge in (_taken_in, _tells_in, _ends_in, _stopped_in, _speed_in):
         judge(probe, command, rows)
+
+
+def _has_its_speed(tried: Tried) -> bool:
+    """Say whether a move from rest is so long, or long enough under way when something comes, that it has its speed."""
+    row, speed = tried.row, tried.row.rpm * 6
+    if row.start:
+        return False
+    if row.meets is None:
+        # Up and down again, by the least ramp.
+        return row.turns * 360 >= speed**2 / _LEAST_RAMP
+    return met_after_s(row) >= speed / _LEAST_RAMP + _SEEN_S
 
 
 # --- what is read meanwhile ---------------------------------------------------------------------------------------------

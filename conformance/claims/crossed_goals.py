@@ -11,17 +11,19 @@ Rules kept here:
 - The last look before a command and the first one behind it are of the read that its reply is held against.
 - How fast a shaft speeds up is not known: a row ends when the shaft stands.
 - A few rows come first, for runs that have time for them alone.
+- A move to a place goes to positive places and to negative ones, each way and at each speed.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import cycle, pairwise
 from typing import NamedTuple
 
-from analyzer.catalogue import Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.crossed import Look, look, place
 from conformance.claims.declare import Case
@@ -50,6 +52,8 @@ _RUN_NS, _AFTER_NS, _BEFORE_NS = 750 * MS, 150 * MS, 200 * MS
 _MET_AT, _OVERHEAD_NS = 0.45, 400 * MS
 #: From one look to the next one; how long a shaft has to get going; how long it stays where it is when it stands.
 _LOOK_NS, _SET_OFF_NS, _STANDS_NS = 12 * MS, 200 * MS, 60 * MS
+#: How far the way of a move to a place stays away from zero, in degrees.
+_BESIDE_ZERO = 180
 #: How long a motion may take to come to rest.
 _PATIENCE_NS = 4 * SECOND_NS
 #: What comes on the way of a motion.
@@ -189,6 +193,11 @@ def _seconds(rpm: int, turns: float) -> float:
     return turns * 60 / (rpm or _USUAL)
 
 
+def met_after_s(row: Row) -> float:
+    """Return after how many seconds a move meets what comes on its way."""
+    return _seconds(row.rpm, row.turns) * _MET_AT
+
+
 class Edge(NamedTuple):
     """A command on the line, between two looks at the position and two at the state that it answers with."""
 
@@ -274,10 +283,16 @@ def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
     refused: Refused | None = None
     lk_parameters.need_room(probe)
     motion.ready_to_move(probe)
+    tried: Counter[tuple[int, int]] = Counter()
     for row in rows:
+        command = probe.command(row.command)
         try:
             motion.stand_still(probe)
-            found.append(_try(probe, probe.command(row.command), row, reads))
+            # The position is put back, but a run that may change no setting leaves it.
+            if motion.of(command).kind is MotionKind.MOVE_TO and Risk.SETTING in probe.rig.allowed:
+                _name_place(probe, row, 1 if tried[row.way, row.rpm] % 2 else -1)
+                tried[row.way, row.rpm] += 1
+            found.append(_try(probe, command, row, reads))
             if not found[-1].stood:
                 # What does not stop is judged; no row can begin behind it.
                 break
@@ -287,6 +302,16 @@ def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
     if refused is not None and not found:
         raise refused
     return tuple(found)
+
+
+def _name_place(probe: Probe, row: Row, side: int) -> None:
+    """Give the shaft a position from which the whole way of a row is on one side of zero.
+
+    So a move to a place goes each way, at each speed, to positive and to negative places.
+    """
+    position = motion.field_of(probe.command("set_position"), "position")
+    degrees = side * (row.turns * 360 + _BESIDE_ZERO)
+    probe.ask("set_position", {"position": round(degrees / float(position.scale))}, quiet_ns=0)
 
 
 def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command]) -> Tried:
@@ -310,7 +335,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command]) -> 
     off: tuple[Look, ...] = ()
     again = met = None
     if not moves(command) or row.meets is not None:
-        lasts_ns = _RUN_NS if not moves(command) else int(_seconds(row.rpm, row.turns) * SECOND_NS * _MET_AT)
+        lasts_ns = _RUN_NS if not moves(command) else int(met_after_s(row) * SECOND_NS)
         during += _on_the_way(probe, reads, lasts_ns)
     # A move that comes once more is planned anew from where the shaft is.
     if not moves(command):

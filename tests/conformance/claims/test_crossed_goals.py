@@ -57,6 +57,7 @@ def test_the_rows_are_short():
         ("lk-motion-speed-0", "move_single_turn/crossed-tells"),
         ("lk-whole-turns-ignored", "move_increment_limited/crossed-ends"),
         ("lk-max-speed-ignored", "move_multi_turn_limited/crossed-speed"),
+        ("lk-max-speed-half-below", "move_multi_turn_limited/crossed-speed"),
         ("lk-stop-ignored-backwards", "run_torque/crossed-stopped"),
         ("lk-on-resumes", "move_increment/crossed-stopped"),
         ("lk-stop-drops-turns-of-a-run", "read_position/crossed"),
