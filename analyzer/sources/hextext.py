@@ -336,6 +336,8 @@ class _Reader:
                 yield source.comment(t_ns, text)
             elif line.shape is Shape.TRAFFIC:
                 self._check_count(line)
+                if line.passed and self._lines.number <= _SAMPLE_LINES and speaks(line.passed):
+                    yield source.comment(t_ns, line.passed)
                 yield from self._traffic(t_ns, self._told_above(line) if prose else line)
             elif line.shape is Shape.HEADER:
                 self._header, self._header_ns = line, t_ns
