@@ -173,7 +173,8 @@ def _parts(scene: Scene) -> list[_Part]:
     for offset, trouble in damaged.items():
         assert trouble.stretch is not None  # chosen so
         data, at = trouble.stretch.data, 0
-        for start, reading in scene.reader.within(data, trouble.stretch.direction):
+        role = trouble.stretch.direction if scene.shows_sent else Role.UNKNOWN
+        for start, reading in scene.reader.within(data, role):
             if start > at:
                 found.append((offset + at, _Part(data[at:start], Role.UNKNOWN, trouble)))
             frame = reading.message.frame.data
