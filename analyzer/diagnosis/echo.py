@@ -55,7 +55,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     # Of a dialect that is not known the request is damaged, too; its reply behind its own bytes leaves no doubt.
     sent = {t.stretch.stop: t for t in scene.damaged if t.stretch is not None and t.stretch.direction is Role.REQUEST}
     asked = [sent[t.offset] for t, _ in found if t.stretch is not None and t.offset in sent]
-    behind = [t for t in asked if (own := _after(scene, t)) is not None and len(own.data) > len(t.stretch.data if t.stretch else b"")]
+    behind = [
+        t for t in asked if (own := _after(scene, t)) is not None and len(own.data) > len(t.stretch.data if t.stretch else b"")
+    ]
     yield Suspicion(
         "echo", Confidence.CERTAIN if len(found) > 1 or behind else Confidence.LIKELY,
         [*asked, *(trouble for trouble, _ in found)],

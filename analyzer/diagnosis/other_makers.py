@@ -116,7 +116,9 @@ def _fins(data: bytes) -> bool:
 
 
 def _tpkt(data: bytes) -> bool:
-    return len(data) > 7 and data[:2] == b"\x03\x00" and int.from_bytes(data[2:4], "big") == len(data) and data[4] == len(data) - 5
+    return (
+        len(data) > 7 and data[:2] == b"\x03\x00" and int.from_bytes(data[2:4], "big") == len(data) and data[4] == len(data) - 5
+    )
 
 
 _TEXT = re.compile(rb"[\x20-\x7e\r\n\t]*[A-Za-z]{4}[\x20-\x7e\r\n\t]*")
@@ -184,7 +186,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
 
 def _sums_of_42c(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the sums of the requests to an MKS SERVO42C, where none is right: wrong ones, or none at all."""
-    alone = [t for t in scene.damaged if t.stretch is not None and t.stretch.opens and t.stretch.ends and t.stretch.can_id is None]
+    alone = [
+        t for t in scene.damaged if t.stretch is not None and t.stretch.opens and t.stretch.ends and t.stretch.can_id is None
+    ]
     of_42c = [(t, t.stretch.data) for t in alone if t.stretch is not None and t.stretch.data[0] in _HEADS_42C]
     if any(_mks_42c(data) for _, data in of_42c):
         return

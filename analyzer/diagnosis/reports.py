@@ -165,4 +165,8 @@ MISFIT = re.compile(r"wrong (?:function ?code|(?:return )?slave ?address): \d+ i
 
 def speaks(line: str) -> bool:
     """Say whether a line has a library's report of an exchange."""
-    return MISFIT.search(line) is not None or any(report.pattern.search(line) for report in REPORTS) or _FAILED_CHECK.search(line) is not None
+    return (
+        MISFIT.search(line) is not None
+        or any(report.pattern.search(line) for report in REPORTS)
+        or _FAILED_CHECK.search(line) is not None
+    )

@@ -36,8 +36,6 @@ _PADDING = 4
 _COUNTS = {**dict.fromkeys((0x0F, 0x10), (6,)), 0x11: (2,), 0x0C: (2,), 0x17: (2, 10)}
 #: What answers a write, the shortest frame and the longest, and the last address.
 _ANSWER, _SHORTEST, _LONGEST, _LAST_UNIT = 8, 5, 256, 247
-#: Registers of one request.
-_MOST_REGISTERS = 125
 #: First registers of each kind in the numbering of old controllers.
 _NUMBERED = (10001, 30001, 40001)
 
@@ -263,8 +261,6 @@ def _other_count(scene: Scene, burst: Stretch) -> str:
     data, function = burst.data, burst.data[1]
     if modbus_crc(data) == 0 and function in READS and burst.direction is Role.REQUEST and len(data) < _ANSWER:
         return f"a request to read has {_ANSWER} bytes, and this {len(data)}"
-    if modbus_crc(data) == 0 and burst.direction is not Role.REQUEST and _counts_in_two(data):
-        return f"its count has two bytes, {shown(data[2:4])}, and the standard's has one"
     if modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0 and data[0] <= _LAST_UNIT:
         places = _COUNTS.get(function)
         if not places or len(data) == _ANSWER or any(n < len(data) and data[n] + n + 3 == len(data) for n in places):
@@ -283,13 +279,6 @@ def _other_count(scene: Scene, burst: Stretch) -> str:
     if not wanted or whole or asked.data.startswith(data[:_ANSWER]):
         return ""
     return f"the reply to {shown(asked.data)} has {data[2]} as its count, and {wanted[0].size - 5} were asked for"
-
-
-def _counts_in_two(data: bytes) -> bool:
-    """Say whether a reply counts its registers' bytes in two bytes, where it can be no request."""
-    count = int.from_bytes(data[2:4], "big")
-    request = len(data) == _ANSWER and 0 < int.from_bytes(data[4:6], "big") <= _MOST_REGISTERS
-    return data[1] in _READS and count > 0 and not count % 2 and count + 6 == len(data) and not request
 
 
 def _why(scene: Scene, piece: Piece, refusal: Piece | None) -> _Why | None:

@@ -18,6 +18,14 @@ EMODBUS = """[D] {}| ModbusClientRTU.cpp  [ 253] handleConnection: Request sent.
   | 0000: {}
 """
 TURNED = "Tx: 01 03 00 00 00 01 84 0A\nRx: 4A 01 03 02 00 17 F8\n"
+
+
+def diagnosed(text):
+    traffic = read_text(text).traffic
+    kind = "can" if any(isinstance(item, CanFrame) for item in traffic) else "serial"
+    return of_traffic(traffic, [d for d in registry.every() if d.bus == kind])
+
+
 STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
 
 
@@ -76,15 +84,45 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
         ("motor.send: 3E A2 01 04 10 27 00 00 1C", "wrong_checksum_rule"),
         ("send 3E A2 01 04 10 27 00 00 37", "wrong_checksum_rule"),
         ("> 3E A2 01 04 2C A0 8C 00 00 2C", "wrong_checksum_rule"),
+        # An echo, whatever is spoken; sums of an older motor; a request that is a byte short.
+        ("> E0 30 10\n< E0 30 10 E0 00 00 00 00 00 2A 0A", "echo"),
+        ("TX: E0 36 16\nRX: E0 36 16 E0 01 02 03 04 EA\nTX: E0 3A 1A\nRX: E0 3A 1A E0 01 E1", "echo"),
+        ("sent FF FF 01 02 01 FB, received FF FF 01 02 01 FB FF FF 01 02 00 FC", "echo"),
+        ("data = bytearray([0xE0, 0xF7, 0xE8])\nsend(data)\ndata = bytearray([0xE0, 0xF3, 0x01, 0xE8])\n", "wrong_checksum"),
+        ("> E0 30 11\n> E0 F6 10 00", "wrong_checksum"),
+        ("ser.write(bytes([0xE0, 0xF3, 0x01]))\nser.write(bytes([0xE0, 0x33]))", "missing_checksum"),
+        ("TX: E1 3A\nTX: E1 F3 01\nTX: E1 F7\nno response at all", "missing_checksum"),
+        ("I send FA 01 F6 00 64 55 and nothing happens", "wrong_length"),
+        ("TX: FA 01 F6 00 64 5B  # 100rpm\nRX: FB 01 F6 01 F9\nTX: FA 01 30 2B\nRX: FB 01 30 00 00 40 00 CC", "wrong_length"),
+        # What other services answer.
+        ("RECV: 0x46 0x49 0x4e 0x53 0x0 0x0 0x0 0x10", "unsupported_dialect"),
+        ("recv: 03 00 00 0B 06 D0 00 01 00 02 00", "unsupported_dialect"),
+        # Buffers of Node, of any length.
+        ("{ '0': <Buffer 01> }\n{ '0': <Buffer 84 01 82 c0> }\nerr: 'crcMismatch'", "wrong_function"),
+        ("data <Buffer 02>\ndata <Buffer 83 02 30 f1>\nError: Timed out", "wrong_register"),
+        # What a server has kept, and joins.
+        (
+            "[ DEBUG] recv: 0xfe 0x4 0x0 0x19 0x0 0x1 0xf4 0x2 old_data: 0xfe 0x4 0x0 0x3 0x0 0x1 0xd5 0xc5 0x0 addr=None\n"
+            "[ DEBUG] Processing: 0xfe 0x4 0x0 0x3 0x0 0x1 0xd5 0xc5 0x0 0xfe 0x4 0x0 0x19 0x0 0x1 0xf4 0x2\n",
+            "trailing_glitch",
+        ),
+        ("rx: 11 03 00 10 00 02 C7 5E 00 11 03 00 12 00 02 66 9E\n", "leading_glitch"),
+        # A long reply that the console has wrapped.
+        (
+            "[02][03][00][01][00][7D][D4][18]\nWaiting for a confirmation...\n<02><03><FA>" + 3 * ("<00>" * 45 + "\n"),
+            "reply_cut",
+        ),
         ("It prints `CanErrorFrame { 00000088#0000040000000000 }` with nothing connected.", "can_wrong_bitrate"),
     ],
 )  # fmt: skip
 def test_a_paste(text, cause):
-    traffic = read_text(text).traffic
-    kind = "can" if any(isinstance(item, CanFrame) for item in traffic) else "serial"
-    found = of_traffic(traffic, [d for d in registry.every() if d.bus == kind])
-    assert found.causes, traffic
-    assert found.causes[0].suspicion.cause == cause, (traffic, found)
+    found = diagnosed(text)
+    assert found.causes
+    assert found.causes[0].suspicion.cause == cause, found
+
+
+def test_a_long_read_answered_by_a_count_of_two_bytes():
+    assert diagnosed("01 03 00 02 17 81 2b 9a\n01 03 00 02 17 81 2b\n").verdict == "trouble"
 
 
 def test_a_search_for_drives_is_no_trouble():
