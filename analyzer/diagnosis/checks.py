@@ -164,8 +164,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         first = short[0]
         yield Suspicion(
             "wrong_length", Confidence.LIKELY, [each.trouble for each in short],
-            f"The host's request {first.name} is a byte short: "
-            + ("its sum is there, and a field is not whole." if _summed(first) else "a field is not whole, or the sum is missing."),
+            f"The host's request {first.name} is a byte short: a field is not whole"
+            + (", and its sum is there." if _summed(first) else ", or its sum is missing."),
             f"{shown(_data(first))} at byte {first.trouble.offset} has {counted(len(_data(first)), 'byte')}, and the manual "
             f"{len(first.right)}; {counted(len(short), 'time')}",
             f"Send all fields of the command: `servotap catalogue {first.name}` lists them",

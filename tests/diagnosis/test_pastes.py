@@ -112,6 +112,19 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
             "[02][03][00][01][00][7D][D4][18]\nWaiting for a confirmation...\n<02><03><FA>" + 3 * ("<00>" * 45 + "\n"),
             "reply_cut",
         ),
+        # Too many bytes for a frame; an identifier of which the low bits alone go out.
+        ("cansend can0 141#8800000000000000\ncansend can0 141#A4007800504600000000\n", "wrong_length"),
+        ("cansend can0 001#F60140023A00000000\n", "wrong_length"),
+        ("$ cansend vcan0 123#112233445566778899AA\nWrong CAN-frame format!\n", "wrong_length"),
+        (
+            "var msg = { id: 403105268, data: new Buffer([ 0, 0xFA, 0, 0x32 ]) };\nchannel.send(msg);\n\n"
+            "can0  5F4   [4]  00 FA 00 32\ncan0  18FF50E5   [2]  01 06\n",
+            "can_extended_id",
+        ),
+        (
+            "bus.send(can.Message(arbitration_id=0x1806E5F4, data=[1, 2], is_extended_id=False))\n  can1  5F4   [2]  01 02\n",
+            "can_extended_id",
+        ),
         ("It prints `CanErrorFrame { 00000088#0000040000000000 }` with nothing connected.", "can_wrong_bitrate"),
     ],
 )  # fmt: skip
