@@ -82,7 +82,8 @@ SHAPES: tuple[Shape, ...] = (
     _shape(
         "call-object",
         rf".*?(?:\bsend\(|=)\s*\{{(?=.*?\bid\s*:\s*(?P<id>{_NUMBER}))(?=.*\bext\s*:\s*(?P<extended>true))?.*?\bdata\s*:"
-        r"\s*(?:(?:new )?(?:Buffer(?:\.from)?|Uint8Array)\()?\s*\[(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\].*",
+        r"\s*(?:(?:new )?(?:Buffer(?:\.from)?|Uint8Array)\()?\s*\["
+        r"(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\].*",
     ),
     _shape("slcan", r"(?P<slcan>[tTrR])(?P<rest>[0-9A-F]{4,})[zZ]?", near=r"\s*[tr][0-9A-F]{4}"),
     _shape(
@@ -112,12 +113,21 @@ SHAPES: tuple[Shape, ...] = (
         "candump",
         rf"(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?(?:0x)?(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})\s+\[(?P<length>\d{{1,2}})\]\s*{_DATA}(?:'.*')?",
     ),
-    _shape("pcan", rf"(?P<id>[0-9A-F]{{3,8}})h\s+(?:(?:data|std|ext)\w*\s+)?(?P<length>[0-8])\s+{_DATA}"),
+    # Rows of a monitor's window.
+    _shape(
+        "monitor",
+        rf"(?:\d{{1,9}}\)?\s+)?(?P<time>\d+\.\d+)\s+(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?{_MARK}\s+(?:0x)?(?P<id>[0-9A-F]{{3,8}})\s+"
+        rf"(?P<length>[0-8])\s+{_DATA}",
+    ),
+    _shape(
+        "pcan",
+        rf"(?:\d{{1,9}}\)?\s+\d+\.\d+\s+{_MARK}\s+)?(?P<id>[0-9A-F]{{3,8}})h\s+(?:(?:data|std|ext)\w*\s+)?(?P<length>[0-8])\s+{_DATA}",
+    ),
     _shape("cansniffer", r"\d{1,6}(?:\.\d+)?\s*\|\s*(?P<id>[0-9A-F]{3,8})\s*\|\s(?P<data>(?:[0-9A-F]{2} )+)\s*.*"),
     _shape(
         "id-data",
         rf"(?:(?P<before>.*?)(?<![A-Za-z]))?(?:can[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:(?:(?P<extended>ext\w*)|std|standard)[\s,;|]*)?"
-        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*)"
+        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*|\[\s*)"
         rf"{_DATA}[\]}}\s]*(?:\((?P<port>[a-z]+\d+)\)\s*)?",
         near=r"\s*(?:\S+\s+)?id\s*[:=]",
     ),

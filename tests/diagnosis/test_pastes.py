@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from analyzer import dialects as registry
+from analyzer.catalogue import Role
 from analyzer.diagnosis.diagnose import of_traffic
 from analyzer.link import modbus_crc
 from analyzer.records import CanFrame
@@ -167,3 +168,33 @@ def test_a_reply_that_goes_on_in_the_next_reads_is_not_cut(shown_again):
         text += f"recv: {said}\n" + f"Processing: {said}\nFrame - not ready\n" * shown_again
     found = of_traffic(read_text(text).traffic, [d for d in registry.every() if d.bus == "serial"])
     assert "reply_cut" not in [each.suspicion.cause for each in found.causes]
+
+
+@pytest.mark.parametrize(
+    ("sent", "received"),
+    [
+        ("Передача: {}", "Приём: {}"),
+        ("Wysłano: {}", "Odebrano: {}"),
+        ("Gönderilen: {}", "Alınan: {}"),
+        ("Verzonden: {}", "Ontvangen: {}"),
+        ("Odesláno: {}", "Přijato: {}"),
+        ("송신: {}", "수신: {}"),
+        ("发出: {}", "收到: {}"),
+    ],
+)
+def test_who_sent_is_told_in_any_language(sent, received):
+    text = f"{sent.format('01 04 00 30 00 03 B0 04')}\n{received.format('01 84 02 C2 C1')}\n"
+    assert [item.direction for item in read_text(text).traffic] == [Role.REQUEST, Role.REPLY]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        "  0.001  can0  TX  0x001  2  30 31\n  0.002  can0  RX  0x001  8  30 00 00 00 01 20 00 52\n",
+        "   1     0.0  TX  001h   2   30 31\n   2     1.0  RX  001h   8   30 00 00 00 01 20 00 52\n",
+        "TX ID=0x001 DLC=2 [30 31]\nRX ID=0x001 DLC=8 [30 00 00 00 01 20 00 52]\n",
+    ],
+)
+def test_rows_of_can_monitors(rows):
+    assert [item.data.hex() for item in read_text(rows).traffic] == ["3031", "3000000001200052"]
+    assert diagnosed(rows).verdict == "ok"
