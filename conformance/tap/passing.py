@@ -29,8 +29,8 @@ _READS = 16
 LOOK_MS = 20
 #: What waits for a program that does not read.
 PROGRAM_LIMIT = 1 << 20
-#: What is taken from the program at a time. An adapter that takes bytes at all takes so many, so that none wait here. Those that
-#: do are lost where this process is killed.
+#: What is taken from the program at a time. An adapter that takes bytes at all takes so many, so that none wait here.
+#: Bytes that wait are lost where this process is killed.
 ADAPTER_LIMIT = 1 << 8
 #: How long a change of speed waits for what was written before to be sent.
 _SENT_WITHIN_NS = 2_000_000_000
