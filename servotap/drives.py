@@ -326,7 +326,7 @@ class Drive:
             self._line.tell(say.Standing())
 
     def _stop_anew(self) -> None:
-        """Stop the drive by another guard, for the one that owned the port has gone. Raises NotStopped, the power being cut."""
+        """Stop the drive by another guard where the first has gone. Raises NotStopped, after the power command."""
         self._line.close()
         try:
             self._line = self._open_line()

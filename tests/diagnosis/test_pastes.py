@@ -85,7 +85,7 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
         ("motor.send: 3E A2 01 04 10 27 00 00 1C", "wrong_checksum_rule"),
         ("send 3E A2 01 04 10 27 00 00 37", "wrong_checksum_rule"),
         ("> 3E A2 01 04 2C A0 8C 00 00 2C", "wrong_checksum_rule"),
-        # An echo, whatever is spoken; sums of an older motor; a request that is a byte short.
+        # An echo, in any dialect; sums of an older motor; a request that is a byte short.
         ("> E0 30 10\n< E0 30 10 E0 00 00 00 00 00 2A 0A", "echo"),
         ("TX: E0 36 16\nRX: E0 36 16 E0 01 02 03 04 EA\nTX: E0 3A 1A\nRX: E0 3A 1A E0 01 E1", "echo"),
         ("sent FF FF 01 02 01 FB, received FF FF 01 02 01 FB FF FF 01 02 00 FC", "echo"),
