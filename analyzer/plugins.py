@@ -20,8 +20,6 @@ T = TypeVar("T")
 OWN = frozenset(("analyzer", "conformance", "servotap"))
 #: The groups of entry points begin so.
 PREFIX = "servotap."
-#: What a module that is imported or called can do: it can end the program, too.
-FAILURES = (Exception, SystemExit)
 
 
 def points(group: str) -> list[EntryPoint]:
@@ -62,14 +60,25 @@ def attempt(what: str, call: Callable[[], T]) -> T | None:
         # What is printed is the output of a command, which others may read.
         with contextlib.redirect_stdout(sys.stderr):
             return call()
-    except FAILURES as error:
+    except BaseException as error:
+        if not is_failure(error):
+            raise
         leave_out(what, error)
         return None
 
 
+def is_failure(error: BaseException) -> bool:
+    """Say whether an error is that of another package. An interrupt of this program is none; what ends the program is."""
+    own = type(error).__module__.partition(".")[0] in OWN
+    return isinstance(error, (Exception, SystemExit)) or not (own or isinstance(error, (KeyboardInterrupt, GeneratorExit)))
+
+
 def leave_out(what: str, error: BaseException) -> str:
     """Say that something of another package is left out; return why."""
-    why = printable(f"{type(error).__name__}: {error}")
+    why = printable(type(error).__name__)
+    # What it says of itself can fail, too.
+    with contextlib.suppress(Exception):
+        why += printable(f": {error}")
     print(f"servotap: {printable(what)} failed and is left out: {why}", file=sys.stderr)
     return why
 

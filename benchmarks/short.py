@@ -19,10 +19,9 @@ from statistics import median
 from typing import NamedTuple
 
 from analyzer.catalogue import Risk
-from analyzer.errors import ServotapError
 from benchmarks.order import GOLDEN
 from benchmarks.run_time import TARGETS, everything, in_a_group, real, specification, timed
-from conformance.claim import Outcome
+from conformance.claim import NotStopped, Outcome, RigFault
 from conformance.gate.permissions import parse_allow
 from conformance.suite import plan as suite
 from conformance.suite.rig_stand_in import StandInRig
@@ -50,8 +49,8 @@ def tried(given: tuple[str, str, frozenset[Risk]]) -> Tried:
             if verdict.outcome is Outcome.REFUTED:
                 name = claim.id
                 break
-    except ServotapError as error:
-        # The run also refutes a drive that it does not find or cannot stop.
+    except (RigFault, NotStopped) as error:
+        # A run also ends at a drive that it does not find or cannot stop; anything else that is raised is a fault of the suite.
         name = f"{type(error).__name__}: {error}"[:80]
     return Tried(fault, name, seconds)
 
@@ -93,11 +92,13 @@ def _cases(text: str, dialect: str, chosen: slice, risks: frozenset[Risk]) -> It
 def _show(dialect: str, found: list[Tried], missed: bool) -> None:
     hits = [each for each in found if each.refuted]
     middle = median([each.seconds for each in hits] or [0.0])
-    shown = f"{len(hits)} of {len(found)} faults refuted ({100 * len(hits) / len(found):.0f} %)"
+    apart = [each for each in hits if "/" not in each.refuted]
+    shown = f"{len(hits)} of {len(found)} faults found ({100 * len(hits) / len(found):.0f} %)"
+    shown += f", {len(apart)} of them not by a claim" if apart else ""
     print(f"{dialect}: {shown}, half of them within {middle:.0f} s", flush=True)
     if missed:
         print("    missed:", *sorted(each.fault for each in found if not each.refuted))
-        print("    not by a claim:", *sorted(f"{e.fault}: {e.refuted}" for e in hits if "/" not in e.refuted), sep="\n        ")
+        print("    not by a claim:", *sorted(f"{e.fault}: {e.refuted}" for e in apart), sep="\n        ")
 
 
 if __name__ == "__main__":

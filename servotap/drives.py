@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -30,7 +31,7 @@ from conformance.gate.gate import Allowance, Gate, Refused, parse_allow
 from conformance.motion import motion
 from conformance.safety import messages as say
 from conformance.safety.guarded import GuardedLine, beginning
-from conformance.safety.stopping import MAY_MOVE, stop, stopping
+from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, stop, stop_or_cut, stopping
 from conformance.serve.log import BusLog
 from conformance.suite.preflight import check
 from conformance.suite.target import Target, one
@@ -128,7 +129,9 @@ class Drive:
         self._moving = False
         self._closed = False
         self._spoken = registry.for_model(registry.every(), target.model or None)
-        self._line = self._open(target, max_run, cut_power)
+        self._cut_power = cut_power
+        self._open_line = partial(self._open, target, max_run, cut_power)
+        self._line = self._open_line()
         self._log: BusLog | None = None
         try:
             if log is not None:
@@ -322,6 +325,18 @@ class Drive:
         if isinstance(self._line, GuardedLine):
             self._line.tell(say.Standing())
 
+    def _stop_anew(self) -> None:
+        """Stop the drive by another guard where the first has gone. Raises NotStopped, after the power command."""
+        self._line.close()
+        try:
+            self._line = self._open_line()
+        except ServotapError as error:
+            raise NotStopped(f"NOT STOPPED: {self.name}: {error}; {cut_power(self._cut_power)}") from None
+        gate = Gate(self._line, self._allowance, dialects=self._spoken)
+        stop_or_cut(gate, self.dialect, self.address, self._cut_power)
+        if isinstance(self._line, GuardedLine):
+            self._line.tell(say.Standing())
+
     def close(self) -> None:
         """Stop the drive if it may be moving, and give the port back. Raises NotStopped."""
         if self._closed:
@@ -329,7 +344,10 @@ class Drive:
         self._closed = True
         try:
             if self._moving:
-                self.stop()
+                try:
+                    self.stop()
+                except GuardLost:
+                    self._stop_anew()
         finally:
             self._end_log()
             # A guard that was not told that the drive stands stops it by itself.

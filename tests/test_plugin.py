@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from analyzer.plugins import attempt
 from tests.plugin_site import make_site, servotap
 
 MODULE = '''
@@ -130,3 +131,29 @@ def test_a_dialect_that_fails_while_it_is_read_is_named_once(tmp_path):
     decoded = servotap(site, "decode", "toy.log", "--force")
     assert decoded.stderr.count("failed and is left out") == 1
     assert "14 bytes: 10 in 2 frames, 4 junk" in decoded.stdout
+
+
+class Panic(BaseException):
+    """What a package in Rust raises, and pytest where it skips."""
+
+    def __str__(self):
+        raise ValueError
+
+
+@pytest.mark.parametrize("error", [Panic(), SystemExit(3), RecursionError("deep"), ValueError("\x1b[2J")])
+def test_whatever_a_package_raises_is_named_and_left_out(error, capsys):
+    def call():
+        raise error
+
+    assert attempt("a toy", call) is None
+    said = capsys.readouterr().err
+    assert said.startswith(f"servotap: a toy failed and is left out: {type(error).__name__}")
+    assert "\x1b" not in said
+
+
+def test_an_interrupt_is_none_of_a_package():
+    def call():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        attempt("a toy", call)

@@ -237,8 +237,14 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
         return FAULT
 
 
+#: How Python tells that the system gives no more threads.
+_NO_THREAD = "can't start new thread"
+
+
 def _refused(error: Exception) -> str:
     """Return what the system refused; nothing where the error is none of the system."""
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and str(error) == _NO_THREAD):
+        return f"the system has no more for this process: {str(error) or 'memory'}"
     if not isinstance(error, OSError):
         # pathlib tells a loop of links so, before Python 3.13.
         return str(error) if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop") else ""

@@ -233,6 +233,7 @@ def _decode(capture: Capture, reading: OpenCapture, arguments: argparse.Namespac
     target = capture.target
     with contextlib.closing(reading.source), Interrupt() as interrupt:
         capture.make_folder()
+        replaces = target.exists()
         output = (OutputFolder if arguments.to == "parquet" else Output)(target, arguments.force)
         sinks = _Sinks(reading, output, arguments.jobs)
         watch = Watch()
@@ -244,6 +245,9 @@ def _decode(capture: Capture, reading: OpenCapture, arguments: argparse.Namespac
                     for item in interrupt.items(reading):
                         watch.take(item)
                         pipeline.feed(item)
+                if interrupt.asked and replaces:
+                    # A part of a capture is no replacement for what may be all of it.
+                    raise KeyboardInterrupt
                 if interrupt.asked:
                     stopped = f"stopped by {interrupt.asked}"
             except UnreadableError as error:

@@ -202,7 +202,7 @@ class _Work:
         except ServotapError as error:
             return Outcome(failed=str(error), status=error.exit_status)
         except KeyboardInterrupt:
-            return Outcome(failed="interrupted before anything was decoded", stopped=True)
+            return Outcome(failed="interrupted, and nothing was written", stopped=True)
         except Exception as error:
             report(error)
             return Outcome(failed=f"a fault of servotap: {type(error).__name__}", status=FAULT)

@@ -37,7 +37,9 @@ _NODES = range(1, 0x80)
 #: The last byte of what switches a motor of the MIT protocol: on, off, zero.
 _MIT = (0xFC, 0xFD, 0xFE)
 _LEAST = 2
-_LONGEST = 8
+_LONGEST, _FD_SIZES = 8, (12, 16, 20, 24, 32, 48, 64)
+#: The last identifier of 11 bits.
+_STANDARD = 0x7FF
 #: Bytes behind a request among which two may be no zeros.
 _TAIL = 4
 
@@ -227,6 +229,8 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         )  # fmt: skip
         return
     standard = [(p, can) for p, can in frames if not can.extended and not can.remote]
+    yield from _too_long(frames)
+    yield from _without_flag(frames, standard)
     switches = [(p, can) for p, can in standard if can.data[:-1] == b"\xff" * 7 and can.data[-1] in _MIT]
     if switches:
         piece, can = switches[0]
@@ -277,6 +281,37 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         return
     yield from _wrong_identifier(scene, standard, checked)
     yield from _padded(scene, standard, checked)
+
+
+def _too_long(frames: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:
+    """Suspect frames of more bytes than a frame can have."""
+    found = [(p, can) for p, can in frames if len(can.data) > _LONGEST and len(can.data) not in _FD_SIZES]
+    if found:
+        piece, can = found[0]
+        yield Suspicion(
+            "wrong_length", Confidence.CERTAIN, [Trouble("wrong_length", p.offset, None, p) for p, _ in found],
+            f"A frame is to be sent with {counted(len(can.data), 'byte')}: classic CAN has {_LONGEST} at most.",
+            f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(found), 'time')}",
+            "Send eight bytes or fewer: look up the length of the command, and drop what is too much",
+            tuple(Shown(p.offset, shown(p.data, c.id)) for p, c in found),
+        )  # fmt: skip
+
+
+def _without_flag(frames: list[tuple[Piece, CanFrame]], standard: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:
+    """Suspect identifiers of 29 bits of which the low 11 alone reach the bus, with the same data."""
+    seen = {(can.id, can.data) for _, can in standard if can.direction is not Role.REQUEST and can.data}
+    found = [(p, can) for p, can in frames if can.id > _STANDARD and can.direction is Role.REQUEST
+             and (can.id & _STANDARD, can.data) in seen]  # fmt: skip
+    if found:
+        piece, can = found[0]
+        yield Suspicion(
+            "can_extended_id", Confidence.CERTAIN, [Trouble("foreign_can_frame", p.offset, None, p) for p, _ in found],
+            f"The identifier {identifier(can.id, extended=True)} has 29 bits, and its low 11 bits alone go out: "
+            f"{identifier(can.id & _STANDARD)}.",
+            f"{shown(piece.data, can.id)} was sent, and {shown(piece.data, can.id & _STANDARD)} is on the bus",
+            "Set the flag for extended frames (ext: true, is_extended_id=True, CAN_EFF_FLAG), or take an identifier up to 7FF",
+            (Shown(piece.offset, shown(piece.data, can.id)),),
+        )  # fmt: skip
 
 
 def _is_canopen(can: CanFrame) -> bool:

@@ -123,6 +123,8 @@ _LONGEST_CHECK = 2
 #: A frame that differs from a right one by fewer bits may be that one, damaged; and right ones that are compared.
 _LEAST_BITS = 2
 _LOOKED_AT = 200
+#: Head, address and code, of which no field can lack.
+_HEAD = 4
 #: Bytes before a frame that are looked for.
 _STRAY = 3
 
@@ -157,7 +159,19 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         p for p in scene.pieces
         if p.is_request and p.sound and "bad_checksum" not in p.rules and scene.direction(p.offset) is not Role.REPLY
     ]  # fmt: skip
-    if missing := _deliberate(missing, sound):
+    kept = _deliberate([each for each in missing if not _summed(each)], sound)
+    if short := [each for each in missing if each not in kept and (_summed(each) or _sent_short(each))]:
+        first = short[0]
+        yield Suspicion(
+            "wrong_length", Confidence.LIKELY, [each.trouble for each in short],
+            f"The host's request {first.name} is a byte short: a field is not whole"
+            + (", and its sum is there." if _summed(first) else ", or its sum is missing."),
+            f"{shown(_data(first))} at byte {first.trouble.offset} has {counted(len(_data(first)), 'byte')}, and the manual "
+            f"{len(first.right)}; {counted(len(short), 'time')}",
+            f"Send all fields of the command: `servotap catalogue {first.name}` lists them",
+            tuple(Shown(each.trouble.offset, shown(_data(each))) for each in short),
+        )  # fmt: skip
+    if missing := kept:
         confidence = Confidence.CERTAIN if len(missing) > 1 else Confidence.LIKELY
         half = missing[0].trouble.stretch is not None and len(missing[0].trouble.stretch.data) + 1 == len(missing[0].right)
         what = "the last byte of its checksum" if half and len(missing[0].right) > _READ_SIZE - 1 else "its checksum"
@@ -175,6 +189,23 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             "wrong_checksum", Confidence.LIKELY if again or not sound else Confidence.POSSIBLE, rest,
             "has a checksum that is not the manual's", "Replace the check",
         )  # fmt: skip
+
+
+def _summed(failing: Failing) -> bool:
+    """Say whether the last byte is the sum of those before: then the sum is there, and a byte of the fields is not."""
+    data = _data(failing)
+    return _sent_short(failing) and _sum(data[:-1]) == data[-1:]
+
+
+def _sent_short(failing: Failing) -> bool:
+    """Say whether the host has sent a serial request that is a byte short, and has fields."""
+    data, stretch = _data(failing), failing.trouble.stretch
+    of_host = stretch is not None and stretch.can_id is None and stretch.direction is Role.REQUEST
+    return of_host and len(failing.right) == len(data) + 1 and len(data) > _HEAD
+
+
+def _data(failing: Failing) -> bytes:
+    return failing.trouble.stretch.data if failing.trouble.stretch is not None else b""
 
 
 def _answered(scene: Scene, failing: Failing) -> bool:
@@ -206,7 +237,7 @@ def _deliberate(failing: list[Failing], sound: list[Piece]) -> list[Failing]:
 
 def _kept(failing: Failing) -> tuple[bytes, bytes]:
     """Return head, address and code of a frame, and the check that it has."""
-    data = failing.trouble.stretch.data if failing.trouble.stretch is not None else b""
+    data = _data(failing)
     return failing.right[:3], data[len(data) - failing.size :]
 
 

@@ -52,8 +52,15 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     told = {trouble for trouble, _ in found}
     # What came back damaged is an echo, too.
     found += [(t, shown(sent)) for t, sent in _changed(scene) if t not in told]
+    # Of a dialect that is not known the request is damaged, too; its reply behind its own bytes leaves no doubt.
+    sent = {t.stretch.stop: t for t in scene.damaged if t.stretch is not None and t.stretch.direction is Role.REQUEST}
+    asked = [sent[t.offset] for t, _ in found if t.stretch is not None and t.offset in sent]
+    behind = [
+        t for t in asked if (own := _after(scene, t)) is not None and len(own.data) > len(t.stretch.data if t.stretch else b"")
+    ]
     yield Suspicion(
-        "echo", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY, [trouble for trouble, _ in found],
+        "echo", Confidence.CERTAIN if len(found) > 1 or behind else Confidence.LIKELY,
+        [*asked, *(trouble for trouble, _ in found)],
         "What the host receives begins with what it has sent: its own bytes come back.",
         f"{data}, which was sent, comes back at byte {first.offset}; {counted(len(found), 'time')}",
         _DROP,
@@ -133,6 +140,12 @@ def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
         sent = None
     if len(cut) > 1 or any(len(data) >= _ONCE for _, data in cut):
         yield from cut
+
+
+def _after(scene: Scene, trouble: Trouble) -> Stretch | None:
+    """Return what came right behind damaged bytes."""
+    stop = trouble.stretch.stop if trouble.stretch is not None else 0
+    return next((burst for burst in scene.bursts if burst.offset == stop), None)
 
 
 def _unsound(burst: Stretch) -> bool:

@@ -33,6 +33,13 @@ class Make(NamedTuple):
 _CODES_42C = frozenset(bytes.fromhex("30 33 36 39 3A 3D 3E F3 F6 F7 FD FF")) | {
     *range(0x80, 0x8C), *range(0x90, 0x95), *range(0xA1, 0xA6),
 }  # fmt: skip
+#: Bytes of its requests with their sum, and how many different ones tell.
+_HEADS_42C, _LEAST_42C = range(0xE0, 0xEA), 2
+_REQUESTS_42C = {
+    **dict.fromkeys(bytes.fromhex("30 33 36 39 3A 3D 3E 3F F7"), 3),
+    **dict.fromkeys(bytes.fromhex("80 81 82 83 84 85 86 87 88 89 8A 8B 90 91 92 93 94 F3 F6 FF"), 4),
+    **dict.fromkeys(bytes.fromhex("A1 A2 A3 A4 A5"), 5), 0xFD: 8,
+}  # fmt: skip
 #: Codes of RMD motors.
 CODES_RMD = frozenset((32, *range(0x30, 0x35), *range(0x60, 0x66), *range(0x76, 0x82), *range(0x8F, 0x95), *range(0x9A, 0xB7)))
 _SHORT = 9
@@ -104,6 +111,16 @@ def _meter(data: bytes) -> bool:
     return len(data) >= 12 and data[0] == data[7] == 0x68 and data[-1] == 0x16 and sum(data[:-2]) & 0xFF == data[-2]
 
 
+def _fins(data: bytes) -> bool:
+    return data.startswith(b"FINS") and len(data) >= 8
+
+
+def _tpkt(data: bytes) -> bool:
+    return (
+        len(data) > 7 and data[:2] == b"\x03\x00" and int.from_bytes(data[2:4], "big") == len(data) and data[4] == len(data) - 5
+    )
+
+
 _TEXT = re.compile(rb"[\x20-\x7e\r\n\t]*[A-Za-z]{4}[\x20-\x7e\r\n\t]*")
 
 
@@ -114,6 +131,7 @@ def _words(data: bytes) -> bool:
 
 _UART = "its manual has them; the dialects known here are those of `servotap catalogue`"
 _LIBRARY, _PROTOCOL = f"Use the library of its maker: {_UART}", f"Use the protocol of its maker: {_UART}"
+_SERVICE = f"Look for the port that speaks Modbus (TCP 502), or switch it on: {_UART}"
 MAKES = (
     Make("an MKS SERVO42C (heads E0 to E9)", _mks_42c, 1, "The SERVO42D and 57D have the heads FA and FB; " + _UART),
     Make("an MKS SERVO42C of firmware 1.0 (heads E0 to E9)", _mks_42c_plain, 3, "Newer firmware has a sum; " + _UART),
@@ -128,6 +146,8 @@ MAKES = (
     Make("a battery of JBD (DD ... 77)", _jbd, 1, _PROTOCOL),
     Make("a battery of Daly (A5, thirteen bytes)", _daly, 1, _PROTOCOL),
     Make("an electricity meter (68 ... 68 ... 16)", _meter, 1, _PROTOCOL),
+    Make("a controller of Omron (FINS)", _fins, 1, _SERVICE),
+    Make("a controller of Siemens (S7, which begins a connection by 03 00)", _tpkt, 1, _SERVICE),
     Make("Modbus ASCII", _modbus_ascii, 1, "Set both sides to Modbus RTU"),
 )
 
@@ -135,6 +155,7 @@ MAKES = (
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect a motor that is not known here."""
     yield from _console(scene)
+    yield from _sums_of_42c(scene)
     damaged = [(t, t.stretch.data) for t in scene.damaged if t.stretch is not None and t.stretch.can_id is None]
     sent = list(damaged)
     known = False
@@ -159,6 +180,34 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             f"{shown(data)} at byte {first.offset}; {counted(len(found), 'frame')} like it",
             make.next,
             tuple(Shown(t.offset, shown(d)) for t, d in found),
+        )  # fmt: skip
+        return
+
+
+def _sums_of_42c(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the sums of the requests to an MKS SERVO42C, where none is right: wrong ones, or none at all."""
+    alone = [
+        t for t in scene.damaged if t.stretch is not None and t.stretch.opens and t.stretch.ends and t.stretch.can_id is None
+    ]
+    of_42c = [(t, t.stretch.data) for t in alone if t.stretch is not None and t.stretch.data[0] in _HEADS_42C]
+    if any(_mks_42c(data) for _, data in of_42c):
+        return
+    heard = [data for t, data in of_42c if t.stretch is not None and t.stretch.direction is Role.REPLY]
+    sent = [(t, data, _REQUESTS_42C.get(data[1], 0)) for t, data in of_42c if data not in heard and len(data) > 1]
+    wrong = [(t, data, data[:-1]) for t, data, size in sent if len(data) == size]
+    missing = [(t, data, data) for t, data, size in sent if len(data) == size - 1]
+    # A motor whose firmware has no sums answers without one.
+    for found, cause, what in ((wrong, "wrong_checksum", "a sum that is not right"), (missing, "missing_checksum", "no sum")):
+        if len({data for _, data, _ in found}) < _LEAST_42C or len(found) < len(sent) or heard:
+            continue
+        rights = [body + bytes((sum(body) & 0xFF,)) for _, _, body in found]
+        first, data, _ = found[0]
+        yield Suspicion(
+            cause, Confidence.CERTAIN, [t for t, _, _ in found],
+            f"The requests are those of an MKS SERVO42C, and have {what} at their end.",
+            f"{shown(data)} at byte {first.offset}; right is {shown(rights[0])}; {counted(len(found), 'time')}",
+            f"Put the sum of all bytes behind each: send {shown(rights[0])}; only firmware 1.0 has none",
+            tuple(Shown(t.offset, shown(d), shown(right)) for (t, d, _), right in zip(found, rights, strict=True)),
         )  # fmt: skip
         return
 

@@ -159,6 +159,14 @@ def _of_checks(words: str, compared: list[Checks]) -> tuple[Report, str, int]:
     return Report(_FAILED_CHECK, cause, what, todo), shown, times
 
 
+#: A library's words for a reply that does not fit the request.
+MISFIT = re.compile(r"wrong (?:function ?code|(?:return )?slave ?address): \d+ instead of \d+", re.I)
+
+
 def speaks(line: str) -> bool:
     """Say whether a line has a library's report of an exchange."""
-    return any(report.pattern.search(line) for report in REPORTS) or _FAILED_CHECK.search(line) is not None
+    return (
+        MISFIT.search(line) is not None
+        or any(report.pattern.search(line) for report in REPORTS)
+        or _FAILED_CHECK.search(line) is not None
+    )

@@ -231,7 +231,7 @@ def _miscounted(scene: Scene) -> Iterator[Suspicion]:
 def _other_quantity(scene: Scene) -> Iterator[Suspicion]:
     """Suspect a device that answers a read of registers with another number of them, in a frame that is sound."""
     reads = [p for p in scene.pieces if p.is_request and p.can is None and len(p.data) == _ANSWER and p.data[1] in _READS]
-    asked = {piece.data[:2] + bytes((2 * piece.data[5],)) for piece in reads}
+    asked = {(piece.data[:2], 2 * int.from_bytes(piece.data[4:6], "big")) for piece in reads}
     odd = []
     for one, other in pairwise(scene.pieces):
         reply = other.data
@@ -240,7 +240,7 @@ def _other_quantity(scene: Scene) -> Iterator[Suspicion]:
         known = one.message is not None and one.message.command is not None and one.message.command.code >= 0
         whole = len(reply) > _SHORTEST and reply[2] == len(reply) - _SHORTEST and modbus_crc(reply) == 0
         # That of a request before comes too late.
-        if whole and not known and reply[:3] not in asked:
+        if whole and not known and (reply[:2], reply[2]) not in asked:
             odd.append((one, other))
     if not odd:
         return

@@ -22,6 +22,8 @@ _HIGH, _INSTEAD = 7, 3
 _LOST_BYTES = 3
 #: Bytes that a reply must show before it is one that only lacks its end.
 _LEAST_OF_REPLY = 5
+#: A request to read registers.
+_READ_BYTES, _REGISTERS = 8, (b"\x03", b"\x04")
 #: The last address of a Modbus unit.
 _LAST_UNIT = 247
 #: A sender's frames of which one with a glitch is no chance.
@@ -173,15 +175,25 @@ def _parts(scene: Scene) -> list[_Part]:
     for offset, trouble in damaged.items():
         assert trouble.stretch is not None  # chosen so
         data, at = trouble.stretch.data, 0
-        for start, reading in scene.reader.within(data, trouble.stretch.direction):
+        role = trouble.stretch.direction if scene.shows_sent else Role.UNKNOWN
+        for start, reading in scene.reader.within(data, role):
             if start > at:
                 found.append((offset + at, _Part(data[at:start], Role.UNKNOWN, trouble)))
             frame = reading.message.frame.data
             found.append((offset + start, _Part(frame, reading.message.role, None)))
             at = start + len(frame)
+        if not at and (size := _checked(data)):
+            # Of an address that no unit has; the CRC shows that it is whole.
+            found.append((offset, _Part(data[:size], Role.REQUEST, None)))
+            at = size
         if at < len(data):
             found.append((offset + at, _Part(data[at:], Role.UNKNOWN, trouble)))
     return [part for _, part in sorted(found, key=lambda each: each[0])]
+
+
+def _checked(data: bytes) -> int:
+    """Return the length of a request to read registers at the beginning of bytes, whoever is asked; 0 where none is."""
+    return _READ_BYTES if data[1:2] in _REGISTERS and len(data) >= _READ_BYTES and modbus_crc(data[:_READ_BYTES]) == 0 else 0
 
 
 def _glitch(scene: Scene, part: _Part, before: _Part | None, behind: _Part | None) -> tuple[bool, _Edge] | None:

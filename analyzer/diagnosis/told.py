@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from analyzer.diagnosis.reports import reports
+from analyzer.diagnosis.reports import MISFIT, reports
 from analyzer.diagnosis.scene import Confidence, Scene, Suspicion, Trouble, shown
 from analyzer.link import READS
 from analyzer.values import counted
@@ -14,8 +14,6 @@ from analyzer.values import counted
 _OTHERS = re.compile(
     r"\b(odrive|my ?actuator|rmd[- ]?x\w*|robstride|cybergear|dynamixel|feetech|vesc|pylontech|canopen|damiao|unitree)", re.I
 )
-#: A library's words for a reply that does not fit the request.
-_MISFIT = re.compile(r"wrong (?:function ?code|(?:return )?slave ?address): \d+ instead of \d+", re.I)
 #: Causes that a list of all exceptions has, as documentation and programs have one.
 _EXCEPTIONS = frozenset(("wrong_function", "wrong_register", "value_out_of_range"))
 
@@ -26,7 +24,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     if not words:
         return
     troubles = scene.troubles
-    if (misfit := _MISFIT.search(words)) is not None:
+    if (misfit := MISFIT.search(words)) is not None:
         yield from _misfit(scene, misfit[0])
     yield from _reported(scene, words)
     ours = any(p.sound and p.message is not None and p.message.command is not None for p in scene.pieces)

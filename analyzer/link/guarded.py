@@ -110,7 +110,9 @@ class _Guard:
                     answer = call(*asked, **named)
                     if not serves(answer, *asked, **named):
                         raise TypeError(f"{call.__name__} gave {answer!r}")
-                except plugins.FAILURES as error:
+                except BaseException as error:
+                    if not plugins.is_failure(error):
+                        raise
                     self.why = self.why or plugins.leave_out(self.what, error)
                 # What it asked itself can have failed.
                 if not self.why:

@@ -39,6 +39,7 @@ _FRAMES: dict[int, tuple[int, int, bool, bool]] = {
 }
 #: Python's numbers can have a sign, blanks and underlines, too.
 _DIGITS = re.compile(rb"[0-9A-Fa-f]*")
+_LARGEST, _LARGEST_EXTENDED = (1 << 11) - 1, (1 << 29) - 1
 _FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 #: Lines that are answers: z and Z to a frame sent, a version, a serial number, flags; and nothing at all.
 _ANSWERS = frozenset(b"zZvVNF")
@@ -55,6 +56,8 @@ def dissect_line(line: bytes) -> tuple[int, int, bytes] | None:
     if not digits or len(line) < digits + 2 or not _DIGITS.fullmatch(line, 1, digits + 2):
         raise ValueError(f"{line[:20]!r} is no frame")
     can_id = int(line[1 : digits + 1], 16)
+    if can_id > (_LARGEST_EXTENDED if flags & CanFlag.EXTENDED else _LARGEST):
+        raise ValueError(f"{line[:20]!r} has an identifier of too many bits")
     length = int(line[digits + 1 : digits + 2], 16)
     if coded:
         length = _FD_LENGTHS[length]

@@ -336,6 +336,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3.2.3/limits",
         "The current goes up to 3000 mA on a 42E and 5200 mA on a 57E.",
         "ranges/set_current/current/highest",
+        "read-back/set_current/ends",
         "ranges/set_current/current/above",
     ),
     said("3.2.3/default", "The default is 1600 mA on a 42E and 3200 mA on a 57E.", "read-back/restore/settings"),
@@ -559,6 +560,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3.4.1/right",
         "With EndLimit 1 and the right limit closed the motor no longer turns to the right.",
         "motion/set_limit_remap/right-on",
+        "motion/set_home/end-limit-stops-*-right",
     ),
     said("3.4.1/back", "It turns away from a limit that is closed.", "motion/set_home/end-limit-lets-back"),
     unseen(
@@ -694,7 +696,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "shape/read_parameter/code",
     ),
     said("3.9/layout", "The reply has the layout that sets the parameter.", "shape/read_parameter/of/*"),
-    said("3.9/value", "The value reads as it was set.", "read-back/set_*/read"),
+    said("3.9/value", "The value reads as it was set.", "read-back/set_*/read", "read-back/set_*/ends"),
     said("3.9/unreadable", "A parameter that cannot be read is answered FF FF.", "shape/read_parameter/unreadable"),
     # Part 4: motion
     said("4/bus-modes-only", "Motion by the bus needs a bus mode.", "motion/*/pulse-mode"),
@@ -746,7 +748,7 @@ STATEMENTS: tuple[Statement, ...] = (
     said("4.2.1/up", "2: it speeds up.", "motion/read_status/crossed"),
     said("4.2.1/down", "3: it slows down.", "motion/read_status/slowing-down"),
     said("4.2.1/full", "4: it has its full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
-    said("4.2.1/homing", "5: it is homing.", "motion/home/status"),
+    said("4.2.1/homing", "5: it is homing.", "motion/home/status", "motion/home/status-*"),
     said("4.2.1/calibrating", "6: it is calibrating.", "motion/calibrate/status"),
     unseen("4.2.1/fail", "0: the query failed.", "the manual names nothing that makes it fail"),
     unseen("4.2.1/pulse-modes", "In pulse modes only a calibration is told.", "what is answered there instead is not said"),

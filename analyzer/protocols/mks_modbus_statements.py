@@ -133,7 +133,7 @@ _READS = (
     said("8.1.10/up", "2: it speeds up.", "motion/read_status/crossed"),
     said("8.1.10/down", "3: it slows down.", "motion/read_status/slowing-down"),
     said("8.1.10/full", "4: it turns at full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
-    said("8.1.10/homing", "5: it is homing.", "motion/home/status"),
+    said("8.1.10/homing", "5: it is homing.", "motion/home/status", "motion/home/status-*"),
     said("8.1.10/calibrating", "6: it is calibrating.", "motion/calibrate/status"),
     said("8.1.10/fail", "0: the query failed.", "shape/read_status/status"),
 )

@@ -47,7 +47,7 @@ class Shape(NamedTuple):
 
 _ID = r"(?:0[xX])?(?P<id>[0-9A-Fa-f]{1,8})[hH]?"
 _DATA = r"(?P<data>(?:(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})\b[\s,.:]*+){0,64}|(?:[0-9A-Fa-f]{2}){2,64})"
-_NUMBER = r"0x[0-9A-F]{1,8}|\d{1,4}"
+_NUMBER = r"0x[0-9A-F]{1,8}|\d{1,9}"
 #: A list of numbers in a program: in hexadecimal with 0x alone.
 _LISTED = r"(?:bytes|bytearray)?\(?\s*\[(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\]"
 _MARK = r"(?P<mark>[TR]x|[TR])"
@@ -81,8 +81,9 @@ SHAPES: tuple[Shape, ...] = (
     # In JavaScript.
     _shape(
         "call-object",
-        rf".*?\bsend\(\s*\{{(?=.*?\bid\s*:\s*(?P<id>{_NUMBER}))(?=.*\bext\s*:\s*(?P<extended>true))?.*?\bdata\s*:\s*"
-        r"(?:Buffer\.from\(|new Uint8Array\()?\s*\[(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\].*",
+        rf".*?(?:\bsend\(|=)\s*\{{(?=.*?\bid\s*:\s*(?P<id>{_NUMBER}))(?=.*\bext\s*:\s*(?P<extended>true))?.*?\bdata\s*:"
+        r"\s*(?:(?:new )?(?:Buffer(?:\.from)?|Uint8Array)\()?\s*\["
+        r"(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\].*",
     ),
     _shape("slcan", r"(?P<slcan>[tTrR])(?P<rest>[0-9A-F]{4,})[zZ]?", near=r"\s*[tr][0-9A-F]{4}"),
     _shape(
@@ -112,12 +113,21 @@ SHAPES: tuple[Shape, ...] = (
         "candump",
         rf"(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?(?:0x)?(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})\s+\[(?P<length>\d{{1,2}})\]\s*{_DATA}(?:'.*')?",
     ),
-    _shape("pcan", rf"(?P<id>[0-9A-F]{{3,8}})h\s+(?:(?:data|std|ext)\w*\s+)?(?P<length>[0-8])\s+{_DATA}"),
+    # Rows of a monitor's window.
+    _shape(
+        "monitor",
+        rf"(?:\d{{1,9}}\)?\s+)?(?P<time>\d+\.\d+)\s+(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?{_MARK}\s+(?:0x)?(?P<id>[0-9A-F]{{3,8}})\s+"
+        rf"(?P<length>[0-8])\s+{_DATA}",
+    ),
+    _shape(
+        "pcan",
+        rf"(?:\d{{1,9}}\)?\s+\d+\.\d+\s+{_MARK}\s+)?(?P<id>[0-9A-F]{{3,8}})h\s+(?:(?:data|std|ext)\w*\s+)?(?P<length>[0-8])\s+{_DATA}",
+    ),
     _shape("cansniffer", r"\d{1,6}(?:\.\d+)?\s*\|\s*(?P<id>[0-9A-F]{3,8})\s*\|\s(?P<data>(?:[0-9A-F]{2} )+)\s*.*"),
     _shape(
         "id-data",
         rf"(?:(?P<before>.*?)(?<![A-Za-z]))?(?:can[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:(?:(?P<extended>ext\w*)|std|standard)[\s,;|]*)?"
-        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*)"
+        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*|\[\s*)"
         rf"{_DATA}[\]}}\s]*(?:\((?P<port>[a-z]+\d+)\)\s*)?",
         near=r"\s*(?:\S+\s+)?id\s*[:=]",
     ),
@@ -155,7 +165,7 @@ _EXTENDED_FLAG, _REMOTE_FLAG, _ERROR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_000
 _FLAGGED = 0xFFFF_FFFF
 _SLCAN_ID = {"t": 3, "T": 8, "r": 3, "R": 8}
 _SLCAN_STAMP = 4
-_SAMPLE_LINES = 400
+_SAMPLE_LINES, _NAMED_LINES = 400, 50
 _LEAST_SHARE = 0.1
 
 
@@ -223,18 +233,27 @@ def read(source: Source) -> Iterator[CanFrame | Comment]:
         source.time_source = "capture: milliseconds of the adapter, which begin again every minute"
     if shape.name == "cansniffer":
         source.note("cansniffer prints the time since a frame of the same identifier: the order of frames is not told")
-    return _records(source, shape, decimal, clock)
+    named = {line.port for text in lines[:_NAMED_LINES] if (line := _any(text, shape, decimal)) is not None}
+    # What a program sends, and does not name the bus of, goes to the only one that is named.
+    only = next(iter(named - {None})) if len(named) == 2 and None in named else None
+    return _records(source, shape, decimal, clock, only)
 
 
-def _records(source: Source, shape: Shape, decimal: bool, clock: StampClock) -> Iterator[CanFrame | Comment]:
+def _any(text: str, shape: Shape, decimal: bool) -> _Line | None:
+    """Return the frame of a line in the shape of its text, or in another that is sure."""
+    others = (each for each in SHAPES if each.sure and each is not shape)
+    return _take(text, shape, decimal) or next((line for each in others if (line := _take(text, each)) is not None), None)
+
+
+def _records(source: Source, shape: Shape, decimal: bool, clock: StampClock, only: str | None) -> Iterator[CanFrame | Comment]:
     lines = Lines(source)
     minutes = _Minutes() if shape.name == "slcan" else int
-    others = [each for each in SHAPES if each.sure and each is not shape]
     taken = ""
     for text in _joined(lines):
-        line = _take(text, shape, decimal) or next((line for each in others if (line := _take(text, each)) is not None), None)
+        line = _any(text, shape, decimal)
         if line is not None:
             taken = text
+            line = line if line.port is not None else line._replace(port=only)
             yield _timed(source, line, lines.number, clock, minutes)
         elif (shape.near is not None and shape.near.match(text)) or (taken and is_like(text, taken)):
             source.problem(f"expected a CAN frame, got {quote(text.strip())!r}", line=lines.number)
@@ -341,15 +360,15 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
     number = int(groups["id"], 10 if decimal and "0x" not in found[0].lower() else 16)
     data = written.decimal(groups["data"] or "") if decimal else _data(groups["data"] or "")
     length = groups.get("length")
+    mark = (groups.get("mark") or "").lower()
     remote, error = bool(groups.get("remote")), bool(groups.get("error"))
     if (
         data is None
-        or (len(data) > _CAN_BYTES and len(data) not in _FD_BYTES)
+        or (len(data) > _CAN_BYTES and len(data) not in _FD_BYTES and mark != "cansend")
         or number > _FLAGGED
         or (length is not None and int(length) != len(data) and not remote)
     ):
         return None
-    mark = (groups.get("mark") or "").lower()
     if groups.get("before"):
         said = role_of(re.findall(r"\w+", groups["before"].lower()))
         role = said if said is Role.REQUEST else role

@@ -62,6 +62,14 @@ _OPEN = ("{", "[", "(", ",")
 _LIST_ITEMS = r"(?:(?:0[xX])?[0-9A-Fa-f]{1,3}(?![0-9A-Fa-f])\s*+,?\s*+)*+"
 _LIST = re.compile(rf"[=(:]\s*+(?:new\s+\w+\[\d*\]\s*+|bytes\(|bytearray\(|Buffer\.from\()?[\[{{]\s*+{_LIST_ITEMS}$")
 _GOES_ON = re.compile(rf"\s*+{_LIST_ITEMS}(?:[\]}})][\]}});,\s]*)?(?:(?://|#|/\*).*)?")
+#: What libmodbus prints of a long reply, and where a console has wrapped it.
+_LONG_LINE = re.compile(r"(?:<[0-9A-F]{2}>){24,}\s*", re.IGNORECASE)
+_WRAPPED = re.compile(r"(?:<[0-9A-F]{2}>)+\s*", re.IGNORECASE)
+#: A library's word for what it had read before.
+_KEPT = re.compile(r"\bold[_ ]data\s*[:=]\s*$", re.IGNORECASE)
+_LONGEST_JOINED = 256
+#: A request to read registers.
+_READ_BYTES, _REGISTERS = 8, (0x03, 0x04)
 _SPOILT = re.compile(r"[\s,:-]{0,2}(?:0x\w{1,2}|\d\w?|\w\d)\b")
 _WORDS = re.compile(r"[^\W\d_]{3,}")
 _LABEL = re.compile(r"data|bytes?|hex|frame|buffer|message|msg|payload|raw", re.IGNORECASE)
@@ -156,6 +164,11 @@ def read(source: Source) -> Iterator[Chunk | Comment]:
     return _Reader(source, clock, manner).records()
 
 
+def _asks(data: bytes) -> bool:
+    """Say whether bytes are a request to read registers: who receives one is a server, or listens."""
+    return len(data) == _READ_BYTES and data[1] in _REGISTERS and modbus_crc(data) == 0
+
+
 def _is_single(lines: Sequence[str]) -> bool:
     """Say whether each line is one byte."""
     return len(lines) >= _SINGLE_LINES and all(_SINGLE.fullmatch(line) for line in lines)
@@ -214,7 +227,8 @@ class _Manner(NamedTuple):
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
             brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
             led=len(traffic) > 1 and all(p.led for p in traffic[:2]),
-            deaf=roles.count(Role.REPLY) >= _LISTENER_LINES and Role.REQUEST not in roles,
+            deaf=Role.REQUEST not in roles
+            and (roles.count(Role.REPLY) >= _LISTENER_LINES or any(p.role is Role.REPLY and _asks(p.data) for p in traffic)),
             prose=prose,
             fields=prose and _has_fields(lines),
             commented=prose and not traffic and not _says([p for p in parts if not p.text.startswith("#")]),
@@ -254,12 +268,13 @@ def _whole_lists(lines: Iterable[str]) -> Iterator[str]:
     held: list[str] = []
     for line in lines:
         if held:
-            if len(held) < _PIECES and _GOES_ON.fullmatch(line):
+            wrapped = held[0].startswith("<")
+            if len(held) < _PIECES and (_WRAPPED if wrapped else _GOES_ON).fullmatch(line):
                 held.append(line)
                 continue
             yield " ".join(held)
             held.clear()
-        if line.endswith(_OPEN) and _LIST.search(line):
+        if (line.endswith(_OPEN) and _LIST.search(line)) or (line.startswith("<") and _LONG_LINE.fullmatch(line)):
             held.append(line)
         else:
             yield line
@@ -336,6 +351,8 @@ class _Reader:
                 yield source.comment(t_ns, text)
             elif line.shape is Shape.TRAFFIC:
                 self._check_count(line)
+                if line.passed and self._lines.number <= _SAMPLE_LINES and speaks(line.passed):
+                    yield source.comment(t_ns, line.passed)
                 yield from self._traffic(t_ns, self._told_above(line) if prose else line)
             elif line.shape is Shape.HEADER:
                 self._header, self._header_ns = line, t_ns
@@ -384,7 +401,7 @@ class _Reader:
         for each in said:
             if each.left:
                 self._source.note(f"line {number}, column {each.column}: {each.data.hex(' ').upper()} is left out: {each.left}")
-        frames = [each for each in said if not each.left]
+        frames = self._in_order(text, [each for each in said if not each.left and not self._is_joined(each.data)])
         if not frames:
             yield self._source.comment(t_ns, text)
             return
@@ -399,7 +416,19 @@ class _Reader:
             self._known.add(each.data)
             role = self._marks(self._above) if each.role is Role.UNKNOWN and alone else each.role
             self._marks(role)
-            yield Chunk(t_ns, self._source.port(), each.data, role, True)
+            yield Chunk(t_ns, self._source.port(), each.data, Role.UNKNOWN if self._manner.deaf else role, True)
+
+    def _in_order(self, text: str, said: list[Quotation]) -> list[Quotation]:
+        """Return the frames of a line as they came: what a library had kept stands behind, and is known mostly."""
+        kept = [each for each in said if _KEPT.search(text[: each.column - 1]) is not None]
+        others = [each for each in said if each not in kept]
+        role = others[0].role if others else Role.UNKNOWN
+        return [each._replace(role=role) for each in kept if each.data not in self._known] + others
+
+    def _is_joined(self, data: bytes) -> bool:
+        """Say whether bytes are two readings of before, joined by the library that printed them."""
+        halves = ((data[:at], data[at:]) for at in range(_SAID_BYTES, min(len(data) - 2, _LONGEST_JOINED)))
+        return data not in self._known and any(one in self._known and other in self._known for one, other in halves)
 
     def _told_above(self, line: HexLine) -> HexLine:
         """Return a line with the sender that words behind it or above it name."""

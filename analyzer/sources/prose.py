@@ -39,6 +39,7 @@ _ITEM = r"(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})"
 _RUN = re.compile(
     # A string of a program with escapes in it.
     r"""(?P<string>b?'(?:[^'\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^'\\]|\\.)*'|b?"(?:[^"\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^"\\]|\\.)*")"""
+    r"|(?P<buffer><Buffer(?: [0-9A-Fa-f]{2})+>)"
     r"|(?P<escapes>(?:\\x[0-9A-Fa-f]{2})+)"
     # Each byte in brackets.
     rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<\s?{_ITEM}\s?>\s*){{2,}}|(?:\{{{_ITEM}\}}\s*){{2,}})"
@@ -177,6 +178,8 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
     """Return why a run is no frame; empty where it is one, None where it is no bytes at all."""
     text, kind = run[0], run.lastgroup
     lettered = _LETTER.search(text) is not None
+    if kind == "buffer":
+        return ""
     if kind in ("string", "escapes", "each", "dashed"):
         return "" if len(data) >= _LEAST else None
     if kind == "list":

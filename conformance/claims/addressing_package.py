@@ -130,6 +130,11 @@ def _among_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     return [others[0], _move(dialect, own), *others[1:]]
 
 
+def _behind_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+    assert package.slots is not None
+    return [*(_move(dialect, a, _OTHER) for a in _others(dialect, own, package.slots.count - 1)), _move(dialect, own)]
+
+
 def _two_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     return [_move(dialect, own), EMPTY, _move(dialect, own, _OTHER)]
 
@@ -166,6 +171,14 @@ _ROWS: tuple[tuple[str, Slots, int, str, str, Certainty], ...] = (
         _among_others,
         _ONE,
         "Of a package for five drives each executes its own slot.",
+        "no move, or that of another slot",
+        Certainty.CERTAIN,
+    ),
+    (
+        "last_of_five",
+        _behind_others,
+        _ONE,
+        "A drive executes its own slot behind those of four others.",
         "no move, or that of another slot",
         Certainty.CERTAIN,
     ),

@@ -5,13 +5,15 @@ that a setup program sets. Here they are taken to act on motion at once, until t
 A drive that does otherwise is not refuted.
 
 Rules kept here:
+- What a limit does one way it does the other way, and what it does from the begin of a motion it does at once: that is judged.
 - Real drives without C0 and C1 were seen (firmware 2.35).
 - A claim puts back what it changed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
@@ -21,7 +23,7 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import command_of, of_motion, risks_by
 from conformance.claims.moves import without_max_speed
 from conformance.motion import motion
-from conformance.motion.motion import MOVES, MS, SECOND_NS, Sample
+from conformance.motion.motion import FORCE, MOVES, MS, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
@@ -87,16 +89,90 @@ def _unlimited_moves(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, case.command, {"move": move.command})
 
 
+@dataclass(frozen=True)
+class _Limited:
+    """A move under a limit: `seen` is what the limit holds at `limit`, `within` so much (rpm or degrees)."""
+
+    way: int
+    seen: float
+    limit: float
+    within: float
+    exchange: Exchange
+
+    @property
+    def holds(self) -> bool:
+        """Whether the limit held."""
+        return abs(self.seen - self.limit) <= self.within
+
+
+def limited_speeds(probe: Probe, move: Command) -> tuple[_Limited, ...]:
+    """Move either way under a speed limit of 90 deg/s; nothing where the drive has no such limit."""
+    kept = _parameter(probe, "speed_limit")
+    found = []
+    for way in (-1, 1) if kept is not None else ():
+        motion.ready_to_move(probe)
+        exchange = _set(probe, "speed_limit", 9_000)
+        motion.begin(probe, move, way * 180)
+        probe.wait(700 * MS)
+        rpm, _ = motion.mean_speed(probe, 500 * MS)
+        motion.stand_still(probe)
+        _set(probe, "speed_limit", kept or 0)
+        found.append(_Limited(way, abs(rpm), 15, 0.5, exchange))
+    return tuple(found)
+
+
+def limited_places(probe: Probe, move: Command) -> tuple[_Limited, ...]:
+    """Move beyond an angle limit of 60 degrees on either side of zero; nothing where the drive has no such limit."""
+    kept = _parameter(probe, "angle_limit")
+    found = []
+    for way in (1, -1) if kept is not None else ():
+        motion.ready_to_move(probe)
+        probe.do("set_position", {"position": 0})
+        exchange = _set(probe, "angle_limit", 6_000)
+        motion.begin(probe, move, way * 120, start=0)
+        probe.wait(2 * SECOND_NS)
+        end = motion.stand_still(probe)
+        _set(probe, "angle_limit", kept or 0)
+        found.append(_Limited(way, end.value, way * 60, 1 + motion.same(probe), exchange))
+    return tuple(found)
+
+
+def _limited(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ...]], move: Command) -> tuple[_Limited, ...]:
+    found = probe.recorded(record, move)
+    if not found:
+        probe.meets(_FIRMWARE)
+    return found
+
+
+def _expect_each_way(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ...]], move: Command, limit: str) -> None:
+    """Refute a limit that holds one way alone."""
+    found = _limited(probe, record, move)
+    beyond = [one for one in found if not one.holds]
+    if found and len(beyond) == len(found):
+        raise Observed(f"the {limit} does not hold for {move.name}")
+    for one in beyond:
+        text = f"the {limit} that holds for {move.name} one way does not hold the other way"
+        probe.expect(one.seen, near=one.limit, within=one.within, refutes=text, exchange=one.exchange)
+
+
 @_of_parameter(each=_unlimited_moves, name="{command}/speed-limit-{move}", refuted_by="a faster shaft")
 def _speed_limit_moves(probe: Probe, move: Command) -> None:
     """The speed limit holds for {move}, which has no highest speed of its own."""
-    kept = _parameter(probe, "speed_limit")
-    if kept is not None:
-        motion.ready_to_move(probe)
-        exchange = _set(probe, "speed_limit", 9_000)
-        motion.begin(probe, move, -180)
-        probe.wait(700 * MS)
-        _expect_limited(probe, kept, exchange, "a move")
+    for one in _limited(probe, limited_speeds, move):
+        text = "the speed limit does not hold for a move"
+        probe.expect(one.seen, near=one.limit, within=one.within, unit="rpm", refutes=text, exchange=one.exchange)
+
+
+@_of_parameter(
+    each=_unlimited_moves,
+    name="{command}/speed-limit-{move}-each-way",
+    refuted_by="a faster shaft one way",
+    at_best=Certainty.LIKELY,
+    rests_on=(),
+)
+def _speed_limit_each_way(probe: Probe, move: Command) -> None:
+    """The speed limit that holds for {move} one way holds the other way too."""
+    _expect_each_way(probe, limited_speeds, move, "speed limit")
 
 
 def _moves_to_positions(dialect: Dialect) -> Iterator[Case]:
@@ -108,19 +184,21 @@ def _moves_to_positions(dialect: Dialect) -> Iterator[Case]:
 @_of_parameter(each=_moves_to_positions, name="{command}/angle-limit-{move}", refuted_by="a shaft beyond it")
 def _angle_limit(probe: Probe, move: Command) -> None:
     """{move} goes no farther than the angle limit, on either side of zero."""
-    kept = _parameter(probe, "angle_limit")
-    if kept is None:
-        return
-    for way in (1, -1):
-        motion.ready_to_move(probe)
-        probe.do("set_position", {"position": 0})
-        exchange = _set(probe, "angle_limit", 6_000)
-        motion.begin(probe, move, way * 120, start=0)
-        probe.wait(2 * SECOND_NS)
-        end = motion.stand_still(probe)
-        _set(probe, "angle_limit", kept)
+    for one in _limited(probe, limited_places, move):
         text = f"{move.name} goes beyond the angle limit"
-        probe.expect(end, near=way * 60, within=1, unit="degrees", refutes=text, exchange=exchange)
+        probe.expect(one.seen, near=one.limit, within=one.within, unit="degrees", refutes=text, exchange=one.exchange)
+
+
+@_of_parameter(
+    each=_moves_to_positions,
+    name="{command}/angle-limit-{move}-each-way",
+    refuted_by="a shaft beyond it on one side",
+    at_best=Certainty.LIKELY,
+    rests_on=(),
+)
+def _angle_limit_each_way(probe: Probe, move: Command) -> None:
+    """The angle limit that holds for {move} on one side of zero holds on the other side too."""
+    _expect_each_way(probe, limited_places, move, "angle limit")
 
 
 @_of_parameter(refuted_by="motion", risks=lambda case: {*risks_by(Verb.RUN_SPEED)(case), Risk.TORQUE})
@@ -186,34 +264,83 @@ def _torque_limit_of(probe: Probe, how: Command) -> None:
     probe.expect(went[1], at_most=most, unit="degrees", refutes=text, exchange=exchange)
 
 
+def _forces(dialect: Dialect) -> Iterator[Case]:
+    for case in _limited_motions(dialect):
+        if case["how"].motion.kind is MotionKind.TORQUE:
+            yield case
+
+
+#: A torque limit below what is asked for, how long a torque has until it is there, and how near it is then.
+_LOW, _THERE_NS, _NEAR = FORCE // 2, 250 * MS, FORCE / 4
+
+
+@of_motion(
+    each=_forces,
+    name="{command}/torque-limit-at-once-{how}",
+    refuted_by="the torque of before",
+    at_best=Certainty.LIKELY,
+    settings=("torque_limit",),
+    own=lambda case: {Risk.SETTING},
+    quirks=may_meet(_FIRMWARE),
+)
+def _torque_limit_at_once(probe: Probe, how: Command) -> None:
+    """A torque limit that holds for {how} from its begin holds as soon as it is written for one that is under way."""
+    kept = _parameter(probe, "torque_limit")
+    if kept is None:
+        return
+    (name,) = motion.values_of(probe.dialect, how)
+
+    def strength() -> float:
+        probe.wait(_THERE_NS)
+        return probe.read(Verb.READ_STATE_2, name)
+
+    motion.ready_to_move(probe)
+    _set(probe, "torque_limit", _LOW)
+    probe.do(how, {name: FORCE})
+    begun = strength()
+    motion.stand_still(probe)
+    _set(probe, "torque_limit", kept)
+    probe.do(how, {name: FORCE})
+    free = strength()
+    exchange = _set(probe, "torque_limit", _LOW)
+    seen = strength()
+    motion.stand_still(probe)
+    _set(probe, "torque_limit", kept)
+    if abs(begun - _LOW) > _NEAR or abs(free - FORCE) > _NEAR:
+        raise Observed(f"with a torque limit of {_LOW} the torque is {begun:.0f}, and {free:.0f} without")
+    text = f"a torque limit does not hold for {how.name} that is under way"
+    probe.expect(seen, near=_LOW, within=_NEAR, unit="LSB", refutes=text, exchange=exchange)
+
+
 # --- the ramp ---------------------------------------------------------------------------------------------------------
 
 _of_ramp = partial(_of_run, theme=Theme.TIMING)
 _of_change = partial(_of_ramp, settings=("speed_ramp",))
 
 
-def _acceleration(probe: Probe, ramp: int, how: Command) -> tuple[float, Exchange]:
+def _acceleration(probe: Probe, ramp: int, how: Command, way: int = 1) -> tuple[float, Exchange]:
     """Turn the shaft by a ramp and return the mean acceleration to full speed (deg/s2).
 
     Two positions, both at full speed, tell how long it takes to it: the way that is missing.
     """
+    ramp_ns = 18_000 * SECOND_NS // ramp
     motion.ready_to_move(probe)
     _set(probe, "speed_ramp", ramp)
     here = motion.position(probe)
     kept = _parameter(probe, "speed_limit") or 0
     # A move has no speed of its own: the limit is its speed, which it keeps for more turns than it is looked at.
     _set(probe, "speed_limit", 18_000)
-    exchange = motion.ask(probe, how, 20 * 360, rpm=30, quiet_ns=0)
-    # The ramp takes a second.
-    probe.wait(1500 * MS)
+    runs = motion.of(how).kind is MotionKind.RUN
+    exchange = motion.ask(probe, how, way * 20 * 360, rpm=way * 30 if runs else 30, quiet_ns=0)
+    probe.wait(ramp_ns * 3 // 2)
     first = motion.position(probe)
-    rpm, _ = motion.mean_speed(probe, 500 * MS)
+    rpm, _ = motion.mean_speed(probe, ramp_ns // 2)
     motion.stand_still(probe)
     _set(probe, "speed_limit", kept)
-    speed = rpm * 6
+    speed = rpm * 6 * way
     if not speed:
         raise Inconclusive(f"{how.name} does not turn the shaft")
-    missing_s = (first.t_ns - exchange.sent_ns) / SECOND_NS - (first.value - here.value) / speed
+    missing_s = (first.t_ns - exchange.sent_ns) / SECOND_NS - (first.value - here.value) * way / speed
     return speed / (2 * missing_s) if missing_s > 1e-4 else float("inf"), exchange
 
 
@@ -226,12 +353,50 @@ def _ramped(dialect: Dialect) -> Iterator[Case]:
 @_of_ramp(each=_ramped, name="{command}/speed-ramp-{run}", refuted_by="another acceleration")
 def _speed_ramp(probe: Probe, run: Command) -> None:
     """The speed of {run} rises by the speed ramp: 0.01 deg/s2 a unit."""
-    kept = _parameter(probe, "speed_ramp")
-    if kept is not None:
-        seen, exchange = _acceleration(probe, 18_000, run)
-        _set(probe, "speed_ramp", kept)
+    if (found := _ramps(probe, run)) is not None:
+        seen, exchange = found[0]
         probe.measured["deg_s2"] = seen
         probe.expect(seen, near=180, within=5, unit="deg/s2", refutes="the speed rises by another ramp", exchange=exchange)
+
+
+def ramped_each_way(probe: Probe, run: Command) -> tuple[tuple[float, Exchange], ...]:
+    """Return the accelerations by two ramps, the steeper one the other way; nothing where the drive has no such parameter."""
+    kept = _parameter(probe, "speed_ramp")
+    if kept is None:
+        return ()
+    found = tuple(_acceleration(probe, ramp, run, way) for ramp, way in ((18_000, 1), (_BACK_RAMP, -1)))
+    _set(probe, "speed_ramp", kept)
+    return found
+
+
+#: The ramp that is tried the other way.
+_BACK_RAMP = 36_000
+
+
+def _ramps(probe: Probe, run: Command) -> tuple[tuple[float, Exchange], ...] | None:
+    found = probe.recorded(ramped_each_way, run)
+    if not found:
+        probe.meets(_FIRMWARE)
+        return None
+    return found
+
+
+@_of_ramp(
+    each=_ramped,
+    name="{command}/speed-ramp-{run}-each-way",
+    refuted_by="a steeper or a slower ramp one way",
+    at_best=Certainty.LIKELY,
+    rests_on=(),
+)
+def _speed_ramp_each_way(probe: Probe, run: Command) -> None:
+    """The speed ramp that holds for {run} one way holds the other way too."""
+    if (found := _ramps(probe, run)) is None:
+        return
+    (forward, _), (back, exchange) = found
+    if abs(forward - 180) > 180 * (1 - _SHORTER):
+        raise Observed(f"the speed of {run.name} rises by another ramp than was set")
+    text, wanted = f"the speed of {run.name} rises by another ramp the other way", _BACK_RAMP / 100
+    probe.expect(back, near=wanted, within=wanted * (1 - _SHORTER), unit="deg/s2", refutes=text, exchange=exchange)
 
 
 @_of_change(name="{command}/speed-ramp-at-once", refuted_by="a change of speed by the ramp of before")

@@ -167,15 +167,11 @@ def first_rows(dialect: Dialect) -> tuple[Row, ...]:
     """Return few rows of the table, and short ones that turn, in which each condition comes once and each speed either way."""
     runs = {command.name: motion.of(command).kind is MotionKind.RUN for command in motions_of(dialect)}
     every = [row for row in table(dialect) if row.turns or runs[row.command]]
-    cost = {row: _about_ns(row, runs=runs[row.command]) for row in every}
-    shows = {row: {*enumerate(row), (row.way, row.rpm), (row.way, row.command)} for row in every}
-    missing: set[object] = set().union(*shows.values())
-    found = set()
-    while missing:
-        best = max(every, key=lambda row: len(shows[row] & missing) / cost[row])
-        found.add(best)
-        missing -= shows[best]
-    return tuple(row for row in every if row in found)
+    return covering.few(
+        every,
+        lambda row: {*enumerate(row), (row.way, row.rpm), (row.way, row.command)},
+        lambda row: _about_ns(row, runs=runs[row.command]),
+    )
 
 
 def _about_ns(row: Row, *, runs: bool) -> float:

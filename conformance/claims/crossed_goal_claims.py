@@ -30,6 +30,9 @@ from conformance.claims.crossed_goals import (
     apart,
     cases,
     crossed,
+    first_of,
+    first_rows,
+    met_after_s,
     motions_of,
     moves,
     reads_of,
@@ -47,6 +50,8 @@ from conformance.talk.probe import Probe
 _LEAST_RAMP, _RPM = 1800, 1.0
 #: A speed that replies leave more uncertain than this share is not judged.
 _BLIND = 0.1
+#: How long a speed must last to be seen.
+_SEEN_S = 0.1
 #: From when on, of the begin of a run or torque, its speed and current are steady.
 _STEADY_NS = 550 * MS
 #: What a drive turns at on its own at most, and how far a position may jump beside that, in rpm and degrees.
@@ -78,8 +83,9 @@ def _position(case: Case) -> tuple[str, ...]:
     return ("position",) if motion.of(case.command).kind is MotionKind.MOVE_TO else ()
 
 
-def _rows(probe: Probe, command: Command) -> tuple[Tried, ...]:
-    found = probe.recorded(crossed, command)
+def _rows(probe: Probe, command: Command, *, few: bool = False) -> tuple[Tried, ...]:
+    """Return what the rows of a motion showed, or its first `few`."""
+    found = first_of(probe, command) if few else probe.recorded(crossed, command)
     sound = tuple(tried for tried in found if not tried.damaged)
     if 2 * len(sound) < len(found):
         raise Inconclusive("the line damaged something of most motions")
@@ -92,7 +98,11 @@ def _rows(probe: Probe, command: Command) -> tuple[Tried, ...]:
 @_of_goals(name="{command}/crossed-taken", refuted_by="no answer")
 def _taken(probe: Probe, command: Command) -> None:
     """{command} is answered in all conditions, and so is what comes on its way."""
-    for tried in _rows(probe, command):
+    _taken_in(probe, command, _rows(probe, command))
+
+
+def _taken_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
+    for tried in rows:
         for edge in tried.edges:
             assert edge.exchange.command is not None  # it was asked for
             text = f"{edge.exchange.command.name} is not answered in one condition"
@@ -103,7 +113,11 @@ def _taken(probe: Probe, command: Command) -> None:
 @_of_goals(name="{command}/crossed-tells", refuted_by="another temperature, torque current, speed or encoder")
 def _tells(probe: Probe, command: Command) -> None:
     """{command} is answered with what 9C tells: at rest, and while the shaft turns either way, slow and fast."""
-    for tried in _rows(probe, command):
+    _tells_in(probe, command, _rows(probe, command))
+
+
+def _tells_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
+    for tried in rows:
         for edge in (tried.begun, tried.again):
             answer = edge.exchange.reply if edge is not None else None
             if edge is not None and answer is not None and motion.readable(edge.exchange):
@@ -152,7 +166,11 @@ def _expect_strength(
 @_of_goals(name="{command}/crossed-ends", refuted_by="another way")
 def _ends(probe: Probe, command: Command) -> None:
     """{command} goes as requested, slow and fast, from rest and out of a run, also if the motor is switched on meanwhile."""
-    for tried in _rows(probe, command):
+    _ends_in(probe, command, _rows(probe, command))
+
+
+def _ends_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
+    for tried in rows:
         if tried.row.meets in (STOP, OFF):
             continue
         text = f"{command.name} goes elsewhere in one condition"
@@ -202,7 +220,11 @@ def _gone(probe: Probe, tried: Tried) -> float:
 @_of_goals(name="{command}/crossed-stopped", refuted_by="a shaft that goes on, or another state")
 def _stopped(probe: Probe, command: Command) -> None:
     """{command} is ended by 80 and 81: the shaft stands, and 80 leaves the motor off. 88 takes nothing up and ends nothing."""
-    for tried in _rows(probe, command):
+    _stopped_in(probe, command, _rows(probe, command))
+
+
+def _stopped_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
+    for tried in rows:
         edge = tried.met
         if edge is None:
             continue
@@ -234,9 +256,13 @@ def _stopped(probe: Probe, command: Command) -> None:
 @_of_goals(name="{command}/crossed-speed", refuted_by="another speed, or another way")
 def _speed(probe: Probe, command: Command) -> None:
     """{command} turns the shaft no faster than it is told, and as fast where the way is long, as its positions tell."""
+    _speed_in(probe, command, _rows(probe, command))
+
+
+def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     if motion.of(command).kind is MotionKind.TORQUE or not motion.of(command).speed:
         return
-    for tried in _rows(probe, command):
+    for tried in rows:
         row, text = tried.row, f"{command.name} turns at another speed in one condition"
         runs = not moves(command)
         begun_ns = tried.begun.exchange.sent_ns
@@ -254,10 +280,39 @@ def _speed(probe: Probe, command: Command) -> None:
         shown: dict[str, Any] = {"refutes": text, "exchange": tried.begun.exchange, "key": text, "unit": "rpm"}
         fastest = max(rpm - spread for rpm, spread in seen)
         probe.expect(fastest, at_most=row.rpm + share, expected=f"at most {row.rpm + share:.4g} rpm: {row}", **shown)
-        # Up and down again, by the least ramp.
-        if runs or (row.meets is None and not row.start and row.turns * 360 >= (row.rpm * 6) ** 2 / _LEAST_RAMP):
+        if runs or _has_its_speed(tried):
             reached = min(rpm + spread for rpm, spread in seen) if runs else max(rpm + spread for rpm, spread in seen)
             probe.expect(reached, at_least=row.rpm - share, expected=f"at least {row.rpm - share:.4g} rpm: {row}", **shown)
+
+
+def _first_cases(dialect: Dialect) -> Iterator[Case]:
+    first = {row.command for row in first_rows(dialect)}
+    return (case for case in cases(dialect) if case.command is not None and case.command.name in first)
+
+
+@of_motion(
+    each=_first_cases,
+    name="{command}/crossed-first",
+    refuted_by="no answer, or another reply, way, speed or end in one condition",
+    at_best=Certainty.LIKELY,
+    risks=_all_motions,
+)
+def _first(probe: Probe, command: Command) -> None:
+    """{command} is answered, goes and ends as asked in a few motions, in which each condition comes once."""
+    rows = _rows(probe, command, few=True)
+    for judge in (_taken_in, _tells_in, _ends_in, _stopped_in, _speed_in):
+        judge(probe, command, rows)
+
+
+def _has_its_speed(tried: Tried) -> bool:
+    """Say whether a move from rest is so long, or long enough under way when something comes, that it has its speed."""
+    row, speed = tried.row, tried.row.rpm * 6
+    if row.start:
+        return False
+    if row.meets is None:
+        # Up and down again, by the least ramp.
+        return row.turns * 360 >= speed**2 / _LEAST_RAMP
+    return met_after_s(row) >= speed / _LEAST_RAMP + _SEEN_S
 
 
 # --- what is read meanwhile ---------------------------------------------------------------------------------------------
@@ -286,15 +341,20 @@ def _reads(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, read, facts=facts | {"risks": motion.risks(dialect, *risks, *dialect.by_verb[OFF].all_risks)})
 
 
-def _recorded(probe: Probe) -> Iterator[Tried]:
+def _first_reads(dialect: Dialect) -> Iterator[Case]:
+    few = {"settings": (), "name": "{command}/crossed-first"}
+    return (Case(dialect, case.command, facts={**case.facts, **few}) for case in _reads(dialect) if first_rows(dialect))
+
+
+def _recorded(probe: Probe, *, few: bool) -> Iterator[Tried]:
     for command in motions_of(probe.dialect):
         if probe.dialect.model or not command.models:
-            yield from _rows(probe, command)
+            yield from _rows(probe, command, few=few)
 
 
-def _looks(probe: Probe, read: Command) -> Iterator[_Seen]:
-    """Yield what a read told before, on the way and at the end of every motion."""
-    for tried in _recorded(probe):
+def _looks(probe: Probe, read: Command, *, few: bool) -> Iterator[_Seen]:
+    """Yield what a read told before, on the way and at the end of every motion, or of the first `few`."""
+    for tried in _recorded(probe, few=few):
         phases = {"at rest before": tried.before, "on the way of": tried.during, "after what came on the way of": tried.ending}
         phases |= {"while off after": tried.off, "at rest after": tried.after}
         for when, looks in phases.items():
@@ -306,11 +366,21 @@ def _looks(probe: Probe, read: Command) -> Iterator[_Seen]:
 @of_motion(each=_reads, refuted_by="no answer, or another value in one condition", at_best=Certainty.LIKELY)
 def _read(probe: Probe, command: Command) -> None:
     """{command} is answered and tells what the shaft does in all motions, before, on the way of and after each of them."""
+    _judge(probe, command, few=False)
+
+
+@of_motion(each=_first_reads, refuted_by="no answer, or another value in one condition", at_best=Certainty.LIKELY)
+def _first_read(probe: Probe, command: Command) -> None:
+    """{command} is answered and tells what the shaft does in a few motions, in which each condition comes once."""
+    _judge(probe, command, few=True)
+
+
+def _judge(probe: Probe, command: Command, *, few: bool) -> None:
     if command.verb is Verb.READ_POSITION:
-        _expect_no_jumps(probe)
+        _expect_no_jumps(probe, few=few)
         return
     widths = set(_WITHIN_TURN[command.verb][1]) if command.verb in _WITHIN_TURN else set()
-    for seen in _looks(probe, command):
+    for seen in _looks(probe, command, few=few):
         text = f"{command.name} is not answered in one condition, twice"
         shown: dict[str, Any] = {"expected": f"an answer, {seen.when}", "exchange": seen.look.exchange, "key": text}
         probe.expect("no answer", holds=seen.look.values is not None, refutes=text, **shown)
@@ -320,9 +390,9 @@ def _read(probe: Probe, command: Command) -> None:
             judge(probe, seen)
 
 
-def _expect_no_jumps(probe: Probe) -> None:
+def _expect_no_jumps(probe: Probe, *, few: bool) -> None:
     """Refute where the position changes by more than a shaft can turn between two looks."""
-    for tried in _recorded(probe):
+    for tried in _recorded(probe, few=few):
         every = (*tried.before, *tried.begun.places, *tried.during, *(tried.met.places if tried.met else ()))
         looks = tuple(sorted({one.span: one for one in (*every, *tried.ending, *tried.off, *tried.after)}.items()))
         places = samples(probe, tuple(one for _, one in looks))

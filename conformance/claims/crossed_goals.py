@@ -10,16 +10,21 @@ Rules kept here:
 - A row takes two seconds at most; each way is gone as far as the other.
 - The last look before a command and the first one behind it are of the read that its reply is held against.
 - How fast a shaft speeds up is not known: a row ends when the shaft stands.
+- A few rows come first, for runs that have time for them alone.
+- A move to a place goes to positive places and to negative ones, each way and at each speed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from itertools import cycle, pairwise
 from typing import NamedTuple
 
-from analyzer.catalogue import Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
+from conformance.claim import Inconclusive
 from conformance.claims.crossed import Look, look, place
 from conformance.claims.declare import Case
 from conformance.gate.gate import Refused
@@ -35,6 +40,8 @@ _SPEEDS, OWN, _RUN_MOST = (110, 20, 60, 240, 0), 0, 110
 FORCES = {20: 30, 60: 60, 110: 90}
 #: Lengths of moves in turns: within one, nothing, half a degree, a whole one, several.
 _TURNS = (0.21, 0.86, 0.0, 0.5 / 360, 1.0, 2.6)
+#: A move that shows how the shaft turns.
+_FAR = 0.2
 #: A move that would take longer at its speed is left out; one on whose way something comes takes so long at least.
 _LONGEST_S, _LEAST_S = 1.5, 0.4
 #: Reckoned for a move that is told no speed.
@@ -45,6 +52,8 @@ _RUN_NS, _AFTER_NS, _BEFORE_NS = 750 * MS, 150 * MS, 200 * MS
 _MET_AT, _OVERHEAD_NS = 0.45, 400 * MS
 #: From one look to the next one; how long a shaft has to get going; how long it stays where it is when it stands.
 _LOOK_NS, _SET_OFF_NS, _STANDS_NS = 12 * MS, 200 * MS, 60 * MS
+#: How far the way of a move to a place stays away from zero, in degrees.
+_BESIDE_ZERO = 180
 #: How long a motion may take to come to rest.
 _PATIENCE_NS = 4 * SECOND_NS
 #: What comes on the way of a motion.
@@ -98,24 +107,40 @@ def moves(command: Command) -> bool:
     return motion.of(command).kind in MOVES
 
 
+class _Kind(NamedTuple):
+    """What a table knows of a motion: that it ends by itself, that it is told a speed, and that it ends within the turn."""
+
+    command: str
+    ends: bool
+    speed: bool
+    in_turn: bool
+
+
 def table(dialect: Dialect) -> tuple[Row, ...]:
     """Return the rows of all motions that are crossed."""
-    known = {command.name: command for command in motions_of(dialect)}
+    of = {c.name: motion.of(c) for c in motions_of(dialect)}
+    kinds = (_Kind(n, m.kind in MOVES, bool(m.speed), m.kind is MotionKind.MOVE_IN_TURN) for n, m in of.items())
+    return _table(tuple(kinds))
+
+
+@cache
+def _table(kinds: tuple[_Kind, ...]) -> tuple[Row, ...]:
+    known = {kind.command: kind for kind in kinds}
 
     def tells_speed(command: str, rpm: int) -> bool:
-        if not moves(known[command]):
+        if not known[command].ends:
             return 0 < rpm <= _RUN_MOST
-        return bool(rpm) == bool(motion.of(known[command]).speed)
+        return bool(rpm) == known[command].speed
 
     def ends(command: str, rpm: int, turns: float) -> bool:
-        if not moves(known[command]):
+        if not known[command].ends:
             return not turns
         # An angle that is rounded may be a turn away from where the shaft stands.
-        within = 0 < turns < 1 or motion.of(known[command]).kind is not MotionKind.MOVE_IN_TURN
+        within = 0 < turns < 1 or not known[command].in_turn
         return within and _seconds(rpm, turns) <= _LONGEST_S
 
     def meets_it(command: str, meets: Verb | None, rpm: int, turns: float) -> bool:
-        return _seconds(rpm, turns) >= _LEAST_S or meets is None if moves(known[command]) else meets is not None
+        return _seconds(rpm, turns) >= _LEAST_S or meets is None if known[command].ends else meets is not None
 
     factors = {
         "command": tuple(known),
@@ -131,13 +156,31 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
         ends,
         meets_it,
         # A move by nothing shows that the shaft stays: from rest alone.
-        lambda command, turns, start: turns or not start or not moves(known[command]),
+        lambda command, turns, start: turns or not start or not known[command].ends,
         together=[*(("command", "way", other) for other in ("rpm", "turns", "start", "meets")), ("command", "turns", "start")],
         cost=lambda command, way, rpm, turns, start, meets: _about_ns(
-            Row(command, way, rpm, turns, start, meets), ends=moves(known[command])
+            Row(command, way, rpm, turns, start, meets), ends=known[command].ends
         ),
     )
     return tuple(Row(**row) for row in found)
+
+
+def first_rows(dialect: Dialect) -> tuple[Row, ...]:
+    """Return few rows of the table that turn, in which each condition comes once, and each end of a motion either way.
+
+    Moves to a place are not among them: they need a position that can be put back.
+    """
+    ends = {c.name: moves(c) for c in motions_of(dialect) if motion.of(c).kind is not MotionKind.MOVE_TO and _known(dialect, c)}
+    return covering.few(
+        [row for row in table(dialect) if row.command in ends and (row.turns >= _FAR or not ends[row.command])],
+        lambda row: {*enumerate(row), (row.way, ends[row.command]), (row.way, row.meets)},
+        lambda row: _about_ns(row, ends=ends[row.command]),
+    )
+
+
+def _known(dialect: Dialect, command: Command) -> bool:
+    """Say whether the drive has a command: where its model is not known, one of some models alone does not count."""
+    return bool(dialect.model) or not command.models
 
 
 def _about_ns(row: Row, *, ends: bool) -> float:
@@ -148,6 +191,11 @@ def _about_ns(row: Row, *, ends: bool) -> float:
 
 def _seconds(rpm: int, turns: float) -> float:
     return turns * 60 / (rpm or _USUAL)
+
+
+def met_after_s(row: Row) -> float:
+    """Return after how many seconds a move meets what comes on its way."""
+    return _seconds(row.rpm, row.turns) * _MET_AT
 
 
 class Edge(NamedTuple):
@@ -207,15 +255,43 @@ def samples(probe: Probe, looks: tuple[Look, ...]) -> list[Sample]:
 
 
 def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
-    """Carry out the rows of a command and return what was seen."""
+    """Carry out the rows of a command, those aside that were carried out already, and return what was seen."""
+    try:
+        first = {tried.row: tried for tried in first_of(probe, command)}
+    except (Inconclusive, Refused):
+        # It was another motion perhaps.
+        first = {}
+    rows = [row for row in table(probe.dialect) if row.command == command.name and row not in first]
+    # Behind what does not stop no row can begin.
+    stood = all(tried.stood for tried in first.values())
+    return (*first.values(), *(_carried_out(probe, rows) if rows and stood else ()))
+
+
+def first_of(probe: Probe, command: Command) -> tuple[Tried, ...]:
+    """Return what the first rows of a command showed."""
+    return tuple(tried for tried in probe.recorded(crossed_first) if tried.command.name == command.name)
+
+
+def crossed_first(probe: Probe) -> tuple[Tried, ...]:
+    """Carry out the first rows and return what was seen."""
+    return _carried_out(probe, first_rows(probe.dialect))
+
+
+def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
     reads = cycle([read for other in reads_of(probe.dialect) for read in (other, probe.command(Verb.READ_POSITION))])
     found: list[Tried] = []
     refused: Refused | None = None
     lk_parameters.need_room(probe)
     motion.ready_to_move(probe)
-    for row in (row for row in table(probe.dialect) if row.command == command.name):
+    tried: Counter[tuple[int, int]] = Counter()
+    for row in rows:
+        command = probe.command(row.command)
         try:
             motion.stand_still(probe)
+            # The position is put back, but a run that may change no setting leaves it.
+            if motion.of(command).kind is MotionKind.MOVE_TO and Risk.SETTING in probe.rig.allowed:
+                _name_place(probe, row, 1 if tried[row.way, row.rpm] % 2 else -1)
+                tried[row.way, row.rpm] += 1
             found.append(_try(probe, command, row, reads))
             if not found[-1].stood:
                 # What does not stop is judged; no row can begin behind it.
@@ -226,6 +302,16 @@ def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
     if refused is not None and not found:
         raise refused
     return tuple(found)
+
+
+def _name_place(probe: Probe, row: Row, side: int) -> None:
+    """Give the shaft a position from which the whole way of a row is on one side of zero.
+
+    So a move to a place goes each way, at each speed, to positive and to negative places.
+    """
+    position = motion.field_of(probe.command("set_position"), "position")
+    degrees = side * (row.turns * 360 + _BESIDE_ZERO)
+    probe.ask("set_position", {"position": round(degrees / float(position.scale))}, quiet_ns=0)
 
 
 def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command]) -> Tried:
@@ -249,7 +335,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command]) -> 
     off: tuple[Look, ...] = ()
     again = met = None
     if not moves(command) or row.meets is not None:
-        lasts_ns = _RUN_NS if not moves(command) else int(_seconds(row.rpm, row.turns) * SECOND_NS * _MET_AT)
+        lasts_ns = _RUN_NS if not moves(command) else int(met_after_s(row) * SECOND_NS)
         during += _on_the_way(probe, reads, lasts_ns)
     # A move that comes once more is planned anew from where the shaft is.
     if not moves(command):

@@ -163,6 +163,27 @@ def _stops_at_the_other_side(probe: Probe, run: Command) -> None:
     probe.expect(-seen, at_least=_HALF / 4, unit="counts", refutes=text, exchange=exchange)
 
 
+def _with_right_limit(dialect: Dialect) -> Iterator[Case]:
+    if Verb.SET_LIMIT_REMAP in dialect.by_verb or dialect.model.startswith("57"):
+        yield from _runs_and_moves(dialect)
+
+
+@_of_limits("a shaft that runs beyond it", each=_with_right_limit, name="{command}/end-limit-stops-{run}-right")
+def _stops_at_the_right(probe: Probe, run: Command) -> None:
+    """With the end limit on, {run} towards the right stops at the right end stop."""
+    motion.ready_to_move(probe)
+    if Verb.SET_LIMIT_REMAP in probe.dialect.by_verb:
+        probe.do(Verb.SET_LIMIT_REMAP, {"limit_remap": 1})
+    _homed(probe, mode=run.modes[0] if run.modes else "")
+    exchange = probe.ask(run, _values(probe, run, 1), timeout_ns=10 * SECOND_NS)
+    probe.reply(exchange)
+    probe.wait(3 * SECOND_NS)
+    seen, right = probe.read(Verb.READ_POSITION, "position"), _RIGHT_TURNS * probe.dialect.counts_per_turn
+    motion.stop(probe)
+    text, expected = f"{run.name} does not stop at the right end limit", f"{right}, where the right end stop is"
+    probe.expect(seen, near=right, unit="counts", expected=expected, refutes=text, exchange=exchange)
+
+
 def _ask_again(probe: Probe, command: Command, values: dict[str, int]) -> Exchange:
     """Ask for a motion after a limit stop. Where the drive is deaf then, as was seen of real drives, ask again."""
     exchange = probe.ask(command, values, timeout_ns=10 * SECOND_NS)

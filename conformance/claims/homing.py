@@ -257,6 +257,34 @@ def _status(probe: Probe, command: Command) -> None:
         probe.expect(seen, equal=(HOMING, 1), refutes=text, exchange=exchange)
 
 
+def _with_way_back(dialect: Dialect) -> Iterator[Case]:
+    """Yield homing that turns both ways: from a closed end stop, and by an obstacle where the drive can do that."""
+    for case in _homings(dialect):
+        yield Case(dialect, case.command, {"how": "from-closed"}, {"statement": _ALL_THE_WAY.format("from a closed end stop")})
+    for case in _without_switch(dialect):
+        if not case["angle"]:
+            statement = _ALL_THE_WAY.format(f"{case['way']} without an end stop")
+            yield Case(dialect, case.command, {"how": f"without-switch-{case['way']}"}, {"statement": statement})
+
+
+_ALL_THE_WAY = "Homing {} reads 5 until the shaft stands, on its way there and back."
+
+
+@_of_homing("another status while the shaft turns", each=_with_way_back, name="{command}/status-{how}", sets=_WITH_WAY_BACK)
+def _status_all_the_way(probe: Probe, command: Command, how: str) -> None:
+    closed = how == "from-closed"
+    way = _WAYS[_CCW if how.endswith("-ccw") else _CW]
+    _prepared(probe, home_direction=_CCW if way > 0 else _CW, return_angle=0x3000, home_mode=int(not closed))
+    if closed:
+        bench.switch_here(probe, way, 8000)
+    else:
+        bench.wall(probe, way * _SWITCH)
+    exchange = probe.do(command)
+    motion.wait_until(probe, lambda: _status_now(probe) != HOMING, every_ns=20 * MS, limit_ns=_LIMIT_NS)
+    seen = _status_now(probe)
+    _expect_still(probe, exchange, 500 * MS, f"homing is told as over ({seen}) while the shaft turns")
+
+
 @_of_homing("a shaft that stops at the low level, or runs on")
 def _trigger(probe: Probe, command: Command) -> None:
     """With home_trigger 1 the end stop counts as reached when its pin is high: when it opens."""
@@ -355,11 +383,12 @@ def _with_end_limit(dialect: Dialect) -> Iterator[Case]:
 @_of_homing("a motor that is disabled", each=_with_end_limit, name="{command}/holds", at_best=Certainty.LIKELY)
 def _held_after(probe: Probe, end_limit: int, held: bool) -> None:
     """With the end limit off the shaft is held at the end stop."""
-    _prepared(probe, end_limit=end_limit)
-    bench.left_switch(probe, -_SWITCH)
-    exchange = find_home(probe)
-    probe.wait(500 * MS)
     names = ("let go", "held")
-    is_held = bool(probe.read(Verb.READ_ENABLED, "enabled"))
-    text = f"with end_limit {end_limit} the shaft is {names[not held]} after homing"
-    probe.expect(names[is_held], equal=names[held], refutes=text, exchange=exchange)
+    for direction, way in _WAYS.items():
+        _prepared(probe, end_limit=end_limit, home_direction=direction)
+        bench.left_switch(probe, way * _SWITCH)
+        exchange = find_home(probe)
+        probe.wait(500 * MS)
+        is_held = bool(probe.read(Verb.READ_ENABLED, "enabled"))
+        text = f"with end_limit {end_limit} and home_direction {direction} the shaft is {names[not held]} after homing"
+        probe.expect(names[is_held], equal=names[held], refutes=text, exchange=exchange)

@@ -24,9 +24,9 @@ from conformance.claims import ranges
 from conformance.claims.declare import Case, claim, commands
 from conformance.claims.setting_effects import differing
 from conformance.claims.setting_effects import stored as stored_values
-from conformance.model import lk_parameters
+from conformance.model import limits, lk_parameters
 from conformance.model.lk_parameters import OTHER_FIRMWARE, number_of, read_parameter
-from conformance.talk import settings
+from conformance.talk import samples, settings
 from conformance.talk.acceptance import need_plain_replies
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -83,6 +83,43 @@ def _read(probe: Probe, command: Command) -> None:
         probe.do(command, values)
         got, exchange = stored(probe, command)
         expect_values(probe, command, values, got, exchange, "is read as")
+
+
+def _numbers(command: Command) -> list[Field]:
+    """Return the fields of a setting that hold a number. The lowest group can be the drive's own address."""
+    fields = command.request_forms[0].layout.named.values()
+    return [f for f in fields if f.fixed is None and limits.listed(f) is None and f.effect is not Effect.GROUP]
+
+
+def _with_numbers(dialect: Dialect) -> Iterator[Case]:
+    for case in _readable(dialect):
+        command = case.command
+        if command is not None and (numbers := _numbers(command)):
+            plain = samples.sample(dialect, command)
+            sent = [plain | {f.name: v} for f in numbers for v in (f.high, f.low)]
+            yield Case(dialect, command, {}, {**ranges.needs(dialect, command, sent), "parameters": {}})
+
+
+@of_read_back(
+    each=_with_numbers,
+    name="{command}/ends",
+    refuted_by="another value",
+    rests_on=(Doubt.LAYOUT,),
+    fields=lambda case: tuple(f.name for f in _numbers(case.command)) if case.command is not None else (),
+)
+def _at_its_ends(probe: Probe, command: Command) -> None:
+    """The highest and the lowest number that {command} sets is what is read."""
+    ranges.prepare(probe, command)
+    plain = samples.sample(probe.dialect, command, address=probe.address)
+    for field in _numbers(command):
+        ranges.need_model(probe, field)
+        for value in (field.high, field.low):
+            exchange = probe.ask(command, plain | {field.name: value}, quiet_ns=0)
+            if probe.refused(exchange):
+                # Whether it is accepted is another claim's.
+                continue
+            got, exchange = stored(probe, command)
+            expect_values(probe, command, {field.name: value}, got, exchange, "is read as")
 
 
 def _link_settings(dialect: Dialect) -> Iterator[Case]:

@@ -244,14 +244,14 @@ def _lasts(probe: Probe) -> None:
 
 @of_motion(each=_signed, refuted_by="another speed")
 def _changes(probe: Probe) -> None:
-    """A newer speed takes over from the one under way."""
+    """A newer speed takes over from the one under way, either way: slower, faster, and the other way."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
-    for rpm, acceleration in ((50, QUICK), (25, 56), (54, QUICK)):
+    for rpm, acceleration in ((50, QUICK), (25, 56), (54, QUICK), (-50, QUICK), (-25, 56), (-54, QUICK)):
         exchange = motion.run_at(probe, rpm, acceleration)
-        if rpm == 25:
+        if abs(rpm) == 25:
             seen = motion.turning(probe)  # the ramp from 50 to 25 rpm takes 250 ms at 10 ms for each rpm
             text = "a newer run stops the shaft first"
-            probe.expect(abs(seen.value), at_least=rpm - 1, unit="rpm", refutes=text, exchange=exchange)
+            probe.expect(abs(seen.value), at_least=abs(rpm) - 1, unit="rpm", refutes=text, exchange=exchange)
         probe.wait(400 * MS)
         expect_speed(motion.turning(probe), rpm, exchange, "a newer run does not take over")
     motion.stand_still(probe)

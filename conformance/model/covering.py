@@ -16,10 +16,11 @@ from __future__ import annotations
 
 import inspect
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, product
-from typing import Any
+from typing import Any, TypeVar
 
+One = TypeVar("One", bound=Hashable)
 Row = dict[str, Any]
 Rule = Callable[..., object]
 #: A factor and the place of one of its levels.
@@ -149,3 +150,15 @@ class _Table:
             for names, rule in self._rules
             if names <= row.keys() and (not newest or newest in names)
         )
+
+
+def few(every: Iterable[One], shows: Callable[[One], set[Any]], cost: Callable[[One], float]) -> tuple[One, ...]:
+    """Return some of these, in their order, that show all that any of them shows: first what adds most for its cost."""
+    known = {row: (shows(row), cost(row)) for row in every}
+    missing: set[Any] = set().union(*(shown for shown, _ in known.values()))
+    found = set()
+    while missing:
+        best = max(known, key=lambda row: len(known[row][0] & missing) / known[row][1])
+        found.add(best)
+        missing -= known[best][0]
+    return tuple(row for row in known if row in found)

@@ -149,8 +149,11 @@ def _together(claims: Sequence[Claim], rate: int) -> list[Claim]:
 
 
 def fitting(claims: Iterable[Claim], rate: int, within: float) -> list[Claim]:
-    """Return the first claims that fit into so many seconds. One that would take much of them, for a recording, is left out."""
-    found, longest = [], within * LONGEST
+    """Return the claims that fit into so many seconds, the first ones first. One that would take much of them is left out.
+
+    Once one does not fit, later ones that were measured fill what is left: an estimate is too rough for that.
+    """
+    found, longest, full = [], within * LONGEST, False
     recorded: set[str] = set()
     for claim in claims:
         name = claim.id.split("/", 1)[1]
@@ -160,9 +163,10 @@ def fitting(claims: Iterable[Claim], rate: int, within: float) -> list[Claim]:
         own += seconds(claim, rate) if name not in recorded else 0
         if own > longest:
             continue
+        full = full or own > within
+        if full and (own > within or name not in table(claim.dialect).first):
+            continue
         within -= own
-        if within < 0:
-            break
         recorded |= {name, *others}
         found.append(claim)
     return found

@@ -340,9 +340,11 @@ class Finder:
         wrong = "" if message.frame.checksum_ok else "its checksum is wrong"
         if message.address != address:
             wrong = f"it answered for {message.who} when {drive_name(dialect, address)} was asked"
-        values = dict(physical(message)) | self._more(dialect, message.address, command)
+        # An address that no drive has is no other drive's: the one that was asked answered wrongly.
+        place = message.address if _possible(dialect, [message.address]) else address
+        values = dict(physical(message)) | self._more(dialect, place, command)
         speed = self.dialogue.gate.line.endpoint.bits_per_second
-        return Found(dialect, message.address, speed, answer.latency_ns, answer.data, values, wrong), exchange
+        return Found(dialect, place, speed, answer.latency_ns, answer.data, values, wrong), exchange
 
     def _more(self, dialect: Dialect, address: int, asked: Command) -> dict[str, Any]:
         values: dict[str, Any] = {}

@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 from analyzer.live.reader_port import IDLE_NS, TICK_NS, Lost, Opened, Stop, Unopened
 from analyzer.live.reader_serial import counters
+from analyzer.values import counted
 from conformance.tap.adapter import Adapter
 from conformance.tap.settings import LineSettings, of_terminal, unsent
 from conformance.tap.storing import REPLY, REQUEST, SendQueue, Storing
@@ -28,10 +29,13 @@ _READS = 16
 LOOK_MS = 20
 #: What waits for a program that does not read.
 PROGRAM_LIMIT = 1 << 20
-#: What waits for the adapter; while so much waits the program's writes wait, too.
-ADAPTER_LIMIT = 1 << 12
+#: What is taken from the program at a time. An adapter that takes bytes at all takes so many, so that none wait here.
+#: Bytes that wait are lost where this process is killed.
+ADAPTER_LIMIT = 1 << 8
 #: How long a change of speed waits for what was written before to be sent.
 _SENT_WITHIN_NS = 2_000_000_000
+#: At the end: how long is looked for what the program had written, and for each next piece of it.
+_LEFT_WITHIN_S, _NEXT_PIECE_MS = 1.0, 20
 FIRST_RETRY_S = 0.1
 LAST_RETRY_S = 2.0
 
@@ -55,6 +59,8 @@ class Passing:
         self._deferred_ns = 0
         self._sent = SendQueue()
         self._to_adapter = bytearray()
+        #: Whether the adapter takes nothing at present; then the program's writes wait, too.
+        self._blocked = False
         self._to_program = bytearray()
         self._quiet_since = dict.fromkeys((REQUEST, REPLY), time.monotonic_ns())
         self._quiet_told = dict.fromkeys((REQUEST, REPLY), False)
@@ -99,8 +105,10 @@ class Passing:
             self._follow()
             if master & select.POLLIN and not self._deferred_ns:
                 self._read_program()
-            elif self._to_adapter and ready.get(fd, 0) & select.POLLOUT:
-                self._write_adapter(b"")
+            elif ready.get(fd, 0) & select.POLLOUT:
+                self._blocked = False
+                if self._to_adapter:
+                    self._write_adapter(b"")
             self._after()
         self._finish()
 
@@ -123,8 +131,8 @@ class Passing:
         """Say what is waited for."""
         fd = self._fd
         if fd >= 0:
-            self._watch(fd, select.POLLIN | (select.POLLOUT if self._to_adapter else 0))
-        full = len(self._to_adapter) >= ADAPTER_LIMIT or self._deferred_ns
+            self._watch(fd, select.POLLIN | (select.POLLOUT if self._to_adapter or self._blocked else 0))
+        full = self._to_adapter or self._blocked or self._deferred_ns
         out = select.POLLOUT if self._to_program else 0
         self._watch(self._terminal.master, (0 if full else select.POLLIN) | out)
 
@@ -204,6 +212,10 @@ class Passing:
     # --- program to adapter ---------------------------------------------------------------------------------------
 
     def _read_program(self) -> None:
+        fd = self._fd
+        self._blocked = fd >= 0 and not _writable(fd)
+        if self._blocked:
+            return
         try:
             data = os.read(self._terminal.master, ADAPTER_LIMIT)
         except OSError:
@@ -269,6 +281,7 @@ class Passing:
         self._store(REQUEST, self._sent.answered(now_ns))
         self._unsent += len(self._to_adapter)
         self._to_adapter.clear()
+        self._blocked = False
         self._adapter.close()
         self._storing.event(REPLY, "lost", now_ns, reason=reason)
         self._opener = _Opener(self._adapter, self._stop, self.settings)
@@ -333,9 +346,22 @@ class Passing:
             self._storing.event(REPLY, "note", text=text)
             self._unread = 0
         if self._unsent:
-            text = f"{self._unsent} bytes that the program wrote were not sent: the adapter was gone"
+            why = "the adapter was gone" if self._fd < 0 else "the adapter took no more"
+            text = f"{counted(self._unsent, 'byte')} that the program wrote were not sent: {why}"
             self._storing.event(REPLY, "note", text=text)
             self._unsent = 0
+
+    def _left_by_program(self) -> int:
+        """Take what the program has written and nobody takes any more; return how much it was."""
+        poll, size, until = select.poll(), 0, time.monotonic() + _LEFT_WITHIN_S
+        poll.register(self._terminal.master, select.POLLIN)
+        # The kernel gives it in pieces, each a little after the one before was taken.
+        while time.monotonic() < until and any(mask & select.POLLIN for _, mask in poll.poll(_NEXT_PIECE_MS)):
+            try:
+                size += len(os.read(self._terminal.master, READ_SIZE))
+            except OSError:
+                break
+        return size
 
     def _finish(self) -> None:
         """Take what has come, and give everything on that can be given at once."""
@@ -343,8 +369,18 @@ class Passing:
             self._read_adapter()
         if self._opener is not None:
             self._opener.give_up()
+        if self._to_adapter:
+            self._write_adapter(b"")
+        self._unsent += len(self._to_adapter) + self._left_by_program()
         self._store(REQUEST, self._sent.answered(time.monotonic_ns()))
         self._tell_losses()
+
+
+def _writable(fd: int) -> bool:
+    """Say whether a descriptor takes bytes at present."""
+    poll = select.poll()
+    poll.register(fd, select.POLLOUT)
+    return bool(poll.poll(0))
 
 
 class _Opener:

@@ -114,6 +114,8 @@ def test_a_fault_where_python_ignores_it_ends_in_70_too(faults, capsys):
     [
         (OSError(errno.ENOSPC, "No space left on device"), "cannot write the output: No space left on device"),
         (OSError(errno.EMFILE, "Too many open files"), "the system has no more for this process: Too many open files"),
+        (MemoryError(), "the system has no more for this process: memory"),
+        (RuntimeError("can't start new thread"), "the system has no more for this process: can't start new thread"),
         (FileNotFoundError(2, "No such file or directory", "gone\x1b"), "gone\\x1b: No such file or directory"),
         (FileNotFoundError(2, "No such file or directory", b"gone\xff"), "gone\\udcff: No such file or directory"),
     ],

@@ -163,12 +163,13 @@ def test_a_disk_that_is_full_leaves_no_broken_log(tmp_path):
     assert os.listdir(target) == []
 
 
-def test_ctrl_c_leaves_a_whole_shorter_log(tmp_path):
-    fifo = tmp_path / "pipe"
-    os.mkfifo(fifo)
+@pytest.mark.parametrize("older", [False, True], ids=["new", "in place of an older one"])
+def test_ctrl_c_leaves_a_whole_shorter_log_or_the_older_one(older, tmp_path):
     log = tmp_path / "out.mcap"
+    if older:
+        log.write_bytes(b"old")
     process = subprocess.Popen(
-        [sys.executable, "-m", "analyzer", "decode", "-", "-o", str(log)],
+        [sys.executable, "-m", "analyzer", "decode", "-", "-o", str(log), *(["--force"] * older)],
         cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     data = (CAPTURES / "mks_can.candump.log").read_bytes()
@@ -180,6 +181,10 @@ def test_ctrl_c_leaves_a_whole_shorter_log(tmp_path):
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=20)
     assert process.returncode == 130, err
+    assert os.listdir(tmp_path) == ["out.mcap"]
+    if older:
+        assert log.read_bytes() == b"old"
+        return
     assert b"stopped by Ctrl-C" in out
     with log.open("rb") as stream:
         assert make_reader(stream).get_summary() is not None

@@ -1,4 +1,4 @@
-"""The index of a chunk from columns is the one that `mcap` reads."""
+"""`mcap` reads the index of a chunk that was made from columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of pieces stand side by side as text, whatever their widths."""
+"""Rows of pieces of any width stand side by side as text."""
 
 from __future__ import annotations
 

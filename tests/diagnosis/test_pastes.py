@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from analyzer import dialects as registry
+from analyzer.catalogue import Role
 from analyzer.diagnosis.diagnose import of_traffic
 from analyzer.link import modbus_crc
 from analyzer.records import CanFrame
@@ -18,6 +19,14 @@ EMODBUS = """[D] {}| ModbusClientRTU.cpp  [ 253] handleConnection: Request sent.
   | 0000: {}
 """
 TURNED = "Tx: 01 03 00 00 00 01 84 0A\nRx: 4A 01 03 02 00 17 F8\n"
+
+
+def diagnosed(text):
+    traffic = read_text(text).traffic
+    kind = "can" if any(isinstance(item, CanFrame) for item in traffic) else "serial"
+    return of_traffic(traffic, [d for d in registry.every() if d.bus == kind])
+
+
 STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
 
 
@@ -76,15 +85,58 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
         ("motor.send: 3E A2 01 04 10 27 00 00 1C", "wrong_checksum_rule"),
         ("send 3E A2 01 04 10 27 00 00 37", "wrong_checksum_rule"),
         ("> 3E A2 01 04 2C A0 8C 00 00 2C", "wrong_checksum_rule"),
+        # An echo, in any dialect; sums of an older motor; a request that is a byte short.
+        ("> E0 30 10\n< E0 30 10 E0 00 00 00 00 00 2A 0A", "echo"),
+        ("TX: E0 36 16\nRX: E0 36 16 E0 01 02 03 04 EA\nTX: E0 3A 1A\nRX: E0 3A 1A E0 01 E1", "echo"),
+        ("sent FF FF 01 02 01 FB, received FF FF 01 02 01 FB FF FF 01 02 00 FC", "echo"),
+        ("data = bytearray([0xE0, 0xF7, 0xE8])\nsend(data)\ndata = bytearray([0xE0, 0xF3, 0x01, 0xE8])\n", "wrong_checksum"),
+        ("> E0 30 11\n> E0 F6 10 00", "wrong_checksum"),
+        ("ser.write(bytes([0xE0, 0xF3, 0x01]))\nser.write(bytes([0xE0, 0x33]))", "missing_checksum"),
+        ("TX: E1 3A\nTX: E1 F3 01\nTX: E1 F7\nno response at all", "missing_checksum"),
+        ("I send FA 01 F6 00 64 55 and nothing happens", "wrong_length"),
+        ("TX: FA 01 F6 00 64 5B  # 100rpm\nRX: FB 01 F6 01 F9\nTX: FA 01 30 2B\nRX: FB 01 30 00 00 40 00 CC", "wrong_length"),
+        # What other services answer.
+        ("RECV: 0x46 0x49 0x4e 0x53 0x0 0x0 0x0 0x10", "unsupported_dialect"),
+        ("recv: 03 00 00 0B 06 D0 00 01 00 02 00", "unsupported_dialect"),
+        # Buffers of Node, of any length.
+        ("{ '0': <Buffer 01> }\n{ '0': <Buffer 84 01 82 c0> }\nerr: 'crcMismatch'", "wrong_function"),
+        ("data <Buffer 02>\ndata <Buffer 83 02 30 f1>\nError: Timed out", "wrong_register"),
+        # What a server has kept, and joins.
+        (
+            "[ DEBUG] recv: 0xfe 0x4 0x0 0x19 0x0 0x1 0xf4 0x2 old_data: 0xfe 0x4 0x0 0x3 0x0 0x1 0xd5 0xc5 0x0 addr=None\n"
+            "[ DEBUG] Processing: 0xfe 0x4 0x0 0x3 0x0 0x1 0xd5 0xc5 0x0 0xfe 0x4 0x0 0x19 0x0 0x1 0xf4 0x2\n",
+            "trailing_glitch",
+        ),
+        ("rx: 11 03 00 10 00 02 C7 5E 00 11 03 00 12 00 02 66 9E\n", "leading_glitch"),
+        # A long reply that the console has wrapped.
+        (
+            "[02][03][00][01][00][7D][D4][18]\nWaiting for a confirmation...\n<02><03><FA>" + 3 * ("<00>" * 45 + "\n"),
+            "reply_cut",
+        ),
+        # Too many bytes for a frame; an identifier of which the low bits alone go out.
+        ("cansend can0 141#8800000000000000\ncansend can0 141#A4007800504600000000\n", "wrong_length"),
+        ("cansend can0 001#F60140023A00000000\n", "wrong_length"),
+        ("$ cansend vcan0 123#112233445566778899AA\nWrong CAN-frame format!\n", "wrong_length"),
+        (
+            "var msg = { id: 403105268, data: new Buffer([ 0, 0xFA, 0, 0x32 ]) };\nchannel.send(msg);\n\n"
+            "can0  5F4   [4]  00 FA 00 32\ncan0  18FF50E5   [2]  01 06\n",
+            "can_extended_id",
+        ),
+        (
+            "bus.send(can.Message(arbitration_id=0x1806E5F4, data=[1, 2], is_extended_id=False))\n  can1  5F4   [2]  01 02\n",
+            "can_extended_id",
+        ),
         ("It prints `CanErrorFrame { 00000088#0000040000000000 }` with nothing connected.", "can_wrong_bitrate"),
     ],
 )  # fmt: skip
 def test_a_paste(text, cause):
-    traffic = read_text(text).traffic
-    kind = "can" if any(isinstance(item, CanFrame) for item in traffic) else "serial"
-    found = of_traffic(traffic, [d for d in registry.every() if d.bus == kind])
-    assert found.causes, traffic
-    assert found.causes[0].suspicion.cause == cause, (traffic, found)
+    found = diagnosed(text)
+    assert found.causes
+    assert found.causes[0].suspicion.cause == cause, found
+
+
+def test_a_long_read_answered_by_a_count_of_two_bytes():
+    assert diagnosed("01 03 00 02 17 81 2b 9a\n01 03 00 02 17 81 2b\n").verdict == "trouble"
 
 
 def test_a_search_for_drives_is_no_trouble():
@@ -116,3 +168,33 @@ def test_a_reply_that_goes_on_in_the_next_reads_is_not_cut(shown_again):
         text += f"recv: {said}\n" + f"Processing: {said}\nFrame - not ready\n" * shown_again
     found = of_traffic(read_text(text).traffic, [d for d in registry.every() if d.bus == "serial"])
     assert "reply_cut" not in [each.suspicion.cause for each in found.causes]
+
+
+@pytest.mark.parametrize(
+    ("sent", "received"),
+    [
+        ("Передача: {}", "Приём: {}"),
+        ("Wysłano: {}", "Odebrano: {}"),
+        ("Gönderilen: {}", "Alınan: {}"),
+        ("Verzonden: {}", "Ontvangen: {}"),
+        ("Odesláno: {}", "Přijato: {}"),
+        ("송신: {}", "수신: {}"),
+        ("发出: {}", "收到: {}"),
+    ],
+)
+def test_who_sent_is_told_in_any_language(sent, received):
+    text = f"{sent.format('01 04 00 30 00 03 B0 04')}\n{received.format('01 84 02 C2 C1')}\n"
+    assert [item.direction for item in read_text(text).traffic] == [Role.REQUEST, Role.REPLY]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        "  0.001  can0  TX  0x001  2  30 31\n  0.002  can0  RX  0x001  8  30 00 00 00 01 20 00 52\n",
+        "   1     0.0  TX  001h   2   30 31\n   2     1.0  RX  001h   8   30 00 00 00 01 20 00 52\n",
+        "TX ID=0x001 DLC=2 [30 31]\nRX ID=0x001 DLC=8 [30 00 00 00 01 20 00 52]\n",
+    ],
+)
+def test_rows_of_can_monitors(rows):
+    assert [item.data.hex() for item in read_text(rows).traffic] == ["3031", "3000000001200052"]
+    assert diagnosed(rows).verdict == "ok"

@@ -53,6 +53,7 @@ def value(frame: str, words: str) -> str:
             SAID.format(r"Wrong functioncode: 4 instead of 3. The response is: '\x01\x04\x04\x00\x00\x00\x00û\x84'"),
             "late_reply",
         ),
+        (SAID.format(r"Wrong functioncode: 3 instead of 16. The response is: '\x01\x03\x00\x00\x00\x10D\x06'"), "two_masters"),
         (
             SAID.format(r"Wrong slave address: 2 instead of 1. The response is: '\x02\x03\x00\x00\x00\x02\xc4\x38'"),
             "two_masters",

@@ -225,6 +225,26 @@ def test_a_program_that_dies_leaves_no_motor_turning(port):
         assert drive.speed() == 0
 
 
+def test_a_guard_that_is_killed_leaves_no_motor_turning(port, tmp_path):
+    drive = servotap.drive("mks-rs485@1", port, allow={"motion", "unbounded"}, cut_power=f"touch {tmp_path / 'cut'}")
+    drive.send("run_speed", **RUN)
+    drive._line._process.kill()
+    drive.close()
+    assert not (tmp_path / "cut").exists()
+    with servotap.drive("mks-rs485@1", port) as again:
+        assert again.speed() == 0
+
+
+def test_a_drive_that_no_other_guard_reaches_is_not_stopped(port, tmp_path):
+    drive = servotap.drive("mks-rs485@1", port, allow={"motion", "unbounded"}, cut_power=f"touch {tmp_path / 'cut'}")
+    drive.send("run_speed", **RUN)
+    drive._line._process.kill()
+    drive._open_line = lambda: servotap.drive("mks-rs485@1", "serial:/dev/none,baud=38400")
+    with pytest.raises(servotap.NotStopped, match="/dev/none"):
+        drive.close()
+    assert (tmp_path / "cut").exists()
+
+
 def test_a_drive_that_is_not_there_is_told(port):
     with pytest.raises(servotap.DriveNotFound, match="mks-rs485@1 does"):
         servotap.drive("mks-rs485@2", port)

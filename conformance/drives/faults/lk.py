@@ -530,6 +530,40 @@ def _without(limit: str, when: Callable[[LkDrive, Request], bool]) -> Callable[[
     return make
 
 
+def _half_as_fast_below(drive: LkDrive, request: Request) -> None:
+    position, top = request.physical["position"], request.physical["max_speed"]
+    drive.motor.move_to(position, top / 2 if position < 0 else top)
+
+
+def _unlimited_clockwise(drive: LkDrive, request: Request) -> None:
+    """Turn by an increment, clockwise as fast as the motor can."""
+    distance = request.physical["position"]
+    drive.motor.move_by(distance, drive.motor.build.top_speed if distance > 0 else None)
+
+
+def _faster_below(old: Act) -> Act:
+    """Lose a run that would turn a shaft faster counter-clockwise."""
+
+    def act(drive: LkDrive, request: Request) -> None:
+        speed = drive.motor.motion.speed
+        if not (drive.obeys and request.physical["speed"] < speed < 0):
+            old(drive, request)
+
+    return act
+
+
+def _late_torque(hooks: Hooks) -> None:
+    """Keep to the torque limit of before until the shaft stands."""
+
+    def write(drive: LkDrive, old: Act, request: Request) -> None:
+        before = drive.motor.limits.torque
+        old(drive, request)
+        if _turns(drive):
+            drive.motor.limit(replaced_limits(drive.limits, torque=before))
+
+    replaced("write_parameter", lambda old: lambda drive, request: write(drive, old, request)).install(hooks)
+
+
 def _turned_round(drive: LkDrive, request: Request) -> bool:
     return request.physical["speed"] * drive.motor.motion.speed < 0
 
@@ -1006,6 +1040,31 @@ ROWS: Rows = {
             acting("clear_turns", lambda drive, request: drive.motor.set_position(0.0)),
         ),
         Row("lk-phases-doubled", "0x9D tells phase currents in half the unit", result(_phases_doubled, Verb.READ_STATE_3)),
+        Row(
+            "lk-run-no-faster-below",
+            "0xA2 speeds up no shaft that turns counter-clockwise",
+            replaced("run_speed", _faster_below),
+        ),
+        Row(
+            "lk-max-speed-half-below",
+            "0xA4 to a position below zero goes half as fast",
+            moving(("move_multi_turn_limited",), _half_as_fast_below),
+        ),
+        Row(
+            "lk-ramp-steep-below",
+            "0xA8 counter-clockwise speeds up four times as fast",
+            replaced("move_increment_limited", _without("acceleration", lambda drive, request: request.values["position"] < 0)),
+        ),
+        Row(
+            "lk-speed-limit-below-only",
+            "0xA7 clockwise ignores the speed limit",
+            moving(("move_increment",), _unlimited_clockwise),
+        ),
+        Row(
+            "lk-torque-limit-late",
+            "a torque limit that is written while the shaft turns has no effect on the motion under way",
+            Change(_late_torque, LK),
+        ),
         Row(
             "lk-angle-limit-above-only", "positions below zero go beyond the angle limit", moving(MULTI_TURN, _past_limit_below)
         ),

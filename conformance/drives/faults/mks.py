@@ -182,6 +182,11 @@ HEARING: Rows = {
             "only the first slot is looked at",
             slots(lambda own, all_, w: mks_frames.mine(own, all_[:1])),
         ),
+        Row(
+            "package-of-three-commands",
+            "commands behind three others in a package are not executed",
+            slots(lambda own, all_, w: [s for s in w if s in all_[:3]]),
+        ),
         Row("package-every-slot", "the slots of all addresses are executed", slots(lambda own, all_, w: all_)),
         Row(
             "package-without-stops",

@@ -15,7 +15,7 @@ from analyzer.link import WRITE_ONE
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
-from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned
+from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned, when_home
 from conformance.drives.faults.mks_frames import own
 from conformance.drives.faults.places import (
     CAN,
@@ -39,9 +39,10 @@ from conformance.drives.faults.places import (
     storing,
     taken,
 )
-from conformance.drives.mks.core import MOTIONS, STOPS, Behaviour, MksCore
+from conformance.drives.mks.core import MOTIONS, STOPS, Activity, Behaviour, MksCore
 from conformance.drives.mks.motion import begin_run
-from conformance.drives.mks.paths import Phase
+from conformance.drives.mks.paths import Number, Phase
+from conformance.drives.mks.state import way_of
 
 Condition = Callable[[MksCore], bool]
 #: How long a drive is deaf after motion, and the pause after which it loses a request.
@@ -544,6 +545,33 @@ def _without_open_limits(drive: MksCore) -> None:
     drive._limit_time = lambda side: None if "open" in drive.mode else reached(side)  # type: ignore[method-assign]
 
 
+def _capped(value: int) -> int:
+    return min(value, 2900)
+
+
+def _without_right_limit(drive: MksCore) -> None:
+    """Have no right limit for relative moves by pulses."""
+    reached = drive._limit_time
+
+    def limit(side: str) -> Number | None:
+        request = drive.task.request if drive.task is not None else None
+        free = side == "right" and request is not None and request.command.verb is Verb.MOVE_RELATIVE_PULSES
+        return None if free else reached(side)
+
+    drive._limit_time = limit  # type: ignore[method-assign]
+
+
+def _homes_back(drive: MksCore) -> bool:
+    """Say whether homing turns the shaft away from home."""
+    return drive.doing(Activity.HOME) and _rpm(drive) * way_of(drive.settings["home_direction"]) < 0
+
+
+def _let_go_ccw(drive: MksCore) -> None:
+    if drive.settings["home_direction"] == mks_shared.ConfigDirection.CCW:
+        drive.memory.enabled = False
+        drive.grip()
+
+
 def _is_off(drive: MksCore) -> bool:
     return not drive.enabled
 
@@ -820,6 +848,7 @@ DOING: Rows = {
     "limit": (
         Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes", tuned(_left_elsewhere)),
         Row("open-without-limits", "end limits do nothing in the open mode", tuned(_without_open_limits)),
+        Row("right-limit-passed", "FD passes the right end limit", tuned(_without_right_limit)),
     ),
     "set": (
         Row("zero-refused-while-off", "92 is refused while the motor is off", refused_when(_is_off, Verb.SET_ZERO)),
@@ -843,6 +872,7 @@ DOING: Rows = {
     ),
     "update": (
         Row("update-undone", "F5 while the shaft turns says success and is lost", undone_when(_turns, Verb.MOVE_ABSOLUTE_AXIS)),
+        Row("current-capped", "currents above 2900 mA are stored as 2900", Change(_stored_as("current", _capped).install, CAN)),
         Row(
             "tolerance-capped",
             "stall tolerances above 360 degrees hold as that",
@@ -852,6 +882,10 @@ DOING: Rows = {
     "homed": (
         Row("slow-run-after-homing", "the first run after 91 has the home speed at most", tuned(_slow_after_homing)),
         Row("open-home-slow", "91 turns at half of its speed in the open mode", tuned(_slow_open_home)),
+        Row(
+            "homing-back-as-stopped", "F1 says stopped on homing's way back", told_when(_homes_back, Verb.READ_STATUS, status=1)
+        ),
+        Row("homing-ccw-lets-go", "homing counter-clockwise lets the shaft go at its end", when_home(_let_go_ccw)),
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
     ),
 }

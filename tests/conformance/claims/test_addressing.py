@@ -47,6 +47,7 @@ def test_a_fault_of_addresses_is_refuted_by_the_claims_that_say_so(fault, dialec
         ("package-last-slot", "package/first_of_two"),
         ("package-next-slot", "package/own_slot"),
         ("package-first-slot-only", "package/own_slot"),
+        ("package-of-three-commands", "package/last_of_five"),
         ("package-every-slot", "package/others"),
         ("package-broadcast-slot", "package/broadcast_slot"),
     ],

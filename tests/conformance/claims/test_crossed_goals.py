@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import chain, product
 
 import pytest
 
@@ -37,6 +37,15 @@ def test_a_drive_with_a_law_of_ramps_has_none(name):
     assert crossed_goals.reads_of(dialects.get(name)) == []
 
 
+def test_few_rows_show_each_condition_once_and_each_end_either_way():
+    first, rows = crossed_goals.first_rows(LK.for_model("MF")), crossed_goals.table(LK.for_model("MF"))
+    far = [row for row in rows if "multi" not in row.command and (row.turns > 0.2 or row.command.startswith("run"))]
+    assert len(first) <= 10
+    assert [row for row in rows if row in first] == list(first)
+    assert {*chain(*map(enumerate, first))} == {*chain(*map(enumerate, far))}
+    assert {(row.way, row.meets) for row in first} == {(row.way, row.meets) for row in far}
+
+
 def test_the_rows_are_short():
     for row in crossed_goals.table(LK.for_model("MF")):
         assert row.turns * 60 / (row.rpm or 110) <= 1.5, row
@@ -48,6 +57,7 @@ def test_the_rows_are_short():
         ("lk-motion-speed-0", "move_single_turn/crossed-tells"),
         ("lk-whole-turns-ignored", "move_increment_limited/crossed-ends"),
         ("lk-max-speed-ignored", "move_multi_turn_limited/crossed-speed"),
+        ("lk-max-speed-half-below", "move_multi_turn_limited/crossed-speed"),
         ("lk-stop-ignored-backwards", "run_torque/crossed-stopped"),
         ("lk-on-resumes", "move_increment/crossed-stopped"),
         ("lk-stop-drops-turns-of-a-run", "read_position/crossed"),
@@ -55,6 +65,8 @@ def test_the_rows_are_short():
         ("lk-position-single-turn", "read_position/standing"),
         ("lk-single-turn-runs-on", "read_single_turn/standing"),
         ("lk-phases-doubled", "read_state_3/crossed"),
+        ("lk-stalled-while-turning", "read_state_1/crossed-first"),
+        ("lk-off-keeps-torque", "run_torque/crossed-first"),
         ("lk-torque-told-after-stop", "read_state_2/crossed"),
         ("lk-no-torque-ignored", "run_torque/newer"),
         ("lk-phases-told-while-off", "read_state_3/crossed"),
@@ -70,7 +82,14 @@ def test_a_fault_of_one_condition_is_refuted(fault, claim):
 
 
 @pytest.mark.parametrize(
-    "claim", ["move_multi_turn_limited/crossed-ends", "read_state_2/standing", "run_open_loop/crossed-tells"]
+    "claim",
+    [
+        "move_multi_turn_limited/crossed-ends",
+        "read_state_2/standing",
+        "run_open_loop/crossed-tells",
+        "run_open_loop/crossed-first",
+        "read_state_1/crossed-first",
+    ],
 )
 def test_an_honest_drive_on_a_poor_line_is_not(claim):
     assert _outcome("lk-rs485@1,model=MS,real=poor", claim) is Outcome.CONFIRMED

@@ -46,6 +46,7 @@ FAULTS = (
     ("lk-rs485", "first-reply-only", "replies/every-time"),
     ("lk-rs485", "lk-ramp-steep-turning-round", "write_parameter/one-ramp"),
     ("lk-rs485", "lk-ramp-steep-slowing", "write_parameter/one-ramp"),
+    ("lk-rs485", "lk-ramp-steep-below", "write_parameter/speed-ramp-move_increment_limited-each-way"),
     ("mks-modbus", "pause-in-frame", "replies/in-one-piece"),
     ("lk-rs485", "pause-in-frame", "replies/in-one-piece"),
 )

@@ -83,6 +83,17 @@ def test_what_judges_a_recording_that_is_left_out_is_left_out_too(monkeypatch, l
     assert [c.id for c in order.fitting(claims[1:], 38400, left)] == [f"x/shape/{name}" for name in ran if name != "recorder"]
 
 
+def test_what_was_measured_fills_the_seconds_left_and_an_estimate_does_not(monkeypatch) -> None:
+    first = {"shape/one": order.Cost(9.0, 0), "shape/two": order.Cost(9.0, 0), "shape/long": order.Cost(9.0, 0)}
+    known = order.Table(first={**first, "shape/quick": order.Cost(1.0, 0)}, kinds={"shape/guess": order.Cost(0.1, 0)})
+    monkeypatch.setattr(order, "table", lambda dialect: known)
+    claims = [Claim(f"x/{name}", Theme.SHAPE, "x", "x", "", "y", lambda p: None) for name in ("shape/guess", *known.first)]
+    monkeypatch.setattr(order, "LONGEST", 0.5)
+    names = [c.id for c in order.fitting([*claims[1:], claims[0]], 38400, 20.0)]
+    assert names == ["x/shape/one", "x/shape/two", "x/shape/quick"]
+    assert claims[0] in order.fitting(claims[:1], 38400, 20.0)
+
+
 def test_what_no_table_knows_runs_behind_by_an_estimate() -> None:
     claims = list(suite.every_claim(_TARGETS[0]))
     own = Claim("mks-rs485/motion/of-a-package", Theme.MOTION, "mks-rs485", "x", "", "y", lambda probe: None)

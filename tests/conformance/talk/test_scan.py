@@ -70,6 +70,22 @@ def test_can_drives_tell_their_type():
     assert report.found[1].identity.startswith("s57e_can")
 
 
+@pytest.mark.parametrize(
+    "drive",
+    ["mks-can@1,fault=reply-under-id-0", "mks-rs485@255,fault=wrong-reply-address", "lk-rs485@32,fault=lk-reply-address-wrong"],
+)
+def test_a_drive_that_answers_under_an_address_of_no_drive_is_found_where_it_was_asked(drive: str):
+    name, _, _ = drive.partition(",")
+    dialect, address = dialects.get(name.partition("@")[0]), int(name.partition("@")[2])
+    can = dialect.bus == "can"
+    asked = gate(drive, speed=500_000 if can else dialect.baud_rates[0] if dialect is LK else 38400)
+    found = find_drive(asked, dialect, address).found
+    assert found is not None
+    assert found.name == name
+    assert "it answered for" in found.wrong
+    assert [f.name for f in scan(asked, [dialect], addresses=[address]).found] == [name]
+
+
 def test_nothing_but_reads_leave():
     logged: list[Chunk | CanFrame] = []
     scanned = gate("mks-rs485@1")

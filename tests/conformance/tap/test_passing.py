@@ -23,6 +23,7 @@ from analyzer.live.endpoint import Endpoint, parse
 from analyzer.live.reader_port import Stop, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import Record, RecordKind, SpoolReader, SpoolWriter
+from analyzer.values import counted
 from conformance.serve.line_speed import line_speed
 from conformance.serve.pty import PtyPort
 from conformance.tap import passing as module
@@ -341,6 +342,23 @@ def test_an_adapter_that_does_not_take_bytes_makes_the_program_wait(tapped: Tapp
     assert received == data
     tapped.close()
     assert tapped.stored(REQUEST) == data
+
+
+def test_what_a_blocked_adapter_did_not_take_is_told_at_the_end(tapped: Tapped) -> None:
+    at, waits = 0, 0
+    with program(tapped) as fd:
+        os.set_blocking(fd, False)
+        while waits < 3:
+            try:
+                at += os.write(fd, b"x" * 1000)
+                waits = 0
+            except BlockingIOError:
+                waits += not select.select([], [fd], [], 0.1)[1]
+    tapped.close()
+    sent = len(tapped.stored(REQUEST))
+    assert sent < at
+    said = f"{counted(at - sent, 'byte')} that the program wrote were not sent: the adapter took no more"
+    assert any(said in note for note in tapped.notes()), tapped.notes()
 
 
 def test_an_adapter_that_is_unplugged_comes_back_under_the_programs_feet(tapped: Tapped, far: Far) -> None:
