@@ -24,13 +24,20 @@ _LAST_NS = 1 << 62
 
 def alike(buffer: bytearray, at: int) -> int:
     """Return how many objects with the header of this one follow each other; 1: too few to be read together."""
-    count = (len(buffer) - at) // SIZE
+    most = (len(buffer) - at) // SIZE
     head = buffer[at : at + 16]
-    if count < SHORTEST or buffer[at + (SHORTEST - 1) * SIZE : at + (SHORTEST - 1) * SIZE + 16] != head:
+    if most < SHORTEST or buffer[at + (SHORTEST - 1) * SIZE : at + (SHORTEST - 1) * SIZE + 16] != head:
         return 1
-    rows = np.frombuffer(bytes(buffer[at : at + count * SIZE]), dtype=np.uint8).reshape(count, SIZE)
-    same = (rows[:, :16] == rows[0, :16]).all(axis=1)
-    count = count if same.all() else int(same.argmin())
+    # Ever more at a time: what is looked at in vain is no more than what was found.
+    count, more = 0, SHORTEST
+    while count < most:
+        begin, more = at + count * SIZE, min(more, most - count)
+        rows = np.frombuffer(bytes(buffer[begin : begin + more * SIZE]), dtype=np.uint8).reshape(more, SIZE)
+        same = (rows[:, :16] == np.frombuffer(head, dtype=np.uint8)).all(axis=1)
+        if not same.all():
+            count += int(same.argmin())
+            break
+        count, more = count + more, 2 * more
     return count if count >= SHORTEST else 1
 
 

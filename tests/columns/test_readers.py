@@ -10,7 +10,7 @@ import pytest
 
 from analyzer.columns.block import CanBlock
 from analyzer.records import CanFrame
-from analyzer.sources import found, open_source
+from analyzer.sources import blf_blocks, found, open_source
 from tests.sources.builders import enhanced, interface, option, pcap_file, section, socketcan
 
 T = 1_682_894_455_899_123_000
@@ -118,3 +118,23 @@ def test_the_same_frames(write, seed, tmp_path, monkeypatch):
     assert in_blocks > 500
     assert (together.notes, together.problems) == (single.notes, single.problems)
     assert {type(item) for item in got} <= {CanFrame, *map(type, expected)}
+
+
+class Looked(bytearray):
+    """Bytes that count how many of them were looked at."""
+
+    total = 0
+
+    def __getitem__(self, place):
+        self.total += len(range(*place.indices(len(self))))
+        return super().__getitem__(place)
+
+
+def test_looking_for_like_objects_costs_as_much_as_there_are():
+    one, other = (bytes([mark]) * blf_blocks.SIZE for mark in (1, 2))
+    buffer, at, counts = Looked((one * blf_blocks.SHORTEST + other) * 300), 0, []
+    while at < len(buffer):
+        counts.append(blf_blocks.alike(buffer, at))
+        at += counts[-1] * blf_blocks.SIZE
+    assert counts == [blf_blocks.SHORTEST, 1] * 300
+    assert buffer.total < 5 * len(buffer)
