@@ -231,6 +231,7 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
     standard = [(p, can) for p, can in frames if not can.extended and not can.remote]
     yield from _too_long(frames)
     yield from _without_flag(frames, standard)
+    yield from _too_large(frames)
     switches = [(p, can) for p, can in standard if can.data[:-1] == b"\xff" * 7 and can.data[-1] in _MIT]
     if switches:
         piece, can = switches[0]
@@ -311,6 +312,20 @@ def _without_flag(frames: list[tuple[Piece, CanFrame]], standard: list[tuple[Pie
             f"{shown(piece.data, can.id)} was sent, and {shown(piece.data, can.id & _STANDARD)} is on the bus",
             "Set the flag for extended frames (ext: true, is_extended_id=True, CAN_EFF_FLAG), or take an identifier up to 7FF",
             (Shown(piece.offset, shown(piece.data, can.id)),),
+        )  # fmt: skip
+
+
+def _too_large(frames: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:
+    """Suspect identifiers that a program sends as standard ones, and which have more than 11 bits."""
+    found = [(p, can) for p, can in frames if can.id > _STANDARD and not can.extended and not can.error]
+    if found:
+        piece, can = found[0]
+        yield Suspicion(
+            "can_extended_id", Confidence.CERTAIN, [Trouble("foreign_can_frame", p.offset, None, p) for p, _ in found],
+            f"The identifier {identifier(can.id, extended=True)} is sent as a standard one, which has 11 bits at most.",
+            f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(found), 'frame')}",
+            "Take an identifier up to 7FF (the drive's own address), or set the flag for extended frames (is_extended_id=True)",
+            tuple(Shown(p.offset, shown(p.data, c.id)) for p, c in found),
         )  # fmt: skip
 
 

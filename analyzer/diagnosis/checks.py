@@ -154,6 +154,10 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if each.size == 0 and each.trouble.offset not in bare and each.right not in whole and not _answered(scene, each)
     ]  # fmt: skip
     wrong = [each for each in failing if each.size]
+    # A write of any register could be anything by itself: two of one unit are no chance.
+    writes = {each.right for each in wrong if _is_write(each.right)}
+    units = Counter(right[0] for right in writes)
+    wrong = [f for f in wrong if f.rules or f.right not in writes or units[f.right[0]] > 1]
     # One that is right shows that the host can: what fails then is a damaged frame, unless a rule says how.
     sound = [
         p for p in scene.pieces
@@ -189,6 +193,29 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             "wrong_checksum", Confidence.LIKELY if again or not sound else Confidence.POSSIBLE, rest,
             "has a checksum that is not the manual's", "Replace the check",
         )  # fmt: skip
+    yield from _turned_replies(scene)
+
+
+def _turned_replies(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a device that sends the high byte of the CRC first: 16 bits that fit so are no chance."""
+    found = []
+    for trouble in scene.damaged:
+        stretch = trouble.stretch
+        if stretch is None or stretch.direction is not Role.REPLY or stretch.can_id is not None or trouble in scene.explained:
+            continue
+        body, got = stretch.data[:-_LONGEST_CHECK], stretch.data[-_LONGEST_CHECK:]
+        if stretch.opens and stretch.ends and len(body) > _LONGEST_CHECK and modbus_crc(body).to_bytes(2, "big") == got:
+            found.append((trouble, stretch.data, body + got[::-1]))
+    if not found:
+        return
+    first, data, right = found[0]
+    yield Suspicion(
+        "crc_swapped", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY, [t for t, _, _ in found],
+        "The reply carries the CRC with its bytes swapped: the device sends its high byte first.",
+        f"{shown(data)} at byte {first.offset}; right is {shown(right)}; {counted(len(found), 'time')}",
+        "Look for newer firmware of the device; until then let the host take both orders from this device alone",
+        tuple(Shown(t.offset, shown(d), shown(r)) for t, d, r in found),
+    )  # fmt: skip
 
 
 def _summed(failing: Failing) -> bool:
@@ -298,7 +325,11 @@ def _with_check(
         half = len(got) == 1 and len(right) == len(body) + _LONGEST_CHECK and right.startswith(body + got)
         for reading in reader.readings(right, can_id):
             # Without its own check a frame of a code or register that is not listed could be anything, but for a read.
-            strong = reading.listed or (rules and len(got) > 1) or (alone and (len(got) != 1 or half) and _plain(right))
+            strong = (
+                reading.listed
+                or (rules and len(got) > 1)
+                or (alone and (len(got) != 1 or half) and (_plain(right) or (len(got) > 1 and _is_write(right))))
+            )
             lost = len(right) - len(body)
             own = () if can_id is not None else tuple(_of_two(reading, body + got, right))
             known = bool(rules or own or half)
@@ -326,6 +357,12 @@ def _plain(frame: bytes) -> bool:
     )
 
 
+def _is_write(frame: bytes) -> bool:
+    """Say whether a frame is a Modbus write of one register."""
+    return len(frame) == _READ_SIZE and frame[1] == _WRITE_ONE and 0 < frame[0] <= _LAST_UNIT
+
+
+_WRITE_ONE, _LAST_UNIT = 0x06, 247
 #: The size of an exception, and the greatest code of one.
 _EXCEPTION, _LAST_CODE = 5, 0x0B
 _READ_SIZE = 8

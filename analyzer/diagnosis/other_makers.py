@@ -175,7 +175,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             continue
         first, data = found[0]
         yield Suspicion(
-            "unsupported_dialect", Confidence.LIKELY, [t for t, _ in (damaged if spoken else found)],
+            # A list of a program may be right for its own drive.
+            "unsupported_dialect", Confidence.POSSIBLE if scene.listed else Confidence.LIKELY, [t for t, _ in (damaged if spoken else found)],
             f"These are frames of {make.name}, a dialect that is not known here.",
             f"{shown(data)} at byte {first.offset}; {counted(len(found), 'frame')} like it",
             make.next,

@@ -67,7 +67,12 @@ REPORTS = (
         "reply_cut", "a part of the reply came", "Read until the length of the reply is there or a timeout has passed",
     ),
     _report(
-        r"transaction[_ ]?id\s*=?\s*\d+,? but (?:got|received)|\b(?:unexpected|wrong|invalid) transaction[_ ]?id", "late_reply",
+        r"\blength not corresponding to the computed length", "wrong_length",
+        "a reply has another length than its function and its count make",
+        "Compare the reply with the manual of the device byte by byte, and empty the input behind each reply that does not fit",
+    ),
+    _report(
+        r"transaction[_ ]?id\s*=?\s*\d+,? but (?:got|received)|transaction[_ ]?id\W{1,4}\d+\W{1,3}(?:does not|doesn't) match|\b(?:unexpected|wrong|invalid) transaction[_ ]?id", "late_reply",
         "a reply came that belongs to a request before", "Wait longer for each reply, and clear the input before each request",
     ),
     _report(
@@ -96,7 +101,11 @@ _CHECKS = (
         r"\bcrc received:?\s*(?:0x)?(?P<got>[0-9a-f]{1,4})\b[^\n]{0,12}?\bcrc calculated:?\s*(?:0x)?(?P<meant>[0-9a-f]{1,4})\b",
         re.IGNORECASE,
     ),
-    re.compile(r"\bcrc check failed!?\s*(?P<meant>[0-9a-f]{1,4})\s*!=\s*(?P<got>[0-9a-f]{1,4})\b", re.IGNORECASE),
+    re.compile(
+        r"\bcrc check failed!?\s*(?P<meant>[0-9a-f]{1,4})\s*!=\s*(?P<got>[0-9a-f]{1,4})\b"
+        r"(?:\s+(?P<bytes>[0-9a-f]{2}(?:[. :][0-9a-f]{2})+)\b)?",
+        re.IGNORECASE,
+    ),
     re.compile(
         r"\bcrc[^\n]{0,30}?\b(?:received|got)\b:?\s*(?:0x)?(?P<got>[0-9a-f]{1,4})\b[^\n]{0,20}?\b(?:calculated|expected|computed)\b"
         r"[^\n]{0,8}?\s(?:0x)?(?P<meant>[0-9a-f]{1,4})\b",
@@ -110,11 +119,12 @@ _FAILED_CHECK = re.compile(
 
 
 class Checks(NamedTuple):
-    """Checks of replies as a library prints them: `meant` computed from the bytes, `got` in them."""
+    """Checks of replies as a library prints them: `meant` computed from the bytes, `got` in them; and these, if they are there."""
 
     text: str
     meant: int
     got: int
+    data: bytes = b""
 
     @property
     def swapped(self) -> bool:
@@ -130,7 +140,11 @@ class Checks(NamedTuple):
 def checks(words: str) -> list[Checks]:
     """Return the checks that words compare."""
     found = next((rows for rows in (list(each.finditer(words)) for each in _CHECKS) if rows), [])
-    return [Checks(row[0], int(row["meant"], 16), int(row["got"], 16)) for row in found]
+    return [Checks(row[0], int(row["meant"], 16), int(row["got"], 16), _bytes(row.groupdict().get("bytes"))) for row in found]
+
+
+def _bytes(text: str | None) -> bytes:
+    return bytes.fromhex(re.sub(r"[. :]", "", text or ""))
 
 
 def reports(words: str) -> Iterator[tuple[Report, str, int]]:
@@ -144,6 +158,15 @@ def reports(words: str) -> Iterator[tuple[Report, str, int]]:
         yield _of_checks(words, compared)
 
 
+#: Pieces that are no chance, and the bytes of the shortest reply.
+_PARTS, _SMALLEST = 3, 5
+
+
+def _differ(compared: list[Checks]) -> bool:
+    """Say whether pieces begin otherwise each, as the parts of one reply do."""
+    return len({each.data[:2] for each in compared}) > len(compared) // 2
+
+
 def _of_checks(words: str, compared: list[Checks]) -> tuple[Report, str, int]:
     """Return what failing checks stand for: their numbers tell more than that they fail."""
     if compared and all(each.swapped for each in compared):
@@ -152,6 +175,12 @@ def _of_checks(words: str, compared: list[Checks]) -> tuple[Report, str, int]:
     elif compared and all(each.half for each in compared):
         cause, what = "reply_cut", "a byte of each CRC is missing: the reply was not read to its end"
         todo = "Read until the length of the reply is there or a timeout has passed"
+    elif len(compared) >= _PARTS and {len(each.data) for each in compared} == {_SMALLEST} and _differ(compared):
+        cause, what = "split_frame", f"each {_SMALLEST} bytes that come are taken for a reply: it is cut into pieces"
+        todo = (
+            "Let the host read on until a pause shows the end: a larger buffer, a later interrupt (rx_full_threshold, rx_timeout), "
+            "and no other work between its reads"
+        )
     else:
         cause, what, todo = "noise", "replies come damaged", _LINE
     shown = compared[0].text if compared else next(iter(_FAILED_CHECK.findall(words)), "")

@@ -34,8 +34,8 @@ _FEW = 4
 _PADDING = 4
 #: Where functions that are answered by a length have their count of bytes, in a request or in a reply.
 _COUNTS = {**dict.fromkeys((0x0F, 0x10), (6,)), 0x11: (2,), 0x0C: (2,), 0x17: (2, 10)}
-#: What answers a write, the shortest frame and the longest, and the last address.
-_ANSWER, _SHORTEST, _LONGEST, _LAST_UNIT = 8, 5, 256, 247
+#: What answers a write, a request of nothing but its function, the shortest frame and the longest, and the last address.
+_ANSWER, _BARE, _SHORTEST, _LONGEST, _LAST_UNIT = 8, 4, 5, 256, 247
 #: First registers of each kind in the numbering of old controllers.
 _NUMBERED = (10001, 30001, 40001)
 
@@ -208,7 +208,7 @@ def _miscounted(scene: Scene) -> Iterator[Suspicion]:
     found: list[tuple[Trouble, bytes, str]] = []
     for burst in scene.bursts:
         data = burst.data
-        if burst.can_id is not None or not (burst.opens and burst.ends) or not _SHORTEST <= len(data) <= _LONGEST:
+        if burst.can_id is not None or not (burst.opens and burst.ends) or not _BARE <= len(data) <= _LONGEST:
             continue
         own = [t for t in scene.troubles if burst.offset <= t.offset < burst.stop and t not in scene.explained]
         trouble = own[0] if own else None

@@ -27,6 +27,8 @@ _HEADS, _MOST_OF = 4, 0.5
 _TAIL, _LENGTHS = 4, 2
 #: Damaged stretches that make noise likely, and how alike they must be to a frame of the bus.
 _NOISE, _ALIKE, _MOST_ALIKE = 3, 0.6, 200
+#: Bytes of a request that has fields.
+_FORM = 8
 #: Frames of a capture in which one damaged reply is what it is about.
 _FEW = 4
 #: Of so many frames on the bus one must be damaged.
@@ -71,10 +73,11 @@ def _sure(count: int) -> Confidence:
 
 def _two_masters(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     """Suspect a second host: requests among what the host receives, which it has not sent."""
-    own, others = [], []
+    own: list[bytes] = []
+    others = _of_same_form(scene)
     for piece in scene.pieces:
         # A register or a length that the manual does not have makes a request no less one, where a CRC says so.
-        if not piece.is_request or not (piece.sound or (piece.can is None and modbus_crc(piece.data) == 0)):
+        if piece in others or not piece.is_request or not (piece.sound or (piece.can is None and modbus_crc(piece.data) == 0)):
             continue
         direction = scene.direction(piece.offset)
         if direction is Role.REQUEST:
@@ -101,6 +104,24 @@ def _two_masters(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
         "Let one host speak alone: disconnect the other, or have it ask through the first",
         (*(Shown(p.offset, shown(p.data)) for p in others), *frames),
     )  # fmt: skip
+
+
+def _of_same_form(scene: Scene) -> list[Piece]:
+    """Return received frames that differ from what the host sends by their unit alone, for units that it did not ask last."""
+    forms: set[bytes] = set()
+    found: list[Piece] = []
+    asked = -1
+    for piece in scene.pieces:
+        data, direction = piece.data, scene.direction(piece.offset)
+        if piece.can is not None or len(data) < _FORM or modbus_crc(data):
+            continue
+        if direction is Role.REQUEST:
+            forms.add(data[1:-2])
+            asked = data[0]
+        elif direction is Role.REPLY and data[0] != asked:
+            found.append(piece)
+    same = [piece for piece in found if piece.data[1:-2] in forms]
+    return same if len({piece.data[0] for piece in same}) > 1 else []
 
 
 def _two_drives(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from analyzer.diagnosis.reports import MISFIT, reports
-from analyzer.diagnosis.scene import Confidence, Scene, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link import READS
 from analyzer.values import counted
 
@@ -26,6 +26,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     troubles = scene.troubles
     if (misfit := MISFIT.search(words)) is not None:
         yield from _misfit(scene, misfit[0])
+    yield from _as_string(scene, words)
     yield from _reported(scene, words)
     ours = any(p.sound and p.message is not None and p.message.command is not None for p in scene.pieces)
     if not ours and (other := _OTHERS.search(words)) is not None and (troubles or scene.pieces):
@@ -35,6 +36,26 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             f"{other[0]!r} in the text; {shown(scene.pieces[0].data)} at byte {scene.pieces[0].offset}",
             "Use the manual of its maker; the dialects known here are those of `servotap catalogue`",
         )  # fmt: skip
+
+
+def _as_string(scene: Scene, words: str) -> Iterator[Suspicion]:
+    """Suspect a program that handles its frames as strings, where some have a 00 that is not their last byte."""
+    found = _STRINGS.search(words)
+    cut = [piece for piece in scene.pieces if piece.can is None and b"\0" in piece.data[:-1] and not piece.is_reply]
+    if found is None or not cut:
+        return
+    data = cut[0].data
+    yield Suspicion(
+        "text_mode", Confidence.LIKELY, scene.troubles or [Trouble("damaged", cut[0].offset, None, cut[0])],
+        "The program handles frames as strings: a string ends at its first 00, and the rest is not sent.",
+        f"{found[0].strip()!r} in the text; {shown(data)} at byte {cut[0].offset} ends behind {shown(data[:data.index(0)])}",
+        "Give the number of bytes to what copies and sends: sizeof of the array, memcpy, write(data, length)",
+        tuple(Shown(p.offset, shown(p.data)) for p in cut),
+    )  # fmt: skip
+
+
+#: Functions of C that take bytes as a string.
+_STRINGS = re.compile(r"\bsn?printf\s*\([^;\n]*\"%s\"[^;\n]*|\bstr(?:len|n?cpy|n?cat)\s*\([^;\n)]*\)?")
 
 
 def _reported(scene: Scene, words: str) -> Iterator[Suspicion]:

@@ -240,6 +240,8 @@ def _refused(found: list[tuple[Trouble, bytes, bytes]]) -> Iterator[Suspicion]:
         )  # fmt: skip
 
 
+#: Bytes of the number of a request and of the protocol behind it.
+_NUMBERED = 4
 #: The size of an exception with its CRC.
 _REFUSAL = 5
 
@@ -254,4 +256,15 @@ def _all_answered(scene: Scene, dress: Dress) -> bool:
         {(header.number, header.body[0]) for header in _headers(scene) if header.burst.direction is role}
         for role in (Role.REQUEST, Role.REPLY)
     )
-    return bool(sent) and sent <= came
+    return (bool(sent) and sent <= came) or _numbers_return(scene)
+
+
+def _numbers_return(scene: Scene) -> bool:
+    """Say whether what is received begins with the number of a request and its protocol, and is not that request itself."""
+    sent = [burst.data for burst in scene.bursts if burst.direction is Role.REQUEST]
+    numbers = {data[:_NUMBERED] for data in sent}
+    return any(
+        len(b.data) > _HEADER and b.data[:_NUMBERED] in numbers and b.data[2:_NUMBERED] == b"\0\0"
+        and not any(data[:len(b.data)] == b.data[:len(data)] for data in sent)
+        for b in scene.bursts if b.direction is Role.REPLY
+    )  # fmt: skip

@@ -31,6 +31,7 @@ _COUNTS = re.compile(r"\s*re-started\s+bus-errors\s+arbit-lost\s+error-warn\s+er
 _SIX = re.compile(r"(?:\s*\d+){5}\s+(\d+)\s*")
 #: The name of an interface with what a driver says of it; the first that fits counts.
 _DRIVER = r"\b(?:sl)?can\d+:?\s.*"
+_FLAGS = r"\b(?:FLT_CONF|(?:ACK|CRC|STF|STUFF|FRM|FORM|BIT[01])_?ERR(?:OR)?)\b"
 _SAID: tuple[tuple[re.Pattern[str], int, str], ...] = tuple(
     (re.compile(pattern, re.IGNORECASE), number, data)
     for pattern, number, data in (
@@ -44,6 +45,22 @@ _SAID: tuple[tuple[re.Pattern[str], int, str], ...] = tuple(
         (rf"{_DRIVER}\back(?:nowledge\w*)? ?error\b", _NO_ACK | _BUS_ERROR, ""),
         (rf"{_DRIVER}\bcan bus error\b", _BUS_ERROR, ""),
         (r"\bNo buffer space available\b", _CONTROLLER, "00 02"),
+        # What firmware calls its flags, the state last.
+        (rf"{_FLAGS}.*\bbus[- _]?off\b", _BUS_OFF, ""),
+        (r"\b(?:STF|STUFF)_?ERR(?:OR)?\b", _PROTOCOL | _BUS_ERROR, "00 00 04"),
+        (r"\b(?:FRM|FORM)_?ERR(?:OR)?\b", _PROTOCOL | _BUS_ERROR, "00 00 02"),
+        (r"\bBIT1_?ERR(?:OR)?\b", _PROTOCOL | _BUS_ERROR, "00 00 10"),
+        (r"\bBIT0_?ERR(?:OR)?\b", _PROTOCOL | _BUS_ERROR, "00 00 08"),
+    )
+)
+#: What candump says below an error frame, as far as that frame itself is not there.
+_EXPLAINED = tuple(
+    (re.compile(pattern), number, data)
+    for pattern, number, data in (
+        (r"^\s*no-acknowledgement-on-tx\b", _NO_ACK, ""),
+        (r"^\s*protocol-violation\{\{[^}]*\bbit-stuffing-error\b", _PROTOCOL, "00 00 04"),
+        (r"^\s*protocol-violation\{\{[^}]*\bframe-format-error\b", _PROTOCOL, "00 00 02"),
+        (r"^\s*bus-off\s*$", _BUS_OFF, ""),
     )
 )
 _KERNEL_TIME = re.compile(r"\[\s*(\d{1,9}\.\d{1,9})\]")
@@ -56,7 +73,8 @@ _LARGEST_BYTE = 0xFF
 def score(head: bytes) -> float:
     """Say how sure it is that this text tells the state of a controller, 0..1."""
     lines = [line for line in head_lines(head)[:_SAMPLE_LINES] if len(line) <= _LONGEST_LINE]
-    if not any(_IP.search(line) or _said(line) is not None for line in lines):
+    explained = not any(frame.error for line in lines if (frame := _frame(line)) is not None)
+    if not any(_IP.search(line) or _said(line, explained) is not None for line in lines):
         return 0.0
     # A word on the controller may stand in a capture of any format, as a comment; it takes no times from it, and no bytes.
     frames = [line for line in lines if _frame(line) is not None]
@@ -74,10 +92,11 @@ def read(source: Source) -> Iterator[CanFrame | Comment]:
 
 def _records(source: Source) -> Iterator[CanFrame | Comment]:
     lines = Lines(source)
+    explained = not any(frame.error for line in head_lines(source.head) if (frame := _frame(line)) is not None)
     counts = off = False
     for text in lines:
         found = _IP.search(text) if len(text) <= _LONGEST_LINE else None
-        frame = _state(found) if found is not None else _said(text) if len(text) <= _LONGEST_LINE else None
+        frame = _state(found) if found is not None else _said(text, explained) if len(text) <= _LONGEST_LINE else None
         if found is not None:
             off = found["state"] == "BUS-OFF"
         elif counts and not off and (six := _SIX.fullmatch(text)) is not None and int(six[1]):
@@ -106,9 +125,10 @@ def _state(found: re.Match[str]) -> CanFrame | None:
     return _error(number, bytes((0, kind, 0, 0, 0, 0, sent, received)))
 
 
-def _said(text: str) -> CanFrame | None:
-    """Return the error frame of what a driver or a program says."""
-    return next((_error(number, bytes.fromhex(data)) for said, number, data in _SAID if said.search(text)), None)
+def _said(text: str, explained: bool) -> CanFrame | None:
+    """Return the error frame of what a driver or a program says; `explained`: or of candump's words."""
+    table = _SAID + _EXPLAINED * explained
+    return next((_error(number, bytes.fromhex(data)) for said, number, data in table if said.search(text)), None)
 
 
 def _error(number: int, data: bytes) -> CanFrame:

@@ -49,7 +49,9 @@ _ID = r"(?:0[xX])?(?P<id>[0-9A-Fa-f]{1,8})[hH]?"
 _DATA = r"(?P<data>(?:(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})\b[\s,.:]*+){0,64}|(?:[0-9A-Fa-f]{2}){2,64})"
 _NUMBER = r"0x[0-9A-F]{1,8}|\d{1,9}"
 #: A list of numbers in a program: in hexadecimal with 0x alone.
-_LISTED = r"(?:bytes|bytearray)?\(?\s*\[(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\]"
+_LISTED = (
+    r"(?:bytes|bytearray)?\(?\s*\[(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\](?:\s*\*\s*(?P<times>\d{1,2}))?"
+)
 _MARK = r"(?P<mark>[TR]x|[TR])"
 _LENGTH = r"(?:0[xX])?(?P<length>\d{1,2})"
 
@@ -74,7 +76,7 @@ SHAPES: tuple[Shape, ...] = (
     # In a program; python-can takes 29 bits where nothing else is said.
     _shape(
         "call",
-        rf".*?(?:(?P<extended>can\.Message\((?!.*extended_id\s*=\s*False))|Message\()(?=.*?\barbitration_id\s*=\s*(?P<id>{_NUMBER}))"
+        rf".*?(?:(?P<extended>can\.Message\((?!.*extended_id\s*=\s*False))|Message\()(?=.*?(?P<standard>extended_id\s*=\s*False))?(?=.*?\barbitration_id\s*=\s*(?P<id>{_NUMBER}))"
         rf".*?\bdata\s*=\s*{_LISTED}.*",
     ),
     _shape("call-id-data", rf".*?\b(?:write|send)\(\s*(?P<id>{_NUMBER}),\s*{_LISTED}.*"),
@@ -101,6 +103,13 @@ SHAPES: tuple[Shape, ...] = (
         "cansend",
         r".*?\b(?P<mark>cansend)\s+(?P<port>\S+)\s+(?P<id>[0-9A-F]{1,8})#(?P<data>[0-9A-F.]*)(?![0-9A-Z#]).*",
         near=r".*\bcansend\s",
+    ),
+    # What a program takes: `SEND:01#F6...`.
+    _shape("sent", r".*?\b(?P<mark>send|tx)[:= ]{1,2}(?P<id>[0-9A-F]{1,8})#(?P<data>(?:[0-9A-F]{2}){1,8})(?![0-9A-Z#]).*"),
+    # The records of gs_usb adapters (candleLight): echo number, identifier, length, channel, flags, data.
+    _shape(
+        "gs_usb",
+        r"\s*(?P<own>[0-9A-F]{8})(?P<record>[0-9A-F]{8})(?P<length>0[0-8])0[0-3]0[0-9A-F]00(?P<data>[0-9A-F]{16})(?:[0-9A-F]{8})?",
     ),
     _shape("hash", r"(?:(?P<port>[A-Za-z]\w{1,15})\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}\.?)*)"),
     # In a sentence, or as a program prints it.
@@ -152,7 +161,7 @@ _CALL_LINES = 8
 _ADAPTER = re.compile(r"[SsOCLVvNFMmXYZzGHIP][0-9A-Fa-f]{0,8}")
 _ONLY_ID = re.compile(r"(?:.*[^A-Za-z])?id\s*[:=]?\s*0x[0-9A-F]{1,8}\s*", re.IGNORECASE)
 _ONLY_BYTES = re.compile(r"\s*(?:0x)?[0-9A-F]{1,2}(?:[\s,]+(?:0x)?[0-9A-F]{1,2}){0,7}\s*", re.IGNORECASE)
-_MARKS = {"tx": Role.REQUEST, "t": Role.REQUEST, "cansend": Role.REQUEST, "false": Role.REQUEST}
+_MARKS = {"tx": Role.REQUEST, "t": Role.REQUEST, "cansend": Role.REQUEST, "send": Role.REQUEST, "false": Role.REQUEST}
 _CAN_BYTES = 8
 _FD_BYTES = (12, 16, 20, 24, 32, 48, 64)
 _LONGEST_LINE = 1000
@@ -354,7 +363,9 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
     if groups.get("slcan") is not None:
         return _slcan(groups["slcan"], groups["rest"], stamp, role)
     if groups.get("listed") is not None:
-        return _called(groups["id"], groups["listed"], bool(groups.get("extended")), stamp)
+        return _called(groups, stamp)
+    if groups.get("record") is not None:
+        return None if decimal else _record(groups, stamp)
     if decimal and not groups["id"].isdecimal():
         return None
     number = int(groups["id"], 10 if decimal and "0x" not in found[0].lower() else 16)
@@ -403,15 +414,33 @@ def _data(text: str) -> bytes | None:
     return found.data
 
 
-def _called(identifier: str, listed: str, extended: bool, stamp: Stamp) -> _Line | None:
+def _called(groups: dict[str, str | None], stamp: Stamp) -> _Line | None:
     """Return the frame that a program sends, by its identifier and its bytes."""
-    number, values = _number(identifier), [_number(token) for token in _TOKEN.findall(listed)]
+    number = _number(groups["id"] or "")
+    values = [_number(token) for token in _TOKEN.findall(groups["listed"] or "")] * int(groups.get("times") or 1)
+    # A program that asks for 11 bits gets them, whatever its number needs.
+    extended = bool(groups.get("extended")) or (number > _STANDARD and not groups.get("standard"))
     if number > _ID_MASK or not values or max(values) > 0xFF or (len(values) > _CAN_BYTES and len(values) not in _FD_BYTES):
         return None
     data = bytes(values)
-    return _Line(
-        CanFrame(None, "", number, data, Role.REQUEST, extended or number > _STANDARD, fd=len(data) > _CAN_BYTES), stamp, None
-    )
+    return _Line(CanFrame(None, "", number, data, Role.REQUEST, extended, fd=len(data) > _CAN_BYTES), stamp, None)
+
+
+def _record(groups: dict[str, str], stamp: Stamp) -> _Line | None:
+    """Return the frame of a record of gs_usb: numbers have their low byte first; what was received has no echo number."""
+    own, bits = (int.from_bytes(bytes.fromhex(groups[name]), "little") for name in ("own", "record"))
+    data = bytes.fromhex(groups["data"])
+    size, flags = int(groups["length"]), bits & ~_ID_MASK
+    if (own > _OWN_LAST and own != _RECEIVED) or (not flags and bits > _STANDARD) or any(data[size:]):
+        return None
+    role = Role.UNKNOWN if own == _RECEIVED else Role.REQUEST
+    error, extended = bool(flags & _ERROR_FLAG), bool(flags & _EXTENDED_FLAG)
+    number = bits & _ID_MASK
+    return _Line(CanFrame(None, "", number, data[:size], role, extended, bool(flags & _REMOTE_FLAG), error), stamp, None)
+
+
+#: The echo number of what was received, and the last one of what was sent.
+_RECEIVED, _OWN_LAST = 0xFFFF_FFFF, 0xFF
 
 
 def _number(text: str) -> int:

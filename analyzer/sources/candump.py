@@ -50,7 +50,8 @@ _EXPECTED = "expected '(seconds) interface ID#data' or 'interface ID [length] da
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are candump's, 0..1."""
     # The words below an error frame are candump's too, and the command that was typed comes before.
-    return 0.95 * share(head, _KNOWN)
+    lines = head_lines(head)
+    return 0.95 * share(head, _KNOWN) if any(_EITHER.match(line) for line in lines) else 0.0
 
 
 def read(source: Source) -> Iterator[CanFrame | CanBlock | Comment]:

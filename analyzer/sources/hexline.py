@@ -47,7 +47,7 @@ class HexLine(NamedTuple):
     `stamp`: its time as printed. `role`: who sent, by words and signs. `sign`: the sign before the bytes, or the brackets
     around each of them. `worded`: a word says who sent. `name`: of the bus line. `number`: it stands before the bytes.
     `led`: no colon parts it from them.
-    `note`: a comment behind the bytes. `passed`: words before the mark. `text`: what could not be understood, if anything.
+    `declared`: what a program calls the bytes. `note`: a comment behind the bytes. `passed`: words before the mark. `text`: what could not be understood, if anything.
     `radix`: how sure the bytes are.
     """
 
@@ -65,6 +65,7 @@ class HexLine(NamedTuple):
     led: bool = False
     radix: Radix = Radix.HEX
     passed: str = ""
+    declared: str = ""
 
     @property
     def marked(self) -> bool:
@@ -277,7 +278,7 @@ class _Peeler:
         #: Words in brackets of their own, which may be the name of who logs.
         self.tags: list[str] = []
         self.declared = self.ascii = self.spoken = False
-        self.passed = ""
+        self.passed = self.declaration = ""
         self.number: int | None = None
 
     @property
@@ -315,6 +316,7 @@ class _Peeler:
                 led=self.led,
                 radix=found.radix,
                 passed=self.passed,
+                declared=self.declaration,
                 **taken,  # type: ignore[arg-type]
             )
         if not rest and (self.stamp.kind or self.marked) and not self.spoken:
@@ -391,10 +393,14 @@ class _Peeler:
                 self.words.append("sent")
             elif group == "variable":
                 self.declared = True
+                self.declaration = found[0].strip(" =")
                 # What a program calls "read" is the command that reads.
                 self.words += [word for word in value.lower().split("_") if word in WORDS and word != "read"]
             else:
                 self.name = self.name or value
+                # `[client.write]`: what a program calls.
+                if (word := value.rpartition(".")[2].lower()) in ACTIONS and word != value.lower():
+                    self.words.append(word)
         return True
 
     def _with_note(self, rest: str) -> tuple[Written | None, str]:

@@ -304,6 +304,7 @@ class _Reader:
         self._said = 0
         self._running: int | None = None
         self._passed = 0
+        self._declared = False
         self._known: set[bytes] = set()
         self._fields: list[re.Match[str]] = []
         self._rows = bytearray()
@@ -353,6 +354,10 @@ class _Reader:
                 self._check_count(line)
                 if line.passed and self._lines.number <= _SAMPLE_LINES and speaks(line.passed):
                     yield source.comment(t_ns, line.passed)
+                if line.declared and not self._declared:
+                    # Once shows that these are bytes of a program.
+                    self._declared = True
+                    yield source.comment(t_ns, line.declared)
                 yield from self._traffic(t_ns, self._told_above(line) if prose else line)
             elif line.shape is Shape.HEADER:
                 self._header, self._header_ns = line, t_ns
@@ -436,7 +441,8 @@ class _Reader:
         if line.marked or line.role is not Role.UNKNOWN:
             self._marks(line.role)
             return line
-        behind = role_in_text(line.note)
+        # What stands behind a declaration says what the bytes are for, not that they were sent.
+        behind = Role.UNKNOWN if line.declared else role_in_text(line.note)
         return line._replace(role=self._marks(self._above if behind is Role.UNKNOWN else behind))
 
     def _is_part(self, text: str) -> bool:

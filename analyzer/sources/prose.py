@@ -33,7 +33,8 @@ _VERBS = {
 _MARKED = r"(?:0[xX][0-9A-Fa-f]{1,2})"
 _PAIR = r"[0-9A-Fa-f]{2}"
 _PAIRS = rf"(?:{_PAIR}){{1,4}}"
-_NOTHING_BEFORE = r"(?<![\w.:/+@#-])"
+#: A number that is compared is a check.
+_NOTHING_BEFORE = r"(?<![\w.:/+@#-])(?<!!=)"
 _ITEM = r"(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})"
 #: Ways to write bytes inside a text; the names of groups tell apart what is checked further.
 _RUN = re.compile(

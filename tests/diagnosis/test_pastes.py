@@ -6,9 +6,12 @@ import pytest
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Role
-from analyzer.diagnosis.diagnose import of_traffic
+from analyzer.diagnosis.diagnose import diagnosis, of_traffic
+from analyzer.diagnosis.scene import Confidence
+from analyzer.diagnosis.watch import Watch
 from analyzer.link import modbus_crc
-from analyzer.records import CanFrame
+from analyzer.pipeline import Pipeline
+from analyzer.records import CanFrame, Comment
 from analyzer.sources.pasted import read_text
 
 ESPHOME = "".join(f"[10:00:01][V][modbus:042]: Modbus received Byte  {b} (0X{b:x})\n" for b in bytes.fromhex("110304000041EE"))
@@ -25,6 +28,11 @@ def diagnosed(text):
     traffic = read_text(text).traffic
     kind = "can" if any(isinstance(item, CanFrame) for item in traffic) else "serial"
     return of_traffic(traffic, [d for d in registry.every() if d.bus == kind])
+
+
+def checked(text):
+    data = bytes.fromhex(text)
+    return (data + modbus_crc(data).to_bytes(2, "little")).hex(" ").upper()
 
 
 STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
@@ -127,6 +135,29 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
             "can_extended_id",
         ),
         ("It prints `CanErrorFrame { 00000088#0000040000000000 }` with nothing connected.", "can_wrong_bitrate"),
+        # A device that swaps the CRC of its replies; two writes of a unit with checks of nobody's.
+        ("Tx: 05 04 00 10 00 02 71 8A\nRx: 05 04 04 00 00 00 07 86 FF\n", "crc_swapped"),
+        ("I tried these:\n\n11 06 0003 0010 7AC4\n\nand then\n\n11 06 0004 0020 4F7B\n", "wrong_checksum"),
+        # A read of nothing; requests to units that the host did not ask.
+        (f"> {checked('02 04')}\n", "wrong_length"),
+        (
+            "".join(f"Rx: {checked(f'{unit:02X} 45 00 00 00 20 00 00')}\n" for unit in (3, 4))
+            + "".join(f"Tx: {checked(f'{unit:02X} 45 00 00 00 20 00 00')}\n" for unit in (1, 2)),
+            "two_masters",
+        ),
+        # What calls a function tells who sent.
+        ("[open]\n[port.write] <Buffer 00 03 00 05 00 01 95 da>\n[port.write] <Buffer 00 03 00 05 00 01 95 da>\n", "broadcast_no_reply"),
+        # Identifiers of programs; what an adapter keeps of frames; what a program takes.
+        ("m = can.Message(arbitration_id=0x1F00, data=bytes([1] * 2), is_extended_id=False)\n", "can_extended_id"),
+        (
+            "m = can.Message(arbitration_id=0x1ABCDEF0, data=[0x55] * 3, is_extended_id=True)\n  can2  6F0   [3]  55 55 55\n",
+            "can_extended_id",
+        ),
+        ("ffffffff88000020080000000000040000000000\n" * 2, "can_wrong_bitrate"),
+        # What firmware, and candump without its frames, say of a controller.
+        ("state: STUFF_ERROR, FORM_ERROR, FLT_CONF: Bus off\n" * 2, "can_bus_off"),
+        ("FlexCAN: STF_ERR, FLT_CONF: Error Passive\nFlexCAN: FRM_ERR, FLT_CONF: Error Passive\n", "can_wrong_bitrate"),
+        ("no-acknowledgement-on-tx\nerror-counter-tx-rx{{96}{0}}\nno-acknowledgement-on-tx\n", "can_no_ack"),
     ],
 )  # fmt: skip
 def test_a_paste(text, cause):
@@ -198,3 +229,43 @@ def test_who_sent_is_told_in_any_language(sent, received):
 def test_rows_of_can_monitors(rows):
     assert [item.data.hex() for item in read_text(rows).traffic] == ["3031", "3000000001200052"]
     assert diagnosed(rows).verdict == "ok"
+
+
+def test_a_list_of_a_program_for_another_drive_is_no_accusation():
+    text = "byte cal[] = {0xE1, 0x80, 0x00, 0x61}; // write first\nbyte get[] = {0xE1, 0x30, 0x11};\n"
+    watch, dialects = Watch(), [d for d in registry.every() if d.bus == "serial"]
+    pipeline = Pipeline(dialects, [watch])
+    watch.comment(Comment(None, "", "byte cal[]"))
+    for item in read_text(text).traffic:
+        watch.take(item)
+        pipeline.feed(item)
+    pipeline.close()
+    (found,) = diagnosis(watch, dialects).causes
+    assert (found.suspicion.cause, found.suspicion.confidence) == ("unsupported_dialect", Confidence.POSSIBLE)
+
+
+def asked_and_answered(request, reply):
+    return [
+        f"[10:00:00][V][modbus:199]: Modbus write: {request.hex('.').upper()} ({len(request)})\n"
+        f"[10:00:00][D][uart_debug:114]: <<< {reply.hex(':').upper()}\n",
+        f"[RTU]>Tx > 10:00:01:123 - {request.hex(' ').upper()} \n[RTU]>Rx > 10:00:01:190 - {reply.hex(' ').upper()} \n",
+        f"Tx:000000-{request.hex(' ').upper()}\nRx:000001-{reply.hex(' ').upper()}\n",
+        f"2026/05/01 10:00:00 modbus: send {request.hex(' ')}\n2026/05/01 10:00:00 modbus: recv {reply.hex(' ')}\n",
+        f"10:00:00.123 DEBUG (MainThread) [pymodbus.logging] send: {' '.join(map(hex, request))}\n"
+        f"10:00:00.173 DEBUG (MainThread) [pymodbus.logging] recv: {' '.join(map(hex, reply))}\n",
+        f"{''.join(f'[{b:02X}]' for b in request)}\nWaiting for a confirmation...\n{''.join(f'<{b:02X}>' for b in reply)}\n",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["".join(parts) for parts in zip(
+        asked_and_answered(bytes.fromhex("010300000002C40B"), bytes.fromhex("010304 00E6021A 9B6F")),
+        asked_and_answered(bytes.fromhex("010400100001300F"), bytes.fromhex("010402012CB97D")),
+        asked_and_answered(bytes.fromhex("0106000500649820"), bytes.fromhex("0106000500649820")),
+        strict=True,
+    )],
+    ids=["ESPHome", "QModMaster", "Modbus Poll", "Go", "pymodbus", "mbpoll"],
+)  # fmt: skip
+def test_sound_exchanges_of_other_devices_are_not_accused(text):
+    assert not diagnosed(text).causes

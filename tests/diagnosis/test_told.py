@@ -42,6 +42,22 @@ def value(frame: str, words: str) -> str:
     [
         (LIST, None),
         (f"{LIST}// the motor does not answer\n", "no_reply"),
+        # Declarations alone.
+        ("byte go[] = {0x3E, 0x81, 0x03, 0x00, 0xC2};\nbyte off[] = {0x3E, 0x80, 0x03, 0x00, 0xC1};\n", None),
+        ("byte go[] = {0xE1, 0xF6, 0x00, 0xD7};\nvoid out() { n = strlen(go); port.write(go, n); }\n", "text_mode"),
+        ("".join(f"modbus: response transaction id {n} doesn't match request {n + 1}\n" for n in range(3)), "late_reply"),
+        (
+            "[00][07][00][00][00][06][01][05][00][01][FF][00]\nWaiting for a confirmation...\n"
+            "<00><07><00><00><00><04><01><31><32>\nMessage length not corresponding to the computed length (9 != 12)\n",
+            "wrong_length",
+        ),
+        (
+            "".join(
+                f"[12:00:01][W][modbus:155]: Modbus CRC Check failed! {n}A12!=3C{n}F {n}1.F9.52.3F.7C (5)\n"
+                for n in range(1, 5)
+            ),
+            "split_frame",
+        ),
         ("notes on the arm\n  cansend can0 001#3132\n", None),
         (AGAIN, "no_reply"),
         (LATE, "late_reply"),
