@@ -282,6 +282,7 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         return
     yield from _wrong_identifier(scene, standard, checked)
     yield from _padded(scene, standard, checked)
+    yield from _other_length(scene, standard, checked)
 
 
 def _too_long(frames: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:
@@ -409,6 +410,37 @@ def _padded(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         f"Send {shown(right, can.id)}",
         tuple(Shown(p.offset, shown(p.data, c.id), shown(r, c.id)) for p, c, r, _ in found),
     )  # fmt: skip
+
+
+def _other_length(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> Iterator[Suspicion]:
+    """Suspect what a host sends with a known code, and with a length and a sum that are none of its command."""
+    for dialect in dialects:
+        link = dialect.link
+        found: list[tuple[Piece, CanFrame, str, bytes]] = []
+        for piece, can in frames:
+            if can.direction is not Role.REQUEST or len(piece.data) < _LEAST or link.fits(piece.data, can.id):
+                continue
+            commands = dialect.by_code.get(piece.data[0], ())
+            rights = [
+                link.build(c, form, can.id, bytes(form.layout.byte_length), Role.REQUEST)
+                for c in commands
+                for form in c.request_forms
+            ]
+            # One byte less is a sum that was forgotten.
+            if rights and all(len(piece.data) not in (len(right), len(right) - 1, _LONGEST) for right in rights):
+                found.append((piece, can, " or ".join(c.name for c in commands), rights[0]))
+        if not found or len(found) * 2 < len(frames):
+            continue
+        piece, can, names, right = found[0]
+        yield Suspicion(
+            # The code alone tells whose command it is.
+            "wrong_length", Confidence.POSSIBLE, [Trouble("wrong_length", p.offset, None, p) for p, _, _, _ in found],
+            f"{names} is sent with {counted(len(piece.data), 'byte')}; on CAN it has {len(right)}, the last one its sum.",
+            f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(found), 'frame')}",
+            f"Send as many bytes as the command has, with the values that you mean, as {shown(right, can.id)}",
+            tuple(Shown(p.offset, shown(p.data, c.id)) for p, c, _, _ in found),
+        )  # fmt: skip
+        return
 
 
 def _shorter(scene: Scene, data: bytes, can_id: int, dialects: list[Dialect]) -> Iterator[tuple[bytes, str]]:

@@ -194,6 +194,28 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             "has a checksum that is not the manual's", "Replace the check",
         )  # fmt: skip
     yield from _turned_replies(scene)
+    yield from _again_without_end(scene)
+
+
+def _again_without_end(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a request to read that comes again and again in one piece, each time without the last byte of its CRC."""
+    for trouble in scene.damaged:
+        data = trouble.stretch.data if trouble.stretch is not None and trouble not in scene.explained else b""
+        size = _READ_SIZE - 1
+        if len(data) < 2 * size or data[size:] != data[:-size]:
+            continue
+        for at in range(size):
+            body = data[at : at + size - 1]
+            right = body + modbus_crc(body).to_bytes(2, "little")
+            if right[:-1] == data[at : at + size] and 0 < right[0] <= _LAST_UNIT and _plain(right):
+                yield Suspicion(
+                    "missing_checksum", Confidence.LIKELY, [trouble],
+                    "The request is sent again and again without the last byte of its CRC.",
+                    f"{shown(right[:-1])} at byte {trouble.offset + at}; {counted((len(data) - at) // size, 'time')} in a row",
+                    f"Send all {_READ_SIZE} bytes of the request: {shown(right)}",
+                    (Shown(trouble.offset + at, shown(right[:-1]), shown(right)),),
+                )  # fmt: skip
+                return
 
 
 def _turned_replies(scene: Scene) -> Iterator[Suspicion]:

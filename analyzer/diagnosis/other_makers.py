@@ -174,9 +174,10 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if not found or different < least or (len(found) < _SHARE * len(sent) and not spoken):
             continue
         first, data = found[0]
+        # A list of a program may be right for its own drive.
+        confidence = Confidence.POSSIBLE if scene.listed else Confidence.LIKELY
         yield Suspicion(
-            # A list of a program may be right for its own drive.
-            "unsupported_dialect", Confidence.POSSIBLE if scene.listed else Confidence.LIKELY, [t for t, _ in (damaged if spoken else found)],
+            "unsupported_dialect", confidence, [t for t, _ in (damaged if spoken else found)],
             f"These are frames of {make.name}, a dialect that is not known here.",
             f"{shown(data)} at byte {first.offset}; {counted(len(found), 'frame')} like it",
             make.next,

@@ -69,10 +69,12 @@ REPORTS = (
     _report(
         r"\blength not corresponding to the computed length", "wrong_length",
         "a reply has another length than its function and its count make",
-        "Compare the reply with the manual of the device byte by byte, and empty the input behind each reply that does not fit",
+        "Compare the reply with the manual byte by byte, and empty the input behind each reply that does not fit",
     ),
     _report(
-        r"transaction[_ ]?id\s*=?\s*\d+,? but (?:got|received)|transaction[_ ]?id\W{1,4}\d+\W{1,3}(?:does not|doesn't) match|\b(?:unexpected|wrong|invalid) transaction[_ ]?id", "late_reply",
+        r"transaction[_ ]?id\s*=?\s*\d+,? but (?:got|received)"
+        r"|transaction[_ ]?id\W{1,4}\d+\W{1,3}(?:does not|doesn't) match"
+        r"|\b(?:unexpected|wrong|invalid) transaction[_ ]?id", "late_reply",
         "a reply came that belongs to a request before", "Wait longer for each reply, and clear the input before each request",
     ),
     _report(
@@ -119,7 +121,7 @@ _FAILED_CHECK = re.compile(
 
 
 class Checks(NamedTuple):
-    """Checks of replies as a library prints them: `meant` computed from the bytes, `got` in them; and these, if they are there."""
+    """Checks of replies as a library prints them: `meant` computed from the bytes, `got` in them; and these, if shown."""
 
     text: str
     meant: int
@@ -178,8 +180,8 @@ def _of_checks(words: str, compared: list[Checks]) -> tuple[Report, str, int]:
     elif len(compared) >= _PARTS and {len(each.data) for each in compared} == {_SMALLEST} and _differ(compared):
         cause, what = "split_frame", f"each {_SMALLEST} bytes that come are taken for a reply: it is cut into pieces"
         todo = (
-            "Let the host read on until a pause shows the end: a larger buffer, a later interrupt (rx_full_threshold, rx_timeout), "
-            "and no other work between its reads"
+            "Let the host read on until a pause shows the end: a larger buffer, a later interrupt (rx_full_threshold, "
+            "rx_timeout), and no other work between its reads"
         )
     else:
         cause, what, todo = "noise", "replies come damaged", _LINE

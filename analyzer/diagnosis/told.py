@@ -40,7 +40,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
 
 def _as_string(scene: Scene, words: str) -> Iterator[Suspicion]:
     """Suspect a program that handles its frames as strings, where some have a 00 that is not their last byte."""
-    found = _STRINGS.search(words)
+    sent = {name for call in _SENDS.finditer(words) for name in _NAME.findall(call[1])} - {"sizeof"}
+    found = next((call for call in _STRINGS.finditer(words) if not sent.isdisjoint(_NAME.findall(call[1]))), None)
     cut = [piece for piece in scene.pieces if piece.can is None and b"\0" in piece.data[:-1] and not piece.is_reply]
     if found is None or not cut:
         return
@@ -48,14 +49,16 @@ def _as_string(scene: Scene, words: str) -> Iterator[Suspicion]:
     yield Suspicion(
         "text_mode", Confidence.LIKELY, scene.troubles or [Trouble("damaged", cut[0].offset, None, cut[0])],
         "The program handles frames as strings: a string ends at its first 00, and the rest is not sent.",
-        f"{found[0].strip()!r} in the text; {shown(data)} at byte {cut[0].offset} ends behind {shown(data[:data.index(0)])}",
+        f"{found[0].strip(' )')!r} in the text; {shown(data)} at byte {cut[0].offset} ends behind {shown(data[:data.index(0)])}",
         "Give the number of bytes to what copies and sends: sizeof of the array, memcpy, write(data, length)",
         tuple(Shown(p.offset, shown(p.data)) for p in cut),
     )  # fmt: skip
 
 
-#: Functions of C that take bytes as a string.
-_STRINGS = re.compile(r"\bsn?printf\s*\([^;\n]*\"%s\"[^;\n]*|\bstr(?:len|n?cpy|n?cat)\s*\([^;\n)]*\)?")
+#: Functions of C that take bytes as a string, and calls that send; each with what it is given.
+_STRINGS = re.compile(r"\b(?:sn?printf\s*\((?=[^;\n]*\"%s\")|str(?:len|n?cpy|n?cat)\s*\()([^;\n]*)")
+_NAME = re.compile(r"[A-Za-z_]\w*")
+_SENDS = re.compile(r"\b\w*(?:write|send|transmit|print)(?:_?bytes|buffer)?\s*\(([^;\n]*)", re.IGNORECASE)
 
 
 def _reported(scene: Scene, words: str) -> Iterator[Suspicion]:

@@ -99,6 +99,14 @@ def _tcp(reader: Reader, data: bytes) -> bytes | None:
     return b"".join(body + modbus_crc(body).to_bytes(2, "little") for body in bodies)
 
 
+_LINE_ENDS = Dress(
+    "text_mode", _line_ends, "A port in text mode changes line ends: it puts 0D before each 0A, or takes it away.",
+    "Open the port raw: no conversion of line ends (stty raw, -onlcr)",
+)  # fmt: skip
+_FLOW_CONTROL = Dress(
+    "text_mode", _flow_control, "Bytes 11 and 13 are missing: software flow control (XON/XOFF) takes them away.",
+    "Switch software flow control off (stty raw -ixon -ixoff; xonxoff=False)", 3,
+)  # fmt: skip
 DRESSES = (
     Dress(
         "text_mode", _replaced, "Bytes are read as UTF-8 text: all that are not valid text are replaced by EF BF BD.",
@@ -112,14 +120,8 @@ DRESSES = (
         "text_mode", _encoded, "Bytes from 80 on are encoded as UTF-8 text: each becomes two.",
         "Write bytes, not strings",
     ),
-    Dress(
-        "text_mode", _line_ends, "A port in text mode puts 0D before each 0A.",
-        "Open the port raw: no conversion of line ends (stty raw, -onlcr)",
-    ),
-    Dress(
-        "text_mode", _flow_control, "Bytes 11 and 13 are missing: software flow control (XON/XOFF) takes them away.",
-        "Switch software flow control off (stty raw -ixon -ixoff; xonxoff=False)", 3,
-    ),
+    _LINE_ENDS,
+    _FLOW_CONTROL,
     Dress(
         "tcp_framing", _tcp, "The frame has the header of Modbus TCP and no CRC: an RTU drive does not take it.",
         "Switch the program or the gateway to Modbus RTU (over TCP: to RTU conversion)",
@@ -197,6 +199,7 @@ _SPEAKS_TCP = re.compile(r"\bmodbus[-_ ]?tcp|\btransaction[_ ]?id|\bmbap\b|\btcp
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the dress."""
     yield from _of_header(scene)
+    yield from _told_twice(scene)
     for dress in DRESSES:
         found: list[tuple[Trouble, bytes, bytes]] = []
         for trouble in scene.damaged:
@@ -222,6 +225,28 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             f"{dress.next}: {shown(frame)}" if frame else dress.next,
             tuple(Shown(t.offset, shown(d), shown(f)) for t, d, f in found),
         )  # fmt: skip
+
+
+def _told_twice(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a port that is not raw where the same bytes stand twice, and one time some that such a port takes are missing."""
+    long = [t for t in scene.damaged if t.stretch is not None and len(t.stretch.data) >= _SHORTEST * 2][:_MOST_COMPARED]
+    whole = {t.stretch.data: t for t in long if t.stretch is not None}
+    for taken, dress in ((b"\x11\x13", _FLOW_CONTROL), (b"\r", _LINE_ENDS)):
+        for data, trouble in whole.items():
+            rest = data.translate(None, taken)
+            if rest == data or rest not in whole:
+                continue
+            other = whole[rest]
+            yield Suspicion(
+                dress.cause, Confidence.LIKELY, [trouble, other], dress.say,
+                f"{shown(rest)} at byte {other.offset} is {shown(data)} without {shown(taken)}", dress.next,
+                (Shown(other.offset, shown(rest), shown(data)),),
+            )  # fmt: skip
+            return
+
+
+#: Stretches that are compared with each other.
+_MOST_COMPARED = 200
 
 
 def _refused(found: list[tuple[Trouble, bytes, bytes]]) -> Iterator[Suspicion]:

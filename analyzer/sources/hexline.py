@@ -47,7 +47,8 @@ class HexLine(NamedTuple):
     `stamp`: its time as printed. `role`: who sent, by words and signs. `sign`: the sign before the bytes, or the brackets
     around each of them. `worded`: a word says who sent. `name`: of the bus line. `number`: it stands before the bytes.
     `led`: no colon parts it from them.
-    `declared`: what a program calls the bytes. `note`: a comment behind the bytes. `passed`: words before the mark. `text`: what could not be understood, if anything.
+    `declared`: what a program calls the bytes. `note`: a comment behind the bytes. `passed`: words before the mark.
+    `text`: what could not be understood, if anything.
     `radix`: how sure the bytes are.
     """
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
@@ -57,6 +57,8 @@ _FIELD = re.compile(
     r"\s*(?P<call>[\w.>-]+\b[Ww]rite\(\s*)?(?P<bytes>(?:0[xX])?[0-9A-Fa-f]{2}(?:[ ,]+(?:0[xX])?[0-9A-Fa-f]{2}){0,3})"
     r"(?(call)\s*\)[;\s]*(?P<end>)|[\s:,;#/=-]+(?P<name>[^\W\d_]{3}.*))"
 )
+#: A cell of a table that is printed below each other, whose names stand elsewhere.
+_CELL = re.compile(r"(?P<call>(?!))?\s*(?P<bytes>[0-9A-Fa-f]{2}(?: ?[0-9A-Fa-f]{2})?)\s*(?P<name>(?!))?")
 _REMARKS = ("#", "//", ";")
 _OPEN = ("{", "[", "(", ",")
 _LIST_ITEMS = r"(?:(?:0[xX])?[0-9A-Fa-f]{1,3}(?![0-9A-Fa-f])\s*+,?\s*+)*+"
@@ -74,6 +76,7 @@ _SPOILT = re.compile(r"[\s,:-]{0,2}(?:0x\w{1,2}|\d\w?|\w\d)\b")
 _WORDS = re.compile(r"[^\W\d_]{3,}")
 _LABEL = re.compile(r"data|bytes?|hex|frame|buffer|message|msg|payload|raw", re.IGNORECASE)
 _LEAST_FIELDS, _FIELD_BYTES = 3, 2
+_LEAST_CELLS, _MOST_CELLS = 4, 32
 #: A row of a dump among words.
 _DUMP_ROW = re.compile(r"\W*([0-9A-Fa-f]{4,8}):?\s{1,3}((?:[0-9A-Fa-f]{2}(?:\s{1,2}|$|(?=\s*\|)))+)")
 _DUMP_END = re.compile(r"\s*[0-9A-Fa-f]{4,8}\s*")
@@ -141,11 +144,21 @@ def _reported(lines: Sequence[str]) -> float:
 
 def _has_fields(lines: Sequence[str]) -> bool:
     """Say whether lines below each other name the fields of a frame."""
-    return any(
+    return _has_cells(lines) or any(
         _is_frame(list(rows))
         for named, rows in groupby((_FIELD.match(line) for line in lines), key=lambda row: row is not None)
         if named
     )
+
+
+def _has_cells(lines: Sequence[str]) -> bool:
+    """Say whether the cells of a frame stand below a line of words: of most frames some cell has two bytes, and some one."""
+    runs = [list(rows) for _, rows in groupby(lines, key=lambda line: _CELL.fullmatch(line) is not None)]
+    return any(
+        _CELL.fullmatch(rows[0]) is not None and len({len(row.strip()) for row in rows}) > 1
+        and _LEAST_CELLS <= len(rows) <= _MOST_CELLS and _WORDS.search(above[-1]) is not None
+        for above, rows in pairwise(runs)
+    )  # fmt: skip
 
 
 def _is_frame(rows: Sequence[re.Match[str] | None]) -> bool:
@@ -207,6 +220,8 @@ class _Manner(NamedTuple):
     prose: bool = False
     #: Frames stand field by field, a line each.
     fields: bool = False
+    #: Their names stand elsewhere.
+    cells: bool = False
     #: All bytes stand in comments of a program.
     commented: bool = False
 
@@ -231,6 +246,7 @@ class _Manner(NamedTuple):
             and (roles.count(Role.REPLY) >= _LISTENER_LINES or any(p.role is Role.REPLY and _asks(p.data) for p in traffic)),
             prose=prose,
             fields=prose and _has_fields(lines),
+            cells=prose and _has_cells(lines),
             commented=prose and not traffic and not _says([p for p in parts if not p.text.startswith("#")]),
         )
 
@@ -448,6 +464,8 @@ class _Reader:
     def _is_part(self, text: str) -> bool:
         """Take a line that is the next field of a frame, or the next row of a dump; say whether it is one."""
         field = _FIELD.match(text) if self._manner.fields and not self._rows else None
+        if field is None and self._manner.cells and not self._rows and len(self._fields) < _MOST_CELLS:
+            field = _CELL.fullmatch(text)
         if field is not None:
             if self._fields and field["name"] and field["name"] == self._fields[0]["name"]:
                 return False
@@ -471,6 +489,10 @@ class _Reader:
             digits = re.sub("0[xX]|[ ,]", "", "".join(row["bytes"] for row in rows))
             role = Role.REQUEST if rows[0]["call"] else self._marks(self._above)
             yield Chunk(None, self._source.port(), bytes.fromhex(digits), role, True)
+        elif rows and not any(row["name"] or row["call"] for row in rows):
+            for row in rows:
+                yield Chunk(None, self._source.port(), bytes.fromhex(row["bytes"]), self._marks(self._above), True)
+            return
         for row in rows:
             yield self._source.comment(None, row[0])
 

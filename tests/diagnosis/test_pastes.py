@@ -146,7 +146,7 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
             "two_masters",
         ),
         # What calls a function tells who sent.
-        ("[open]\n[port.write] <Buffer 00 03 00 05 00 01 95 da>\n[port.write] <Buffer 00 03 00 05 00 01 95 da>\n", "broadcast_no_reply"),
+        ("[open]\n" + "[port.write] <Buffer 00 03 00 05 00 01 95 da>\n" * 2, "broadcast_no_reply"),
         # Identifiers of programs; what an adapter keeps of frames; what a program takes.
         ("m = can.Message(arbitration_id=0x1F00, data=bytes([1] * 2), is_extended_id=False)\n", "can_extended_id"),
         (
@@ -154,6 +154,11 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
             "can_extended_id",
         ),
         ("ffffffff88000020080000000000040000000000\n" * 2, "can_wrong_bitrate"),
+        ("TX:1#F3010203A1\n", "wrong_length"),
+        # Cells of a table below each other; a request that never comes whole; the same bytes, and those that a port leaves.
+        ("Read it so:\n11\n04\n00 02\n00 01\n90 5B\nand no reply comes\n", "wrong_checksum"),
+        (f"It shows {('11 04 00 02 00 01 ' + checked('11 04 00 02 00 01')[18:20] + ' ') * 3}and stops", "missing_checksum"),
+        ("scope: AB 01 13 02 55 07 00 08 13 C1\nport: AB 01 02 55 07 00 08 C1\n", "text_mode"),
         # What firmware, and candump without its frames, say of a controller.
         ("state: STUFF_ERROR, FORM_ERROR, FLT_CONF: Bus off\n" * 2, "can_bus_off"),
         ("FlexCAN: STF_ERR, FLT_CONF: Error Passive\nFlexCAN: FRM_ERR, FLT_CONF: Error Passive\n", "can_wrong_bitrate"),
