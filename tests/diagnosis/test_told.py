@@ -45,7 +45,7 @@ def value(frame: str, words: str) -> str:
         # Declarations alone.
         ("byte go[] = {0x3E, 0x81, 0x03, 0x00, 0xC2};\nbyte off[] = {0x3E, 0x80, 0x03, 0x00, 0xC1};\n", None),
         ("byte go[] = {0xE1, 0xF6, 0x00, 0xD7};\nvoid out() { n = strlen(go); port.write(go, n); }\n", "text_mode"),
-        ("byte go[] = {0xE1, 0xF6, 0x00, 0xD7};\nvoid out() { n = strlen(ssid); put(go, 4); }\n", "unsupported_dialect"),
+        ("byte go[] = {0xE1, 0xF6, 0x00, 0xD7};\nvoid f() { n = strlen(ssid); put(go, 4); }\n", "unsupported_dialect"),
         ("".join(f"modbus: response transaction id {n} doesn't match request {n + 1}\n" for n in range(3)), "late_reply"),
         (
             "[00][07][00][00][00][06][01][05][00][01][FF][00]\nWaiting for a confirmation...\n"
