@@ -42,14 +42,14 @@ def _as_string(scene: Scene, words: str) -> Iterator[Suspicion]:
     """Suspect a program that handles its frames as strings, where some have a 00 that is not their last byte."""
     sent = {name for call in _SENDS.finditer(words) for name in _NAME.findall(call[1])} - {"sizeof"}
     found = next((call for call in _STRINGS.finditer(words) if not sent.isdisjoint(_NAME.findall(call[1]))), None)
-    cut = [piece for piece in scene.pieces if piece.can is None and b"\0" in piece.data[:-1] and not piece.is_reply]
+    cut = [p for p in scene.pieces if p.can is None and b"\0" in p.data[:-1] and not p.is_reply]
     if found is None or not cut:
         return
     data = cut[0].data
     yield Suspicion(
         "text_mode", Confidence.LIKELY, scene.troubles or [Trouble("damaged", cut[0].offset, None, cut[0])],
         "The program handles frames as strings: a string ends at its first 00, and the rest is not sent.",
-        f"{found[0].strip(' )')!r} in the text; {shown(data)} at byte {cut[0].offset} ends behind {shown(data[:data.index(0)])}",
+        f"{found[0].strip(' )')!r} in the text; {shown(data)} at byte {cut[0].offset} ends as {shown(data[:data.index(0)])}",
         "Give the number of bytes to what copies and sends: sizeof of the array, memcpy, write(data, length)",
         tuple(Shown(p.offset, shown(p.data)) for p in cut),
     )  # fmt: skip

@@ -32,6 +32,8 @@ _SIX = re.compile(r"(?:\s*\d+){5}\s+(\d+)\s*")
 #: The name of an interface with what a driver says of it; the first that fits counts.
 _DRIVER = r"\b(?:sl)?can\d+:?\s.*"
 _FLAGS = r"\b(?:FLT_CONF|(?:ACK|CRC|STF|STUFF|FRM|FORM|BIT[01])_?ERR(?:OR)?)\b"
+#: A line that tells a state by flags, and is none of a program.
+_STATED, _NO_CODE = r"^(?=.*\b(?:state|status|flags?|errors?|FLT_CONF)\b)[^;{}()=&#]*", r"\b[^;{}()=&#]*$"
 _SAID: tuple[tuple[re.Pattern[str], int, str], ...] = tuple(
     (re.compile(pattern, re.IGNORECASE), number, data)
     for pattern, number, data in (
@@ -46,11 +48,11 @@ _SAID: tuple[tuple[re.Pattern[str], int, str], ...] = tuple(
         (rf"{_DRIVER}\bcan bus error\b", _BUS_ERROR, ""),
         (r"\bNo buffer space available\b", _CONTROLLER, "00 02"),
         # What firmware calls its flags, the state last.
-        (rf"{_FLAGS}.*\bbus[- _]?off\b", _BUS_OFF, ""),
-        (r"\b(?:STF|STUFF)_?ERR(?:OR)?\b", _PROTOCOL | _BUS_ERROR, "00 00 04"),
-        (r"\b(?:FRM|FORM)_?ERR(?:OR)?\b", _PROTOCOL | _BUS_ERROR, "00 00 02"),
-        (r"\bBIT1_?ERR(?:OR)?\b", _PROTOCOL | _BUS_ERROR, "00 00 10"),
-        (r"\bBIT0_?ERR(?:OR)?\b", _PROTOCOL | _BUS_ERROR, "00 00 08"),
+        (rf"{_STATED}{_FLAGS}.*\bbus[- _]?off{_NO_CODE}", _BUS_OFF, ""),
+        (rf"{_STATED}\b(?:STF|STUFF)_?ERR(?:OR)?{_NO_CODE}", _PROTOCOL | _BUS_ERROR, "00 00 04"),
+        (rf"{_STATED}\b(?:FRM|FORM)_?ERR(?:OR)?{_NO_CODE}", _PROTOCOL | _BUS_ERROR, "00 00 02"),
+        (rf"{_STATED}\bBIT1_?ERR(?:OR)?{_NO_CODE}", _PROTOCOL | _BUS_ERROR, "00 00 10"),
+        (rf"{_STATED}\bBIT0_?ERR(?:OR)?{_NO_CODE}", _PROTOCOL | _BUS_ERROR, "00 00 08"),
     )
 )
 #: What candump says below an error frame, as far as that frame itself is not there.

@@ -49,7 +49,8 @@ def value(frame: str, words: str) -> str:
         ("".join(f"modbus: response transaction id {n} doesn't match request {n + 1}\n" for n in range(3)), "late_reply"),
         (
             "[00][07][00][00][00][06][01][05][00][01][FF][00]\nWaiting for a confirmation...\n"
-            "<00><07><00><00><00><04><01><31><32>\nMessage length not corresponding to the computed length (9 != 12)\n",
+            "<00><07><00><00><00><04><01><31><32>\n"
+            "Message length not corresponding to the computed length (9 != 12)\n",
             "wrong_length",
         ),
         (
@@ -80,6 +81,8 @@ def value(frame: str, words: str) -> str:
         (LIBRARY.format("0x3"), "value_out_of_range"),
         (LIBRARY.format("0xE4"), "no_reply"),
         ("No answer of the ODrive:\n0x029 [8] 00 00 00 00 00 00 00 00\n", "unsupported_dialect"),
+        # Names of a program are no state of a controller.
+        ("if (state & STF_ERR) count++;\nuint8_t on[] = {0xFA, 0x01, 0xF3, 0x01, 0xEF};\n", None),
         # Words alone.
         ("Modbus exception 2: Illegal data address\nreading register 40051", "wrong_register"),
         ("SlaveException: ...\nException Code: 2 - The data address is not an allowable address", "wrong_register"),
