@@ -11,7 +11,7 @@ and has never been off the bus is none. Frames of candump or in words between th
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from analyzer.records import CanFrame, Comment
 from analyzer.sources import can_text, candump
@@ -75,7 +75,7 @@ _LARGEST_BYTE = 0xFF
 def score(head: bytes) -> float:
     """Say how sure it is that this text tells the state of a controller, 0..1."""
     lines = [line for line in head_lines(head)[:_SAMPLE_LINES] if len(line) <= _LONGEST_LINE]
-    explained = not any(frame.error for line in lines if (frame := _frame(line)) is not None)
+    explained = _explained(lines)
     if not any(_IP.search(line) or _said(line, explained) is not None for line in lines):
         return 0.0
     # A word on the controller may stand in a capture of any format, as a comment; it takes no times from it, and no bytes.
@@ -94,7 +94,7 @@ def read(source: Source) -> Iterator[CanFrame | Comment]:
 
 def _records(source: Source) -> Iterator[CanFrame | Comment]:
     lines = Lines(source)
-    explained = not any(frame.error for line in head_lines(source.head) if (frame := _frame(line)) is not None)
+    explained = _explained(head_lines(source.head)[:_SAMPLE_LINES])
     counts = off = False
     for text in lines:
         found = _IP.search(text) if len(text) <= _LONGEST_LINE else None
@@ -125,6 +125,13 @@ def _state(found: re.Match[str]) -> CanFrame | None:
     sent, received = (min(int(found[name] or 0), _LARGEST_BYTE) for name in ("sent", "received"))
     kind = sending if sent > received else receiving if received > sent else sending | receiving
     return _error(number, bytes((0, kind, 0, 0, 0, 0, sent, received)))
+
+
+def _explained(lines: Sequence[str]) -> bool:
+    """Say whether candump's words on an error frame stand without that frame."""
+    if not any(said.search(line) for line in lines for said, _, _ in _EXPLAINED):
+        return False
+    return not any(frame.error for line in lines if (frame := _frame(line)) is not None)
 
 
 def _said(text: str, explained: bool) -> CanFrame | None:
