@@ -36,6 +36,7 @@ WAITING = {"sleep", "wait", "poll", "get", "select", "read", "recv", "recv_fds",
 WAITS = {
     "autobaud_ports.listen": ("its time", "test_a_quiet_line_is_said_to_be_quiet"),
     "children._keep": ("the end of the leash", "test_after_the_death_of_the_supervisor_the_others_finish_the_log_and_end"),
+    "passing._left_by_program": ("_LEFT_WITHIN_S", "test_what_a_blocked_adapter_did_not_take_is_told_at_the_end"),
     "passing._run": ("the tap's end", "test_an_adapter_that_is_unplugged_comes_back_under_the_programs_feet"),
     "passing.run": ("the end, at a full disk 3 s later", "test_what_cannot_be_stored_in_the_end_is_told"),
     "reader._open": ("the end", "test_a_port_that_stays_away_is_told_at_the_end"),

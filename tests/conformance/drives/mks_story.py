@@ -179,6 +179,7 @@ def packages(open_story):
     yield told(package("02 " + fast, "01 " + slow, "03 " + fast))
     yield told(package("02 " + fast, "00 " + slow))
     yield told(package("02 " + fast, "05 " + fast))
+    yield told(package("02 " + fast, "03 " + fast, "04 " + fast, "05 " + fast, "01 " + slow))
     good = package("01 " + fast)
     yield told(good[:40] + good[-1:])
     yield told(package("01 31"))

@@ -413,6 +413,36 @@ def changed(bench: Bench) -> None:
     look(bench)
 
 
+def below(bench: Bench) -> None:
+    """Turn faster and to places below zero, by a ramp, beyond a speed limit; take torque away under way."""
+    bench.ask("write_parameter", parameter=38, speed_ramp=36_000)
+    for speed in (-18_000, -36_000):
+        bench.ask("run_speed", speed=speed)
+        bench.wait(1)
+        look(bench)
+    bench.ask("stop")
+    bench.wait(2)
+    bench.ask("set_position", position=0)
+    for command, position in (("move_multi_turn_limited", -72_000), ("move_increment_limited", -72_000)):
+        bench.ask(command, position=position, max_speed=500)
+        for _ in range(3):
+            bench.wait(0.4)
+            look(bench)
+        bench.ask("stop")
+        bench.wait(2)
+    bench.ask("write_parameter", parameter=32, speed_limit=10_000)
+    bench.ask("move_increment", position=72_000)
+    bench.wait(1)
+    look(bench)
+    bench.ask("stop")
+    bench.wait(2)
+    bench.ask("run_torque", torque_current=300)
+    bench.wait(0.2)
+    bench.ask("write_parameter", parameter=30, torque_limit=10)
+    bench.wait(0.5)
+    look(bench)
+
+
 def wide_zero(bench: Bench) -> None:
     bench.drive.turn_shaft(250.0)
     bench.ask("set_zero")
@@ -427,6 +457,7 @@ def wide_zero(bench: Bench) -> None:
 
 SCRIPTS: dict[str, Script] = {
     "changed": changed,
+    "below": below,
     "wide zero": wide_zero,
     "over others": over_others,
     "kept": kept,
@@ -594,6 +625,11 @@ SHOWN_BY: dict[str, str] = {
     "lk-torque-limit-ignored": "torque limit",
     "lk-angle-limit-ignored": "limits",
     "lk-angle-limit-above-only": "states",
+    "lk-run-no-faster-below": "below",
+    "lk-max-speed-half-below": "below",
+    "lk-ramp-steep-below": "below",
+    "lk-speed-limit-below-only": "below",
+    "lk-torque-limit-late": "below",
     "lk-reads-silent-while-off": "states",
     "lk-parameters-silent-while-turning": "states",
     "lk-reads-silent-in-error": "states",
