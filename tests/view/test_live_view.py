@@ -219,6 +219,8 @@ def test_a_reply_is_explained_with_its_request(live):
 
     async def steps(driver):
         live.put(feed.snapshot(START + SECOND))
+        # A key that comes before the frames opens none.
+        await driver.until(lambda: any("read_speed" in row and "320" in row for row in driver.rows))
         await driver.press("end", "enter")
         assert re.search(r"speed 320 rpm", driver.text)
 
