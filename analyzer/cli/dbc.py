@@ -13,7 +13,7 @@ from pathlib import Path
 from analyzer import dialects as registry
 from analyzer.catalogue import Role
 from analyzer.cli.option_types import address
-from analyzer.cli.output import Output, target_of
+from analyzer.cli.output import target_of, write_whole
 from analyzer.errors import UsageError
 from analyzer.reference.dbc import dbc, shapes
 
@@ -64,10 +64,4 @@ def run(arguments: argparse.Namespace) -> int:
 def _write(target: Path, text: str, force: bool) -> None:
     if target.exists() and not force:
         raise UsageError(f"{target} exists: name another file, or replace it with --force")
-    output = Output(target, force)
-    try:
-        output.stream.write(text.encode())
-        output.keep()
-    except BaseException:
-        output.drop()
-        raise
+    write_whole(target, text.encode(), replace=force)

@@ -7,6 +7,7 @@ import os
 import shutil
 import stat
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
@@ -26,11 +27,21 @@ def target_of(path: Path) -> Path:
         raise UsageError(f"{path} is a symbolic link that leads back to itself: remove it, or name another file") from None
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file under its name only when it is whole; it replaces an older one. Raises UsageError where that cannot be."""
-    output = Output(path, True)
+def write_whole(path: Path, data: bytes, *, replace: bool = True) -> None:
+    """Write a file under its name only when it is whole. Raises UsageError where that cannot be."""
+    with whole(path, replace=replace) as stream:
+        stream.write(data)
+
+
+@contextlib.contextmanager
+def whole(path: Path, *, replace: bool = True) -> Iterator[IO[bytes]]:
+    """Yield a file to write. It gets its name when this ends, and leaves no file where something is raised.
+
+    Raises UsageError where it cannot be written.
+    """
+    output = Output(path, replace)
     try:
-        output.stream.write(data)
+        yield output.stream
         output.keep()
     except OSError as error:
         output.drop()

@@ -16,7 +16,7 @@ import msgspec
 
 from analyzer import dialects
 from analyzer.catalogue import Dialect, Role
-from analyzer.cli.output import Output
+from analyzer.cli.output import whole
 from analyzer.errors import UsageError
 from analyzer.pipeline import Pipeline, PortSetup, topic_name
 from analyzer.records import CanFrame, Chunk
@@ -129,20 +129,11 @@ def write_log(path: Path, records: Sequence[VerdictRecord], run: RunRecord) -> N
 
 
 def _write(path: Path, records: Iterable[VerdictRecord], run: RunRecord, claim: dict[str, str] | None) -> None:
-    output = Output(path, True)
-    try:
-        file = McapFile(output.stream, profile=PROFILE, library=LIBRARY)
-        log = RunLog(file, _begun_ns(run))
+    with whole(path) as stream:
+        log = RunLog(McapFile(stream, profile=PROFILE, library=LIBRARY), _begun_ns(run))
         for record in records:
             log.add(record)
         log.finish(_metadata(run), claim)
-        output.keep()
-    except OSError as error:
-        output.drop()
-        raise UsageError(f"cannot write {path}: {error.strerror or error}") from None
-    except BaseException:
-        output.drop()
-        raise
 
 
 def _metadata(run: RunRecord) -> dict[str, str]:

@@ -352,7 +352,7 @@ class Passing:
             self._unsent = 0
 
     def _left_by_program(self) -> int:
-        """Take what the program has written and nobody takes any more; return how much it was."""
+        """Take what the program has written and the adapter did not get; return how much it was."""
         poll, size, until = select.poll(), 0, time.monotonic() + _LEFT_WITHIN_S
         poll.register(self._terminal.master, select.POLLIN)
         # The kernel gives it in pieces, each a little after the one before was taken.
