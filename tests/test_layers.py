@@ -30,6 +30,7 @@ LAYERS = (
     ("analyzer.detect",),
     ("analyzer.diagnosis",),
     ("analyzer.sources", "analyzer.sinks", "analyzer.reference", "analyzer.export", "analyzer.page", "analyzer.table"),
+    ("analyzer.report",),
     ("analyzer.live",),
     ("analyzer.cli", "analyzer.view", "analyzer.__main__"),
     ("conformance.claim", "conformance"),

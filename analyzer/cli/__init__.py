@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "diagnose": ("analyzer.cli.diagnose", "say what is wrong on a bus: the cause, the evidence, the next step"),
     "show": ("analyzer.cli.show", "show the decoded frames of a capture or a log as a table"),
     "view": ("analyzer.cli.view", "view a capture or a log in the terminal: frames, counts, findings, a plot"),
+    "report": ("analyzer.cli.report", "write captures and logs as one page: diagnosis, plots, latencies, findings"),
     "recover": ("analyzer.cli.recover", "repair the log of an interrupted recording"),
     "cut": ("analyzer.cli.cut", "copy a time range or some buses into a smaller log"),
     "merge": ("analyzer.cli.merge", "merge several logs into one"),
@@ -50,7 +51,7 @@ _DAY_S = 86_400
 _ALIASES = {"catalog": "catalogue"}
 #: What one wants to do -> the commands for it, in the order of the help. Commands that stand nowhere come last.
 _PURPOSES: dict[str, tuple[str, ...]] = {
-    "look": ("decode", "diagnose", "show", "view", "explain", "catalogue", "dbc", "wireshark"),
+    "look": ("decode", "diagnose", "show", "view", "report", "explain", "catalogue", "dbc", "wireshark"),
     "record": ("record", "tap", "ports", "recover", "cut", "merge", "export"),
     "drive": ("scan", "init", "send", "stop", "frame", "replay", "emulate"),
     "test": ("test", "check", "rerun", "restore"),

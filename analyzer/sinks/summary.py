@@ -53,14 +53,27 @@ class Latencies:
         self.greatest = max(self.greatest, greatest)
         self._buckets[bucket] = self._buckets.get(bucket, 0) + count
 
+    def add_all(self, latencies_ns: Integers) -> None:
+        """Count times of a column."""
+        import numpy as np
+
+        if len(latencies_ns):
+            greatest = int(latencies_ns.max())
+            for bucket, count in zip(*np.unique(_buckets_of(latencies_ns), return_counts=True), strict=True):
+                self.add_counted(int(bucket), int(count), greatest)
+
+    def counts(self) -> list[tuple[int, int]]:
+        """Return the greatest time of each bucket in ns, and how many fell into it, the shortest first."""
+        return [(min(_upper(bucket), self.greatest), self._buckets[bucket]) for bucket in sorted(self._buckets)]
+
     def quantile(self, share: float) -> int:
         """Return the time that this share (0..1) of all does not exceed, in ns; 0 without any."""
         wanted = share * self.count
         seen = 0
-        for bucket in sorted(self._buckets):
-            seen += self._buckets[bucket]
+        for time_ns, count in self.counts():
+            seen += count
             if seen >= wanted:
-                return min(_upper(bucket), self.greatest)
+                return time_ns
         return 0
 
 

@@ -160,6 +160,10 @@ class ShownTime:
             return 0
         return time.localtime(t_ns // SECOND).tm_gmtoff * SECOND
 
+    def by_clock(self, t_ns: int) -> bool:
+        """Say whether a time has a date, or is at least a time of day."""
+        return self._clock is Clock.DAY or is_dated(t_ns)
+
     @property
     def zone(self) -> str:
         """Which zone it shows, for a heading: `UTC`, `local`, or nothing where the capture has none."""
@@ -169,7 +173,7 @@ class ShownTime:
 
     def text(self, t_ns: int) -> str:
         """Return a time in 15 characters: of day to the microsecond, or seconds since some beginning."""
-        if self._clock is not Clock.DAY and not is_dated(t_ns):
+        if not self.by_clock(t_ns):
             return f"{t_ns / SECOND:15.6f}"
         seconds, rest = divmod(t_ns + self.zone_ns(t_ns), SECOND)
         minutes, second = divmod(seconds, 60)

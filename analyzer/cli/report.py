@@ -1,0 +1,153 @@
+"""Write captures and logs as one page for the browser: what was captured, what is wrong, all values over time.
+
+The page is one file that needs no network. A log is not decoded again; a capture is decoded first. Several files stand on one
+page, one behind the other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import tempfile
+from pathlib import Path
+
+from analyzer.cli.decode import cores, decode
+from analyzer.cli.decode_targets import Capture
+from analyzer.cli.output import target_of, write_whole
+from analyzer.cli.reading import add_reading_arguments, open_reading, progress
+from analyzer.cli.time_range import TimeRange
+from analyzer.diagnosis.diagnose import Diagnosis, diagnosis
+from analyzer.diagnosis.watch import Watch
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.report.page import Log, Unread, html
+from analyzer.report.traffic import Traffic
+from analyzer.sources import open_source
+from analyzer.sources.times import Anchor, TimeOption
+from analyzer.values import counted, printable, storable
+
+EXAMPLES = """\
+exit status: 0; 2 if a file could not be read.
+
+examples:
+  servotap report week.mcap                         writes week.html
+  servotap report capture.log -o capture.html
+  servotap report monday.mcap tuesday.mcap -o both.html
+  servotap report week.mcap --since -10min -o end.html
+"""
+
+#: Frames of a log that are decoded again for the diagnosis, from its first finding on.
+LOOKED = 50_000
+#: What asks for another decoding than the one that a log holds.
+_DECODING = ("model", "baud", "group", "ids", "late")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument(
+        "files", nargs="+", metavar="FILE", help="captures, logs, folders with the parts of a recording; - reads standard input"
+    )
+    parser.add_argument("-o", "--output", metavar="OUT.html", help="the page (default: FILE.html, for one FILE)")
+    parser.add_argument("--force", action="store_true", help="replace a page that exists")
+    add_reading_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the page; return 0, 2 if a file could not be read."""
+    target = _target(arguments)
+    logs: list[Log | Unread] = []
+    status = 0
+    for path in arguments.files:
+        try:
+            logs.append(_log(path, arguments))
+        except UnreadableError as error:
+            # What is there and holds nothing is worth a page, which says so.
+            if len(arguments.files) == 1 and not Path(path).is_file():
+                raise
+            print(f"servotap report: {printable(str(error))}", file=sys.stderr)
+            logs.append(Unread(storable(Path(path).name), str(error)))
+            status = 2
+    data = html(logs).encode(errors="backslashreplace")
+    write_whole(target, data, replace=arguments.force)
+    for log in logs:
+        if isinstance(log, Log):
+            print(printable(f"{log.name}: {log.verdict}"))
+    print(printable(f"wrote {target}, {len(data) / 1e6:.1f} MB"))
+    return status
+
+
+def _target(arguments: argparse.Namespace) -> Path:
+    """Return the file to write. Raises UsageError where it cannot be."""
+    if arguments.output is not None:
+        target = target_of(Path(arguments.output))
+    elif len(arguments.files) > 1 or arguments.files[0] == "-":
+        raise UsageError("name the page with -o OUT.html")
+    else:
+        target = Path(str(Path(arguments.files[0])).removesuffix(".mcap") + ".html")
+    if target.is_dir():
+        raise UsageError(f"{target} is a folder: name a file")
+    if target.exists() and any(Path(each).exists() and target.samefile(each) for each in arguments.files):
+        raise UsageError(f"{target} is the capture itself; choose another name with -o")
+    if target.exists() and not arguments.force:
+        raise UsageError(f"{target} exists; --force replaces it")
+    return target
+
+
+def _log(path: str, arguments: argparse.Namespace) -> Log:
+    """Read a log, or decode a capture into one first."""
+    if path != "-" and arguments.dialect == "auto" and not any(getattr(arguments, name) for name in _DECODING):
+        with open_source(path, format=arguments.format) as source:
+            if source.kind == "log":
+                time_range = TimeRange(source, arguments.since, arguments.until, utc=arguments.utc)
+                traffic = Traffic(source, time_range.since_ns, time_range.until_ns)
+                with progress(source, f"reading {source.name}"):
+                    traffic.read()
+                # Bytes that were recorded alone are decoded, as are logs of other programs.
+                if traffic.frames or (traffic.about and not traffic.raw):
+                    found, looked = _diagnosis(path, arguments, traffic)
+                    return Log(source.name, traffic, time_range.shown, found, looked, source.notes)
+    return _decoded(path, arguments)
+
+
+def _decoded(path: str, arguments: argparse.Namespace) -> Log:
+    """Decode a capture into a log that is gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
+        target = Path(folder) / "capture.mcap"
+        given = argparse.Namespace(**vars(arguments) | {"to": "mcap", "jobs": cores(), "force": True})
+        done = decode(
+            Capture(path, target),
+            given,
+            lambda reading, frames: progress(reading.source, f"decoding {reading.source.name}", frames),
+        )
+        if done.stopped.startswith("stopped"):
+            raise KeyboardInterrupt
+        with open_source(target) as source:
+            traffic = Traffic(source, -(1 << 63), 1 << 63)
+            traffic.read()
+        reading = done.reading
+        notes = [*reading.source.notes, *([done.stopped] if done.stopped else [])]
+        return Log(reading.source.name, traffic, reading.time_range.shown, diagnosis(done.watch, reading.dialects), "", notes)
+
+
+def _diagnosis(path: str, arguments: argparse.Namespace, traffic: Traffic) -> tuple[Diagnosis, str]:
+    """Return what is wrong in a log, and which part of it was looked at where it is long."""
+    given = argparse.Namespace(**vars(arguments))
+    since_ns = traffic.first_finding_ns
+    long = traffic.frames > LOOKED
+    if long and since_ns is not None:
+        given.since = TimeOption(Anchor.CLOCK, since_ns, "")
+    watch = Watch()
+    reading = open_reading(path, given)
+    with contextlib.closing(reading.source):
+        pipeline = reading.pipeline([watch])
+        for item in reading:
+            watch.take(item)
+            pipeline.feed(item)
+            if watch.frames >= LOOKED:
+                break
+        pipeline.close()
+    looked = ""
+    if long:
+        begin = "its first finding" if since_ns is not None else "its beginning"
+        looked = f"The diagnosis looked at {counted(watch.frames, 'frame')} from {begin} on; servotap diagnose looks at all."
+    return diagnosis(watch, reading.dialects), looked

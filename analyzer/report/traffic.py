@@ -1,0 +1,592 @@
+"""What a log holds, for a page: values over time as columns, latencies as histograms, counts of all the rest.
+
+Messages of one topic are parsed together, some thousands at once. Memory does not grow with the log: columns that become
+long keep the least and the greatest value of each stretch, so that no peak is lost.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analyzer import dialects, events
+from analyzer.catalogue import Verb
+from analyzer.errors import UsageError
+from analyzer.layout import STATE_UNITS
+from analyzer.records import Severity
+from analyzer.sinks.summary import Latencies
+from analyzer.sources.mcap_scan import LogMessage
+from analyzer.sources.source import Source, describe
+from analyzer.values import fields_text, identifier
+
+if TYPE_CHECKING:
+    from mcap.records import Channel
+
+Integers = NDArray[np.int64]
+Numbers = NDArray[np.float64]
+
+#: Messages that are parsed together, and how many such batches are looked through for the frame of a finding.
+_BATCH, _RECENT = 16_384, 6
+#: Points of all series together, in memory; beyond it each keeps its share of half of them.
+_POINTS = 2_000_000
+#: Commands whose fields are kept to be read beside the plots.
+_BODIES = 20_000
+#: Of each rule the findings that are shown, and what is kept of comments, events and nodes that are no drives.
+FIRST_FEW, _COMMENTS, _EVENTS, _OTHERS = 4, 200, 500, 2000
+#: Drives, commands and rules of a log; one with more is damaged or hostile.
+_DRIVES, _COMMANDS, _RULES = 5000, 5000, 200
+_LEVELS = {4: Severity.ERROR, 3: Severity.WARNING, 2: Severity.INFO}
+#: What is no news of a recording.
+_UNTOLD = frozenset(("part", "port", "dialect", "resumed", "clock_drift"))
+_MARKS = {
+    **dict.fromkeys((Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF), "enable"),
+    **dict.fromkeys((v for v in Verb if v.startswith("stop") or v in (Verb.BRAKE, Verb.EMERGENCY_STOP)), "stop"),
+}
+
+T = TypeVar("T", bound=msgspec.Struct)
+#: A whole number that a column holds.
+_Whole = Annotated[int, msgspec.Meta(ge=-1, le=1 << 53)]
+#: Times beyond it (the year 2116) are damage.
+_LATEST_NS = 1 << 62
+
+
+class _State(msgspec.Struct, gc=False):
+    position: float = math.nan
+    speed: float = math.nan
+    current: float = math.nan
+    voltage: float = math.nan
+    temperature: float = math.nan
+
+
+class _Frame(msgspec.Struct, gc=False):
+    raw: str = msgspec.field(name="_raw", default="")
+    latency: float = msgspec.field(name="_latency", default=math.nan)
+    request: _Whole = msgspec.field(name="_request_sequence", default=-1)
+    address: _Whole = -1
+    who: str = ""
+    length: _Whole = 0
+    reason: str = ""
+
+
+class _Second(msgspec.Struct, gc=False):
+    frames: _Whole = 0
+    bytes: _Whole = 0
+    junk_bytes: _Whole = 0
+    errors: _Whole = 0
+    warnings: _Whole = 0
+    load: float = math.nan
+
+
+class _Found(msgspec.Struct, gc=False):
+    level: int = 2
+    message: str = ""
+    name: str = ""
+    file: str = ""
+    line: _Whole = 0
+    section: str = ""
+    bus: str = ""
+    offset: int = 0
+    address: _Whole | None = None
+    event: str = ""
+    text: str = ""
+
+
+class Track:
+    """Points in growing time: when (ns), which message, and what; columns of one length."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[Integers, Integers, Numbers]] = []
+        self.count = 0
+
+    def add(self, t_ns: Integers, sequence: Integers, values: Numbers) -> None:
+        """Add points; those without a value are left out."""
+        there = np.isfinite(values)
+        if not there.all():
+            t_ns, sequence, values = t_ns[there], sequence[there], values[there]
+        if len(values):
+            self._parts.append((t_ns, sequence, values))
+            self.count += len(values)
+
+    def columns(self) -> tuple[Integers, Integers, Numbers]:
+        """Return times, sequences and values."""
+        if not self._parts:
+            return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+        t_ns, sequence, values = (np.concatenate(each) for each in zip(*self._parts, strict=True))
+        self._parts = [(t_ns, sequence, values)]
+        return t_ns, sequence, values
+
+    def thin(self, most: int) -> None:
+        """Keep at most so many points: the least and the greatest of each stretch."""
+        t_ns, sequence, values = self.columns()
+        kept = extremes(values, most)
+        self._parts = [(t_ns[kept], sequence[kept], values[kept])]
+        self.count = len(kept)
+
+
+def extremes(values: Numbers, most: int) -> Integers:
+    """Return the places of at most `most` values, 4 at least: the ends, and the least and the greatest of each stretch.
+
+    Stretches have equally many values. So a burst between long pauses keeps its shape.
+    """
+    count = len(values)
+    if count <= most:
+        return np.arange(count)
+    size = -(-count // ((most - 2) // 2))
+    whole = count // size
+    rows = values[: whole * size].reshape(whole, size)
+    firsts = np.arange(whole) * size
+    kept = [firsts + rows.argmin(axis=1), firsts + rows.argmax(axis=1), np.array([0, count - 1])]
+    if rest := values[whole * size :].tolist():
+        kept.append(whole * size + np.array([rest.index(min(rest)), rest.index(max(rest))]))
+    return np.unique(np.concatenate(kept))
+
+
+@dataclass
+class Marks:
+    """Times of one command of a drive, or of the breaches of one rule. `texts`: of the first of them, what they say."""
+
+    kind: str
+    label: str
+    t_ns: list[int] = field(default_factory=list)
+    sequence: list[int] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Drive:
+    """An address of a bus. `address`: as topics have it; `who`: as people read it; `bytes`: in its frames, of both sides."""
+
+    bus: str
+    address: str
+    who: str = ""
+    dialects: dict[str, None] = field(default_factory=dict)
+    requests: int = 0
+    replies: int = 0
+    unknown: int = 0
+    bytes: int = 0
+    severities: Counter[Severity] = field(default_factory=Counter)
+    states: dict[str, Track] = field(default_factory=dict)
+    marks: dict[str, Marks] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> int:
+        """How many frames it sent or was sent."""
+        return self.requests + self.replies + self.unknown
+
+    @property
+    def order(self) -> tuple[str, int, str]:
+        """Its place in a list: by bus and by address as a number."""
+        return self.bus, int(self.address) if self.address.isdecimal() else -1, self.address
+
+
+@dataclass
+class Talk:
+    """One command of a bus, all drives together."""
+
+    bus: str
+    command: str
+    requests: int = 0
+    replies: int = 0
+    latencies: Latencies = field(default_factory=Latencies)
+
+
+@dataclass
+class Bus:
+    """A bus, second by second: bus load (0..1), frames, errors and warnings; and bytes that belong to no frame."""
+
+    load: Track = field(default_factory=Track)
+    frames: Track = field(default_factory=Track)
+    errors: Track = field(default_factory=Track)
+    warnings: Track = field(default_factory=Track)
+    junk_bytes: Counter[str] = field(default_factory=Counter)
+
+
+class Example(NamedTuple):
+    """A finding with its frame, as far as that was found: bytes as hex, and fields in words."""
+
+    t_ns: int
+    sequence: int
+    topic: str
+    offset: int
+    text: str
+    section: str
+    raw: str = ""
+    fields: str = ""
+
+
+@dataclass
+class Breaches:
+    """What is known of one rule."""
+
+    rule: str
+    severity: Severity
+    count: int = 0
+    first: list[Example] = field(default_factory=list)
+
+
+class Told(NamedTuple):
+    """A comment, or an event of the recording."""
+
+    t_ns: int
+    bus: str
+    text: str
+
+
+class _Topic:
+    """A topic and the messages of it that were not parsed yet."""
+
+    def __init__(self, channel: Channel, take: Callable[[_Topic], None], units: Mapping[str, str]) -> None:
+        _, bus, *rest = [*channel.topic.split("/"), "", ""]
+        self.name = channel.topic
+        self.bus, self.address = bus, rest[0]
+        self.is_request = channel.topic.endswith("/request")
+        self.can = channel.metadata.get("bus_kind") == "can"
+        self.dialect = channel.metadata.get("dialect", "")
+        self.command = channel.metadata.get("command", rest[1])
+        self.take = take
+        self.units = units
+        self.mark = _mark_of(self.dialect, self.command) if self.is_request else ""
+        self.highest = -1
+        self.empty()
+
+    def empty(self) -> None:
+        """Begin a new batch; the last one stays with those who hold it."""
+        self.times: list[int] = []
+        self.sequences: list[int] = []
+        self.data: list[bytes] = []
+
+
+def _mark_of(dialect: str, name: str) -> str:
+    """Return what kind of mark a request is worth: motion, stop, enable, or none."""
+    try:
+        command = next((c for c in dialects.get(dialect).commands if c.name == name), None)
+    except UsageError:
+        return ""
+    if command is None:
+        return ""
+    return _MARKS.get(command.verb) or ("motion" if command.moves else "")
+
+
+class _Parser(Generic[T]):
+    """Parses messages of one form together; one that is damaged becomes an empty one."""
+
+    def __init__(self, form: type[T], problem: Callable[[str], None]) -> None:
+        self._empty = form
+        self._one = msgspec.json.Decoder(form).decode
+        self._many = msgspec.json.Decoder(list[form]).decode  # type: ignore[valid-type]
+        self._problem = problem
+
+    def __call__(self, topic: _Topic) -> list[T]:
+        try:
+            rows: list[T] = self._many(b"[" + b",".join(topic.data) + b"]")
+            if len(rows) == len(topic.data):
+                return rows
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            pass
+        return [self._alone(topic, each) for each in topic.data]
+
+    def _alone(self, topic: _Topic, data: bytes) -> T:
+        try:
+            return self._one(data)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            self._problem(f"a message of {topic.name}: {describe(error)}")
+            return self._empty()
+
+
+class Traffic:
+    """All of a log. Read it by `read`.
+
+    `first_ns`, `last_ns`, `last_sequence`: of its messages, 0 without any; `frames`: that were decoded; `raw`: pieces that were
+    only recorded. `about`: what its metadata say.
+    """
+
+    def __init__(self, source: Source, since_ns: int, until_ns: int) -> None:
+        self.source = source
+        self.first_ns = self.last_ns = self.last_sequence = 0
+        self.frames = self.raw = 0
+        self.about: dict[str, str] = {}
+        self.drives: dict[tuple[str, str], Drive] = {}
+        self.talks: dict[tuple[str, str], Talk] = {}
+        self.buses: dict[str, Bus] = {}
+        self.breaches: dict[str, Breaches] = {}
+        #: Nodes that are no drives: frames and bytes by bus and who.
+        self.others: dict[tuple[str, str], list[int]] = {}
+        self.comments: list[Told] = []
+        self.happened: list[Told] = []
+        self.first_finding_ns: int | None = None
+        self._since_ns, self._until_ns = since_ns, until_ns
+        self._topics: dict[int, _Topic] = {}
+        self._by_name: dict[str, _Topic] = {}
+        self._schemas: dict[int, bytes] = {}
+        self._units: dict[int, dict[str, str]] = {}
+        self._recent: deque[dict[str, tuple[list[int], list[bytes]]]] = deque(maxlen=_RECENT)
+        self._bodies = 0
+        self._states = _Parser(_State, source.problem)
+        self._frames = _Parser(_Frame, source.problem)
+        self._seconds = _Parser(_Second, source.problem)
+        self._logged = _Parser(_Found, source.problem)
+
+    # --- reading ------------------------------------------------------------------------------------------------------
+
+    def read(self) -> None:
+        """Read the whole log. Raises UnreadableError for one that grows beyond bounds."""
+        from mcap.records import Channel, Metadata, Schema
+
+        from analyzer.sources.mcap_records import records
+
+        waiting = 0
+        topics, since_ns, until_ns = self._topics, self._since_ns, self._until_ns
+        for record in records(self.source):
+            if isinstance(record, LogMessage):
+                number, sequence, log_ns, _, data = record
+                topic = topics.get(number)
+                if topic is None or not since_ns <= log_ns <= until_ns:
+                    continue
+                if log_ns > _LATEST_NS:
+                    self.source.problem(f"a message of {topic.name}: its time is {log_ns} ns, expected one before 2116")
+                    continue
+                topic.times.append(log_ns)
+                topic.sequences.append(sequence)
+                topic.data.append(data)
+                waiting += 1
+                if waiting >= _BATCH:
+                    self._take()
+                    waiting = 0
+            elif isinstance(record, Channel):
+                self._declare(record)
+            elif isinstance(record, Schema):
+                self._schemas[record.id] = record.data
+            elif isinstance(record, Metadata) and record.name.startswith("servotap"):
+                self.about |= record.metadata
+        self._take()
+
+    def _declare(self, channel: Channel) -> None:
+        """Learn what a topic is. A part of a recording has numbers of its own for topics that were there before."""
+        known = self._by_name.get(channel.topic)
+        if known is None:
+            take = self._taking(channel)
+            if take is None:
+                self._topics.pop(channel.id, None)
+                return
+            known = self._by_name[channel.topic] = _Topic(channel, take, self._units_of(channel))
+        self._topics[channel.id] = known
+
+    def _taking(self, channel: Channel) -> Callable[[_Topic], None] | None:
+        """Return what takes the messages of a topic, None for one that is not needed."""
+        match channel.topic.split("/"):
+            case ["", "findings"]:
+                return self._take_findings
+            case ["", "comments"]:
+                return self._take_comments
+            case ["", name] if f"/{name}" == events.TOPIC:
+                return self._take_events
+            case ["", _, "stats"]:
+                return self._take_seconds
+            case ["", _, "unknown" | "foreign" | "junk" as what]:
+                return {"unknown": self._take_unknown, "foreign": self._take_foreign, "junk": self._take_junk}[what]
+            case ["", _, "raw"]:
+                return self._take_raw
+            case ["", _, _, "state"]:
+                return self._take_states
+            case ["", _, _, _, "request" | "reply"]:
+                return self._take_frames
+        return None
+
+    def _units_of(self, channel: Channel) -> Mapping[str, str]:
+        """Return the units of a topic's fields, as its schema has them."""
+        known = self._units.get(channel.schema_id)
+        if known is None:
+            known = self._units[channel.schema_id] = {}
+            try:
+                properties = msgspec.json.decode(self._schemas.get(channel.schema_id, b"{}"))["properties"]
+                known |= {name: str(about["unit"]) for name, about in properties.items() if "unit" in about}
+            # A schema of another program can be anything; then there are no units.
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, KeyError, TypeError, AttributeError):
+                pass
+        return known
+
+    def _take(self) -> None:
+        """Take the messages that wait, topic by topic; findings last, for they look for their frames."""
+        full = [topic for topic in self._by_name.values() if topic.data]
+        if not full:
+            return
+        self._recent.append({topic.name: (topic.sequences, topic.data) for topic in full})
+        first_ns = min(topic.times[0] for topic in full)
+        self.first_ns = min(self.first_ns, first_ns) if self.first_ns else first_ns
+        self.last_ns = max(self.last_ns, *(topic.times[-1] for topic in full))
+        self.last_sequence = max(self.last_sequence, *(topic.sequences[-1] for topic in full))
+        for topic in sorted(full, key=lambda each: each.take == self._take_findings):
+            topic.take(topic)
+            topic.empty()
+        tracks = [track for drive in self.drives.values() for track in drive.states.values()]
+        tracks += [track for bus in self.buses.values() for track in (bus.load, bus.frames, bus.errors, bus.warnings)]
+        if sum(track.count for track in tracks) > _POINTS:
+            most = max(200, _POINTS // 2 // len(tracks))
+            for track in tracks:
+                track.thin(most)
+
+    # --- topics -------------------------------------------------------------------------------------------------------
+
+    def _drive(self, bus: str, address: str, *, can: bool = False) -> Drive:
+        key = bus, address
+        if key not in self.drives and len(self.drives) >= _DRIVES:
+            key = bus, "further"
+        drive = self.drives.setdefault(key, Drive(*key))
+        if can and key[1].isdecimal():
+            drive.who = identifier(int(key[1]))
+        drive.who = drive.who or key[1]
+        return drive
+
+    def _bus(self, name: str) -> Bus:
+        return self.buses.setdefault(name, Bus())
+
+    def _take_states(self, topic: _Topic) -> None:
+        rows = self._states(topic)
+        t_ns, sequence = np.array(topic.times, np.int64), np.array(topic.sequences, np.int64)
+        states = self._drive(topic.bus, topic.address).states
+        for name in STATE_UNITS:
+            values = np.array([getattr(row, name) for row in rows], np.float64)
+            if np.isfinite(values).any():
+                states.setdefault(name, Track()).add(t_ns, sequence, values)
+
+    def _take_frames(self, topic: _Topic) -> None:
+        rows = self._frames(topic)
+        count = len(rows)
+        self.frames += count
+        self._bus(topic.bus)
+        drive = self._drive(topic.bus, topic.address, can=topic.can)
+        drive.bytes += sum((len(row.raw) + 1) // 3 for row in rows)
+        drive.dialects.setdefault(topic.dialect)
+        key = (topic.bus, topic.command)
+        if key not in self.talks and len(self.talks) >= _COMMANDS:
+            key = topic.bus, "further"
+        talk = self.talks.setdefault(key, Talk(*key))
+        if topic.is_request:
+            drive.requests += count
+            talk.requests += count
+            if topic.mark:
+                self._mark(drive, topic)
+            return
+        drive.replies += count
+        talk.replies += count
+        # Of several replies to a request the first one counts: the others tell how long a motion took.
+        asked = np.array([row.request for row in rows], np.int64)
+        before = np.maximum.accumulate(np.concatenate(([topic.highest], asked[:-1])))
+        topic.highest = max(topic.highest, int(asked.max()))
+        seconds = np.array([row.latency for row in rows], np.float64)
+        there = np.isfinite(seconds) & (seconds >= 0) & (seconds < 1e9) & (asked > before)
+        talk.latencies.add_all(np.rint(seconds[there] * 1e9).astype(np.int64))
+
+    def _mark(self, drive: Drive, topic: _Topic) -> None:
+        """Keep when a command was sent, and what it said."""
+        marks = drive.marks.setdefault(topic.command, Marks(topic.mark, topic.command))
+        if len(marks.texts) == len(marks.t_ns):
+            for data in topic.data[: _BODIES - self._bodies]:
+                marks.texts.append(fields_text(_own(_fields(data)), topic.units))
+                self._bodies += 1
+        marks.t_ns += topic.times
+        marks.sequence += topic.sequences
+
+    def _take_unknown(self, topic: _Topic) -> None:
+        for row in self._frames(topic):
+            self.frames += 1
+            drive = self._drive(topic.bus, str(row.address), can=topic.can)
+            drive.unknown += 1
+            drive.bytes += (len(row.raw) + 1) // 3
+
+    def _take_foreign(self, topic: _Topic) -> None:
+        for row in self._frames(topic):
+            self.frames += 1
+            node = topic.bus, row.who
+            if node not in self.others and len(self.others) >= _OTHERS:
+                node = topic.bus, "further"
+            counts = self.others.setdefault(node, [0, 0])
+            counts[0] += 1
+            counts[1] += row.length
+
+    def _take_junk(self, topic: _Topic) -> None:
+        junk_bytes = self._bus(topic.bus).junk_bytes
+        for row in self._frames(topic):
+            junk_bytes[row.reason] += row.length
+
+    def _take_raw(self, topic: _Topic) -> None:
+        self.raw += len(topic.data)
+
+    def _take_seconds(self, topic: _Topic) -> None:
+        rows = self._seconds(topic)
+        t_ns, none, bus = np.array(topic.times, np.int64), np.zeros(len(rows), np.int64), self._bus(topic.bus)
+        for name in ("load", "frames", "errors", "warnings"):
+            values = np.array([getattr(row, name) for row in rows], np.float64)
+            getattr(bus, name).add(t_ns, none, values)
+
+    def _take_findings(self, topic: _Topic) -> None:
+        for t_ns, row in zip(topic.times, self._logged(topic), strict=True):
+            severity = _LEVELS.get(row.level, Severity.INFO)
+            if self.first_finding_ns is None:
+                self.first_finding_ns = t_ns
+            rule = row.name if row.name in self.breaches or len(self.breaches) < _RULES else "further"
+            known = self.breaches.setdefault(rule, Breaches(rule, severity))
+            known.count += 1
+            # The members stand in the order of their names; errors come first here.
+            known.severity = severity if severity is Severity.ERROR else known.severity
+            if row.address is not None:
+                drive = self._drive(row.bus, str(row.address))
+                drive.severities[severity] += 1
+                if severity is not Severity.INFO:
+                    marks = drive.marks.setdefault(f"! {row.name}", Marks(severity.value, row.name))
+                    marks.t_ns.append(t_ns)
+                    marks.sequence.append(row.line)
+                    if len(marks.texts) < _BODIES // 100:
+                        marks.texts.append(row.message)
+            if len(known.first) < FIRST_FEW:
+                raw, fields = self._frame_of(row.file, row.line)
+                known.first.append(Example(t_ns, row.line, row.file, row.offset, row.message, row.section, raw, fields))
+
+    def _frame_of(self, topic: str, sequence: int) -> tuple[str, str]:
+        """Return a frame that came not long ago as hex and as its fields in words; nothing where it is not found."""
+        for batch in reversed(self._recent):
+            sequences, data = batch.get(topic, ((), ()))
+            at = bisect_left(sequences, sequence)
+            if at < len(sequences) and sequences[at] == sequence:
+                fields = _fields(data[at])
+                raw, can_id = str(fields.get("_raw", "")), fields.get("_can_id")
+                head = f"{identifier(can_id)[2:]} " if isinstance(can_id, int) else ""
+                units = self._by_name[topic].units if topic in self._by_name else {}
+                return f"{head}{raw}", fields_text(_own(fields), units)
+        return "", ""
+
+    def _take_comments(self, topic: _Topic) -> None:
+        for t_ns, row in zip(topic.times, self._logged(topic), strict=True):
+            if len(self.comments) < _COMMENTS:
+                self.comments.append(Told(t_ns, row.bus, row.message))
+
+    def _take_events(self, topic: _Topic) -> None:
+        for t_ns, row in zip(topic.times, self._logged(topic), strict=True):
+            if row.event not in _UNTOLD and len(self.happened) < _EVENTS:
+                self.happened.append(Told(t_ns, row.bus, f"{row.event}: {row.text}"))
+
+
+def _fields(data: bytes) -> dict[str, Any]:
+    """Return a message as it is logged; nothing of one that is damaged."""
+    try:
+        return msgspec.json.decode(data, type=dict[str, Any])
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return {}
+
+
+def _own(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of the command alone."""
+    return {name: value for name, value in fields.items() if not name.startswith("_")}
+
+
+def busiest(drives: Sequence[Drive]) -> list[Drive]:
+    """Return drives, those with the most frames first."""
+    return sorted(drives, key=lambda drive: (-drive.frames, drive.order))

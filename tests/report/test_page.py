@@ -1,0 +1,189 @@
+"""The page of a log: what it says, how large it is, that hostile text stays text, and how a browser draws it."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import matplotlib.image
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from analyzer.cli import main
+from analyzer.report.page import LARGEST
+from tests.browser import chromium, needs_chromium
+from tests.conformance.report.test_page import EVIL, told
+from tests.test_readme import ROOT
+
+CAPTURES = ROOT / "captures"
+START = 1_772_442_000_000_000_000
+
+
+def made(*words):
+    """Return the page that the command makes of some files."""
+    out = words[-1]
+    assert main(["report", *map(str, words[:-1]), "-o", str(out)]) == 0
+    return out.read_text()
+
+
+def charts(page):
+    return [json.loads(each) for each in re.findall(r'<div class="plot long".*?json">(.*?)</script>', page, re.DOTALL)]
+
+
+def write_log(path, messages, *, metadata=None, about=None):
+    """Write a log of (topic, nanoseconds from the start, fields), in the form of this program's."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="servotap", library="x")
+        channels = {}
+        for sequence, (topic, t_ns, fields) in enumerate(messages, 1):
+            if topic not in channels:
+                unit = {"properties": {"speed": {"unit": EVIL if about else "rpm"}}}
+                schema = writer.register_schema(f"s{len(channels)}", "jsonschema", json.dumps(unit).encode())
+                words = {"dialect": "mks-can", "command": topic.split("/")[-2], "bus_kind": "can", **(about or {})}
+                channels[topic] = writer.register_channel(topic, "json", schema, words)
+            writer.add_message(channels[topic], START + t_ns, json.dumps(fields).encode(), START + t_ns, sequence)
+        writer.add_metadata("servotap", metadata or {"time_source": "capture", "format": "x"})
+        writer.finish()
+
+
+def test_a_page_says_what_was_captured_and_what_is_wrong(tmp_path):
+    text = told(page := made(CAPTURES / "mks_rs485.log", tmp_path / "x.html"))
+    assert "A value is outside the range of the manual: current: got 6000 mA" in text
+    assert "Send a value within the range" in text
+    assert "frames 39 on 1 bus" in text
+    assert "1 × out_of_range error: a value outside the range that the manual gives" in text
+    assert "FA 01 83 17 70 05 current=6000 mA" in text
+    assert "set_current 2 4.063" in text
+    drawn = {each["y"]: each for each in charts(page)}
+    assert set(drawn) == {"frames", "findings", "position", "speed"}
+    assert drawn["speed"]["axis"] == "clock"
+    assert drawn["speed"]["data"][1]["low"] == 320
+    assert "http" not in re.sub(r"<script>/\*.*?</script>", "", page, flags=re.DOTALL)
+
+
+def test_a_log_and_its_capture_give_the_same_page(tmp_path, capsys):
+    one = made(CAPTURES / "mks_rs485.log", tmp_path / "a.html")
+    assert main(["decode", str(CAPTURES / "mks_rs485.log"), "-o", str(tmp_path / "mks_rs485.log.mcap")]) == 0
+    other = made(tmp_path / "mks_rs485.log.mcap", tmp_path / "b.html")
+    assert told(one) == told(other).replace("mks_rs485.log.mcap", "mks_rs485.log")
+
+
+def test_a_capture_without_times_counts_frames(tmp_path):
+    text = told(page := made(CAPTURES / "mks_rs485.bin", tmp_path / "x.html"))
+    assert "The capture has no times: plots count its frames" in text
+    assert "median latency" not in text
+    assert {each["axis"] for each in charts(page)} == {"frames"}
+
+
+@pytest.mark.parametrize(("data", "says"), [(b"", "is empty"), (bytes(range(1, 250)) * 9, "cause")])
+def test_a_capture_with_nothing_to_decode_is_a_page_that_says_so(tmp_path, data, says, capsys):
+    path = tmp_path / "x.bin"
+    path.write_bytes(data)
+    assert main(["report", str(path)]) == (0 if data else 2)
+    assert says in told((tmp_path / "x.bin.html").read_text())
+
+
+def test_several_captures_stand_on_one_page(tmp_path):
+    page = made(CAPTURES / "mks_rs485.log", CAPTURES / "mks_can.asc", CAPTURES / "lk_rs485.log", tmp_path / "x.html")
+    assert "3 captures" in told(page)
+    assert {each["group"] for each in charts(page)} >= {"log-1", "log-2", "log-3"}
+    ids = re.findall(r'\bid="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'href="#([^"]+)"', page)) <= set(ids)
+
+
+def test_long_pauses_part_a_capture_and_break_its_lines(tmp_path):
+    hour = 3_600_000_000_000
+    states = [("/b/1/state", part * hour + n * 10_000_000, {"speed": float(n)}) for part in (0, 5, 9) for n in range(50)]
+    counts = [("/b/stats", part * hour + 500_000_000, {"frames": 50}) for part in (0, 5, 9)]
+    reply = ("/b/1/read_speed/reply", 0, {"speed": 1, "_raw": "32"})
+    write_log(tmp_path / "x.mcap", sorted([reply, *states, *counts], key=lambda each: each[1]))
+    page = made(tmp_path / "x.mcap", tmp_path / "x.html")
+    assert len(re.findall(r"<button data-low", page)) == 3
+    (speed,) = (each for each in charts(page) if each["y"] == "speed")
+    assert page.count('class="plot long"') == 2
+    assert len(speed["data"][0]["text"]) == len(speed["data"][1]["text"]) == pytest.approx(152 * 4 * 4 / 3, abs=4)
+
+
+def test_a_hundred_drives_and_a_thousand_rules_make_a_small_page(tmp_path):
+    messages = [
+        (f"/b/{drive}/state", n * 1_000_000 + drive, {"speed": n * 1.234567, "position": n * 9.87, "current": 0.1 * n})
+        for n in range(60)
+        for drive in range(1, 301)
+    ]
+    long = "x" * 3000
+    messages += [
+        (
+            "/findings",
+            60_000_000 + n,
+            {"level": 4, "name": f"{n}{long}", "message": long, "file": long, "address": n % 300, "bus": "b"},
+        )
+        for n in range(1000)
+    ]
+    messages += [(f"/b/{n}/{long}/reply", 61_000_000 + n, {"_raw": "00", "_latency": 0.001}) for n in range(300)]
+    messages += [("/comments", 62_000_000, {"message": long}) for _ in range(300)]
+    write_log(tmp_path / "x.mcap", messages)
+    page = made(tmp_path / "x.mcap", tmp_path / "x.html")
+    assert len(page.encode()) < LARGEST
+    assert "of 300 drives with values are drawn" in told(page)
+
+
+def test_text_from_the_wire_is_text(tmp_path):
+    evil = EVIL.replace("/", "|")
+    found = {"level": 4, "name": EVIL, "message": EVIL, "file": f"/{evil}/1/run_speed/request", "line": 1, "section": EVIL}
+    messages = [
+        (f"/{evil}/1/run_speed/request", 0, {"speed": 1, EVIL: EVIL, "_raw": EVIL}),
+        (f"/{evil}/{evil}/{evil}/reply", 1, {"_raw": EVIL, "_latency": 0.001, "_request_sequence": 1}),
+        (f"/{evil}/1/state", 2, {"speed": 1.0}),
+        (f"/{evil}/1/state", 3, {"speed": "no number"}),
+        (f"/{evil}/foreign", 4, {"who": EVIL, "length": 1}),
+        (f"/{evil}/junk", 5, {"reason": EVIL, "length": 1}),
+        (f"/{evil}/unknown", 6, {"address": 1 << 60}),
+        ("/findings", 7, {**found, "bus": evil, "address": 1, "offset": 1 << 80}),
+        ("/findings", 8, {**found, "bus": evil, "address": 1}),
+        ("/comments", 9, {"message": EVIL, "bus": EVIL}),
+        ("/recording", 10, {"event": EVIL, "bus": EVIL, "text": EVIL}),
+        (f"/{evil}/stats", (1 << 63) - START, {"frames": 1}),
+    ]
+    names = ("source", "format", "dialect", "dialect_reason", "manual", "time_source", "version", "notes", "source_sha256")
+    path = tmp_path / f"{evil}.mcap"
+    about = {"dialect": "mks-can", "section": EVIL, "manual": EVIL}
+    write_log(path, messages, metadata=dict.fromkeys((*names, "incomplete"), EVIL), about=about)
+    page = made(path, tmp_path / "x.html")
+    scripts = len(re.findall("<script", page))
+    assert "<script>alert" not in page
+    assert "<img" not in page
+    text = told(page)
+    assert "49" not in re.sub(r"[0-9a-f]{8,}", "", text)
+    for where in (f"× {EVIL}", f"{evil} · 0x001", f"{EVIL}: {EVIL}", f"manual {EVIL[:20]}", f"format {EVIL}", f"{evil}.mcap"):
+        assert where in text, where
+    assert EVIL in json.loads(re.search(r'class="marks">(.*?)</script>', page).group(1))[0]["texts"][0]
+    assert scripts == len(re.findall("</script>", page))
+
+
+@needs_chromium
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_a_browser_draws_it_without_complaint(tmp_path, scheme):
+    page = tmp_path / "x.html"
+    ramp = [("/b/1/state", n * 10_000_000, {"speed": abs(n % 200 - 100) * 5.0}) for n in range(2000)]
+    more = [("/b/1/run_speed/request", 5_000_000_000, {"speed": 1, "_raw": "F6"}), ("/b/stats", 9_000_000_000, {"frames": 9})]
+    more += [("/b/stats", 10_000_000_000, {"frames": 7})]
+    write_log(tmp_path / "x.mcap", sorted([*ramp, *more], key=lambda each: each[1]))
+    made(tmp_path / "x.mcap", page)
+    # As a reader who zooms twice, and pans once.
+    clicks = "for (const what of ['in', 'in', 'on']) document.querySelector(`[data-do=${what}]`).click();"
+    checks = (
+        f"setTimeout(() => {{ {clicks} document.body.dataset.zoomed = document.querySelector('output').textContent; }}, 500)"
+    )
+    page.write_text(page.read_text().replace("</body>", f"<script>{checks}</script></body>"))
+    shot = tmp_path / "x.png"
+    dom = chromium(page, tmp_path / "home", "--window-size=1000,1400", "--dump-dom", scheme=scheme)
+    assert dom.count("<canvas") == 2
+    assert re.search(r'data-zoomed="09:00:09\.\d+ to 09:00:14\.\d+"', dom)
+    chromium(page, tmp_path / "home", "--window-size=1000,1400", f"--screenshot={shot}", scheme=scheme)
+    seen = np.round(matplotlib.image.imread(shot)[..., :3] * 255).astype(int)
+    ground, line = {"light": ((255, 255, 255), (0x0A, 0x7F, 0x7F)), "dark": ((13, 17, 23), (0x39, 0xC5, 0xBB))}[scheme]
+    assert (abs(seen - ground).max(axis=2) < 3).mean() > 0.5
+    assert (abs(seen - line).max(axis=2) < 30).sum() > 300

@@ -1,0 +1,55 @@
+"""What a log holds: nothing is lost by thinning, and counts are those of the summary."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from analyzer.cli import main
+from analyzer.report.traffic import Traffic, extremes
+from analyzer.sources import open_source
+from tests.test_readme import ROOT
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=300), st.integers(4, 60))
+def test_thinning_keeps_the_ends_and_every_peak(values, most):
+    column = np.array(values)
+    kept = extremes(column, most)
+    assert len(kept) <= most or len(kept) == len(values)
+    assert list(kept) == sorted(set(kept.tolist()))
+    assert {0, len(values) - 1} <= set(kept.tolist())
+    assert column[kept].min() == column.min()
+    assert column[kept].max() == column.max()
+
+
+def traffic_of(capture, folder):
+    log = folder / "x.mcap"
+    assert main(["decode", str(capture), "-o", str(log), "--force"]) == 0
+    with open_source(log) as source:
+        traffic = Traffic(source, -(1 << 63), 1 << 63)
+        traffic.read()
+    return traffic
+
+
+def test_a_log_gives_values_latencies_marks_and_findings(tmp_path):
+    traffic = traffic_of(ROOT / "captures" / "mks_rs485.log", tmp_path)
+    drive = traffic.drives["serial", "1"]
+    assert (traffic.frames, drive.requests, drive.replies) == (39, 16, 19)
+    assert drive.states["speed"].columns()[2].tolist() == [320]
+    assert {label: marks.kind for label, marks in drive.marks.items()} == {
+        "enable": "enable", "run_speed": "motion", "stop_speed": "stop", "move_relative_pulses": "motion",
+        "move_relative_axis": "motion", "emergency_stop": "stop", "! out_of_range": "error", "! failed_status": "error",
+        "! bad_checksum": "error",
+    }  # fmt: skip
+    assert drive.marks["run_speed"].texts == ["direction=ccw speed=320 rpm acceleration=2"]
+    # The last reply to a move tells how long the move took, not the drive's latency.
+    assert traffic.talks["serial", "move_relative_pulses"].latencies.greatest == 3_000_000
+    (found,) = traffic.breaches["out_of_range"].first
+    assert (found.raw, found.fields) == ("FA 01 83 17 70 05", "current=6000 mA")
+
+
+def test_a_drive_on_can_goes_by_its_identifier(tmp_path):
+    traffic = traffic_of(ROOT / "captures" / "mks_can.asc", tmp_path)
+    assert "0x001" in {drive.who for drive in traffic.drives.values()}
+    assert traffic.breaches["unknown_choice"].first[0].raw.startswith("001 ")
