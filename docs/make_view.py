@@ -1,12 +1,14 @@
-"""Make docs/view.svg and docs/view-plot.svg: the terminal view as it is drawn, of a capture and of an emulated drive.
+"""Make the pictures of what people look at: the terminal view, and the page of an emulated drive as Chromium draws it.
 
-python docs/make_view.py
+python docs/make_view.py           view.svg, view-plot.svg, report.png
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import io
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -16,6 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from analyzer import dialects  # noqa: E402
+from analyzer.cli import main  # noqa: E402
 from analyzer.cli.reading import add_reading_arguments, open_reading  # noqa: E402
 from analyzer.encoder import build  # noqa: E402
 from analyzer.pipeline import Options, Pipeline  # noqa: E402
@@ -82,7 +85,22 @@ async def picture(path: Path, keys: tuple[str, ...], size: tuple[int, int]) -> s
         source.close()
 
 
-def main() -> None:
+def page(log: Path) -> bytes:
+    """Return the top of the page of a log as PNG, of few colours so that it is small."""
+    from PIL import Image
+
+    made, shot = log.with_suffix(".html"), log.with_suffix(".png")
+    main(["report", str(log), "-o", str(made)])
+    words = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={log.parent / 'home'}"]
+    words += ["--disable-background-networking", "--disable-sync", "--no-first-run", "--virtual-time-budget=3000"]
+    words += ["--blink-settings=preferredColorScheme=1", "--window-size=1120,1130", f"--screenshot={shot}"]
+    subprocess.run(["chromium", *words, made.as_uri()], check=True, capture_output=True)
+    out = io.BytesIO()
+    Image.open(shot).convert("RGB").quantize(48, dither=Image.Dither.NONE).save(out, "PNG", optimize=True)
+    return out.getvalue()
+
+
+def make_pictures() -> None:
     """Make the pictures."""
     with tempfile.TemporaryDirectory() as folder:
         log = recorded(Path(folder) / "axis.mcap")
@@ -93,7 +111,9 @@ def main() -> None:
         for name, (path, keys, size) in pictures.items():
             (ROOT / "docs" / name).write_text(asyncio.run(picture(path, keys, size)), encoding="utf-8")
             print(f"docs/{name} written")
+        (ROOT / "docs" / "report.png").write_bytes(page(log))
+        print("docs/report.png written")
 
 
 if __name__ == "__main__":
-    main()
+    make_pictures()

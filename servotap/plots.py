@@ -1,4 +1,4 @@
-"""Plots: an axis for each name with its unit, a dot for each value that came, lines between them."""
+"""Plots of a capture's table: an axis for each name."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 from analyzer.errors import UsageError
+from analyzer.report.picture import Panel, draw, size
 from analyzer.table.columns import Column, Kind
 from analyzer.table.extras import needed
 from analyzer.table.tables import Wide
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _NUMBERS = (Kind.INTEGER, Kind.NUMBER)
-#: Inches of a plot: its width, and the height of each axis.
-_WIDTH, _HEIGHT = 9.0, 2.4
 
 
 def plot(table: Wide, names: Sequence[str], title: str) -> list[Axes]:
@@ -29,21 +28,11 @@ def plot(table: Wide, names: Sequence[str], title: str) -> list[Axes]:
     from matplotlib import pyplot
 
     points = table.points({column.name for columns in shown for column in columns})
-    _, rows = pyplot.subplots(
-        len(shown), 1, sharex=True, squeeze=False, figsize=(_WIDTH, 0.8 + _HEIGHT * len(shown)), layout="constrained"
-    )
-    axes: list[Axes] = [row[0] for row in rows]
-    for axis, name, columns in zip(axes, names, shown, strict=True):
-        for column in columns:
-            label = column.name.rpartition(".")[0].strip("/")
-            axis.plot(*points[column.name], marker=".", markersize=4, linewidth=1, label=label)
-        units = dict.fromkeys(column.unit for column in columns)
-        axis.set_ylabel(f"{name} [{', '.join(units)}]" if any(units) else name)
-        axis.grid(visible=True, alpha=0.3)
-        axis.legend(loc="best", fontsize="small")
-    axes[0].set_title(title)
-    axes[-1].set_xlabel("time [s]")
-    return axes
+    panels = [
+        Panel(name, [c.unit for c in columns], [(c.name.rpartition(".")[0].strip("/"), *points[c.name]) for c in columns])
+        for name, columns in zip(names, shown, strict=True)
+    ]
+    return draw(pyplot.figure(figsize=size(len(panels)), layout="constrained"), panels, title)
 
 
 def _chosen(columns: Sequence[Column], name: str) -> list[Column]:

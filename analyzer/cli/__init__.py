@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "show": ("analyzer.cli.show", "show the decoded frames of a capture or a log as a table"),
     "view": ("analyzer.cli.view", "view a capture or a log in the terminal: frames, counts, findings, a plot"),
     "report": ("analyzer.cli.report", "write captures and logs as one page: diagnosis, plots, latencies, findings"),
+    "plot": ("analyzer.cli.plot", "plot fields over time, as a picture or in the terminal"),
     "recover": ("analyzer.cli.recover", "repair the log of an interrupted recording"),
     "cut": ("analyzer.cli.cut", "copy a time range or some buses into a smaller log"),
     "merge": ("analyzer.cli.merge", "merge several logs into one"),
@@ -51,7 +52,7 @@ _DAY_S = 86_400
 _ALIASES = {"catalog": "catalogue"}
 #: What one wants to do -> the commands for it, in the order of the help. Commands that stand nowhere come last.
 _PURPOSES: dict[str, tuple[str, ...]] = {
-    "look": ("decode", "diagnose", "show", "view", "report", "explain", "catalogue", "dbc", "wireshark"),
+    "look": ("decode", "diagnose", "show", "view", "report", "plot", "explain", "catalogue", "dbc", "wireshark"),
     "record": ("record", "tap", "ports", "recover", "cut", "merge", "export"),
     "drive": ("scan", "init", "send", "stop", "frame", "replay", "emulate"),
     "test": ("test", "check", "rerun", "restore"),

@@ -24,6 +24,7 @@ from analyzer.framer import SILENCE_NS
 from analyzer.pipeline import Item, Options, Pipeline, PortSetup, Sink
 from analyzer.port import Setups, listed_in
 from analyzer.records import CanFrame, Chunk, Event
+from analyzer.sources.times import ESTIMATED
 from analyzer.values import quote
 
 if TYPE_CHECKING:
@@ -235,7 +236,7 @@ class OpenCapture:
         if self.has_times:
             return self.source.time_source
         unit = "bit rate" if self.dialects[0].bus == "can" else "baud rate"
-        return f"timestamps estimated from the {unit}: the capture has none"
+        return f"{ESTIMATED} from the {unit}: the capture has none"
 
 
 class _Said:

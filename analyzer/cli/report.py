@@ -9,20 +9,16 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-import tempfile
 from pathlib import Path
 
-from analyzer.cli.decode import cores, decode
-from analyzer.cli.decode_targets import Capture
+from analyzer.cli.as_log import as_log
 from analyzer.cli.output import target_of, write_whole
-from analyzer.cli.reading import add_reading_arguments, open_reading, progress
-from analyzer.cli.time_range import TimeRange
+from analyzer.cli.reading import add_reading_arguments, open_reading
 from analyzer.diagnosis.diagnose import Diagnosis, diagnosis
 from analyzer.diagnosis.watch import Watch
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.report.page import Log, Unread, html
 from analyzer.report.traffic import Traffic
-from analyzer.sources import open_source
 from analyzer.sources.times import Anchor, TimeOption
 from analyzer.values import counted, printable, storable
 
@@ -38,8 +34,6 @@ examples:
 
 #: Frames of a log that are decoded again for the diagnosis, from its first finding on.
 LOOKED = 50_000
-#: What asks for another decoding than the one that a log holds.
-_DECODING = ("model", "baud", "group", "ids", "late")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -94,39 +88,17 @@ def _target(arguments: argparse.Namespace) -> Path:
 
 
 def _log(path: str, arguments: argparse.Namespace) -> Log:
-    """Read a log, or decode a capture into one first."""
-    if path != "-" and arguments.dialect == "auto" and not any(getattr(arguments, name) for name in _DECODING):
-        with open_source(path, format=arguments.format) as source:
-            if source.kind == "log":
-                time_range = TimeRange(source, arguments.since, arguments.until, utc=arguments.utc)
-                traffic = Traffic(source, time_range.since_ns, time_range.until_ns)
-                with progress(source, f"reading {source.name}"):
-                    traffic.read()
-                # Bytes that were recorded alone are decoded, as are logs of other programs.
-                if traffic.frames or (traffic.about and not traffic.raw):
-                    found, looked = _diagnosis(path, arguments, traffic)
-                    return Log(source.name, traffic, time_range.shown, found, looked, source.notes)
-    return _decoded(path, arguments)
-
-
-def _decoded(path: str, arguments: argparse.Namespace) -> Log:
-    """Decode a capture into a log that is gone afterwards."""
-    with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
-        target = Path(folder) / "capture.mcap"
-        given = argparse.Namespace(**vars(arguments) | {"to": "mcap", "jobs": cores(), "force": True})
-        done = decode(
-            Capture(path, target),
-            given,
-            lambda reading, frames: progress(reading.source, f"decoding {reading.source.name}", frames),
-        )
-        if done.stopped.startswith("stopped"):
-            raise KeyboardInterrupt
-        with open_source(target) as source:
-            traffic = Traffic(source, -(1 << 63), 1 << 63)
-            traffic.read()
-        reading = done.reading
-        notes = [*reading.source.notes, *([done.stopped] if done.stopped else [])]
-        return Log(reading.source.name, traffic, reading.time_range.shown, diagnosis(done.watch, reading.dialects), "", notes)
+    """Read a capture as a log, and look for what is wrong with it."""
+    with as_log(path, arguments) as log:
+        traffic = Traffic(log.source, log.since_ns, log.until_ns)
+        traffic.read()
+        notes = [*log.source.notes, *log.notes]
+    looked = ""
+    if log.watch is None:
+        found, looked = _diagnosis(path, arguments, traffic)
+    else:
+        found = diagnosis(log.watch, log.dialects)
+    return Log(log.name, traffic, log.shown, found, looked, notes)
 
 
 def _diagnosis(path: str, arguments: argparse.Namespace, traffic: Traffic) -> tuple[Diagnosis, str]:

@@ -17,7 +17,7 @@ from analyzer.layout import STATE_UNITS
 from analyzer.page import Chart, packed
 from analyzer.records import Severity
 from analyzer.report.traffic import Breaches, Bus, Drive, Integers, Marks, Numbers, Talk, Traffic, busiest, extremes
-from analyzer.sources.times import SECOND, ShownTime, is_dated
+from analyzer.sources.times import SECOND, ShownTime, is_dated, is_estimated
 
 #: Bytes of a page, and by how much all is cut down until it keeps to them.
 LARGEST = 3_000_000
@@ -98,7 +98,7 @@ class _Axis:
         self.start_ns = traffic.first_ns
         self._zone_ns = log.shown.zone_ns(traffic.first_ns)
         #: Times that were made up say nothing: the order of the frames does.
-        self.timed = not traffic.about.get("time_source", "").removeprefix("log: ").startswith("timestamps estimated")
+        self.timed = not is_estimated(traffic.about.get("time_source", ""))
         self.name = "frames" if not self.timed else "clock" if log.shown.by_clock(traffic.first_ns) else "elapsed"
         self.unit = "" if self.name == "frames" else "s"
 
@@ -293,10 +293,10 @@ class _Section:
                 marks.append(self._marks(each, some))
             left -= some
             count += some
-        total = sum(len(each.t_ns) for each in every)
+        total = sum(each.count for each in every)
         marked = Counter[tuple[str, str]]()
         for each in every:
-            marked[each.kind, each.label] += len(each.t_ns)
+            marked[each.kind, each.label] += each.count
         more = f"{count:,} of {total:,} marks are drawn" if count < total else ""
         return _Drawn(drive, charts, marks, [(*key, n) for key, n in marked.items()], more)
 
@@ -304,7 +304,7 @@ class _Section:
         """Return marks for the plots, spread evenly where there are more than fit."""
         kept = np.unique(np.linspace(0, len(marks.t_ns) - 1, count).round().astype(int))
         x = self.axis(np.array(marks.t_ns)[kept], np.array(marks.sequence)[kept])
-        texts = [self.cut_text(marks.texts[n])[:100] if n < len(marks.texts) else "" for n in kept.tolist()]
+        texts = [self.cut_text(marks.text(n))[:100] for n in kept.tolist()]
         return {"kind": marks.kind, "label": self.cut_text(marks.label), "x": packed(x), "texts": texts}
 
     def _stretches(self) -> Iterator[tuple[str, float, float]]:

@@ -37,16 +37,18 @@ Numbers = NDArray[np.float64]
 _BATCH, _RECENT = 16_384, 6
 #: Points of all series together, in memory; beyond it each keeps its share of half of them.
 _POINTS = 2_000_000
-#: Commands whose fields are kept to be read beside the plots.
-_BODIES = 20_000
+#: Marks that are kept of all drives, and of one command of a drive.
+_MARKS_KEPT, _LEAST_MARKS, _MOST_MARKS = 60_000, 64, 4096
 #: Of each rule the findings that are shown, and what is kept of comments, events and nodes that are no drives.
 FIRST_FEW, _COMMENTS, _EVENTS, _OTHERS = 4, 200, 500, 2000
 #: Drives, commands and rules of a log; one with more is damaged or hostile.
 _DRIVES, _COMMANDS, _RULES = 5000, 5000, 200
+#: Characters of a finding that are kept beside its mark.
+_LONGEST = 200
 _LEVELS = {4: Severity.ERROR, 3: Severity.WARNING, 2: Severity.INFO}
 #: What is no news of a recording.
 _UNTOLD = frozenset(("part", "port", "dialect", "resumed", "clock_drift"))
-_MARKS = {
+_KINDS = {
     **dict.fromkeys((Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF), "enable"),
     **dict.fromkeys((v for v in Verb if v.startswith("stop") or v in (Verb.BRAKE, Verb.EMERGENCY_STOP)), "stop"),
 }
@@ -55,7 +57,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 #: A whole number that a column holds.
 _Whole = Annotated[int, msgspec.Meta(ge=-1, le=1 << 53)]
 #: Times beyond it (the year 2116) are damage.
-_LATEST_NS = 1 << 62
+LATEST_NS = 1 << 62
 
 
 class _State(msgspec.Struct, gc=False):
@@ -151,13 +153,35 @@ def extremes(values: Numbers, most: int) -> Integers:
 
 @dataclass
 class Marks:
-    """Times of one command of a drive, or of the breaches of one rule. `texts`: of the first of them, what they say."""
+    """Times of one command of a drive, or of the breaches of one rule: all, or if they are many each so many-th of them.
+
+    `said`: what each says, as it was logged or in words. `count`: of all.
+    """
 
     kind: str
     label: str
+    units: Mapping[str, str] = field(default_factory=dict)
+    count: int = 0
     t_ns: list[int] = field(default_factory=list)
     sequence: list[int] = field(default_factory=list)
-    texts: list[str] = field(default_factory=list)
+    said: list[bytes | str] = field(default_factory=list)
+    _stride: int = 1
+
+    def add(self, t_ns: Sequence[int], sequence: Sequence[int], said: Sequence[bytes | str], most: int) -> None:
+        """Add marks; keep at most so many."""
+        kept = slice(-self.count % self._stride, None, self._stride)
+        self.count += len(t_ns)
+        self.t_ns += t_ns[kept]
+        self.sequence += sequence[kept]
+        self.said += said[kept]
+        while len(self.t_ns) > most:
+            self._stride *= 2
+            self.t_ns, self.sequence, self.said = self.t_ns[::2], self.sequence[::2], self.said[::2]
+
+    def text(self, number: int) -> str:
+        """Return what one of those that were kept says."""
+        said = self.said[number]
+        return said if isinstance(said, str) else fields_text(_own(_fields(said)), self.units)
 
 
 @dataclass
@@ -272,7 +296,7 @@ def _mark_of(dialect: str, name: str) -> str:
         return ""
     if command is None:
         return ""
-    return _MARKS.get(command.verb) or ("motion" if command.moves else "")
+    return _KINDS.get(command.verb) or ("motion" if command.moves else "")
 
 
 class _Parser(Generic[T]):
@@ -328,7 +352,7 @@ class Traffic:
         self._schemas: dict[int, bytes] = {}
         self._units: dict[int, dict[str, str]] = {}
         self._recent: deque[dict[str, tuple[list[int], list[bytes]]]] = deque(maxlen=_RECENT)
-        self._bodies = 0
+        self._kinds_of_marks = 0
         self._states = _Parser(_State, source.problem)
         self._frames = _Parser(_Frame, source.problem)
         self._seconds = _Parser(_Second, source.problem)
@@ -350,7 +374,7 @@ class Traffic:
                 topic = topics.get(number)
                 if topic is None or not since_ns <= log_ns <= until_ns:
                     continue
-                if log_ns > _LATEST_NS:
+                if log_ns > LATEST_NS:
                     self.source.problem(f"a message of {topic.name}: its time is {log_ns} ns, expected one before 2116")
                     continue
                 topic.times.append(log_ns)
@@ -473,7 +497,8 @@ class Traffic:
             drive.requests += count
             talk.requests += count
             if topic.mark:
-                self._mark(drive, topic)
+                marks = self._marks(drive, topic.command, topic.mark, topic.command, topic.units)
+                marks.add(topic.times, topic.sequences, topic.data, self._most_marks)
             return
         drive.replies += count
         talk.replies += count
@@ -485,15 +510,16 @@ class Traffic:
         there = np.isfinite(seconds) & (seconds >= 0) & (seconds < 1e9) & (asked > before)
         talk.latencies.add_all(np.rint(seconds[there] * 1e9).astype(np.int64))
 
-    def _mark(self, drive: Drive, topic: _Topic) -> None:
-        """Keep when a command was sent, and what it said."""
-        marks = drive.marks.setdefault(topic.command, Marks(topic.mark, topic.command))
-        if len(marks.texts) == len(marks.t_ns):
-            for data in topic.data[: _BODIES - self._bodies]:
-                marks.texts.append(fields_text(_own(_fields(data)), topic.units))
-                self._bodies += 1
-        marks.t_ns += topic.times
-        marks.sequence += topic.sequences
+    def _marks(self, drive: Drive, key: str, kind: str, label: str, units: Mapping[str, str]) -> Marks:
+        known = drive.marks.get(key)
+        if known is None:
+            known = drive.marks[key] = Marks(kind, label, units)
+            self._kinds_of_marks += 1
+        return known
+
+    @property
+    def _most_marks(self) -> int:
+        return min(_MOST_MARKS, max(_LEAST_MARKS, _MARKS_KEPT // self._kinds_of_marks))
 
     def _take_unknown(self, topic: _Topic) -> None:
         for row in self._frames(topic):
@@ -541,11 +567,8 @@ class Traffic:
                 drive = self._drive(row.bus, str(row.address))
                 drive.severities[severity] += 1
                 if severity is not Severity.INFO:
-                    marks = drive.marks.setdefault(f"! {row.name}", Marks(severity.value, row.name))
-                    marks.t_ns.append(t_ns)
-                    marks.sequence.append(row.line)
-                    if len(marks.texts) < _BODIES // 100:
-                        marks.texts.append(row.message)
+                    marks = self._marks(drive, f"! {rule}", severity.value, rule, {})
+                    marks.add([t_ns], [row.line], [row.message[:_LONGEST]], self._most_marks)
             if len(known.first) < FIRST_FEW:
                 raw, fields = self._frame_of(row.file, row.line)
                 known.first.append(Example(t_ns, row.line, row.file, row.offset, row.message, row.section, raw, fields))

@@ -71,7 +71,7 @@ def records(source: Source) -> Iterator[LogRecord]:
             yield record
             if isinstance(record, Header) and outline is not None:
                 # The chunks that declared them may not be read.
-                yield from outline.channels
+                yield from outline.declared
         if not source.next_part():
             return
 
@@ -144,9 +144,9 @@ def _chunk(source: Source, body: bytes, offset: int) -> Iterator[LogRecord]:
 
 
 class Outline(NamedTuple):
-    """What stands in a log's summary. `skips`: as in `_Sequential`."""
+    """What stands in a log's summary. `declared`: its schemas and channels; `skips`: as in `_Sequential`."""
 
-    channels: list[Channel]
+    declared: list[Schema | Channel]
     skips: dict[int, int]
     start_ns: int
     end_ns: int
@@ -170,7 +170,12 @@ def outline(path: Path, before_ns: int) -> Outline | None:
         summary, lambda index: index.message_end_time < before_ns and not kept & index.message_index_offsets.keys()
     )
     statistics = summary.statistics
-    return Outline(list(summary.channels.values()), skips, statistics.message_start_time, statistics.message_end_time)
+    return Outline(
+        [*summary.schemas.values(), *summary.channels.values()],
+        skips,
+        statistics.message_start_time,
+        statistics.message_end_time,
+    )
 
 
 def skips_of(summary: Summary, unwanted: Callable[[ChunkIndex], bool]) -> dict[int, int]:

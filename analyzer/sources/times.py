@@ -33,6 +33,9 @@ _EPOCH_FROM, _EPOCH_TO = 365 * DAY, 7 * 10**18
 _DIGITS = 24
 _POWERS: tuple[int, ...] = tuple(10**n for n in range(10))
 
+#: How the time source of a capture without times begins, in words; that of a log made of it has a prefix.
+ESTIMATED = "timestamps estimated"
+
 #: Nanoseconds of a unit, by how it is printed.
 UNITS = {"s": SECOND, "sec": SECOND, "ms": 1_000_000, "us": 1_000, "µs": 1_000, "μs": 1_000, "ns": 1}
 
@@ -144,6 +147,11 @@ class Clock(StrEnum):
 def is_dated(t_ns: int) -> bool:
     """Say whether a time is of the epoch, and not since some beginning."""
     return _EPOCH_FROM < t_ns < _EPOCH_TO
+
+
+def is_estimated(time_source: str) -> bool:
+    """Say whether times were made up, since the capture has none."""
+    return time_source.removeprefix("log: ").startswith(ESTIMATED)
 
 
 class ShownTime:

@@ -17,9 +17,8 @@ from textual.widgets import Static
 
 from analyzer.values import printable
 from analyzer.view import tree
-from analyzer.view.braille import chart
 from analyzer.view.rows import Rows
-from analyzer.view.scale import round_ticks, time_ticks
+from analyzer.view.scale import SCALE_WIDTH, number_text, scaled, time_axis
 from analyzer.view.series import Point
 from analyzer.view.source import Plot, ViewSource
 from analyzer.view.watch import number_of
@@ -30,9 +29,6 @@ CHARTS = 4
 WINDOWS = (None, 600, 60, 10, 1, 0.1)
 SECOND = 1_000_000_000
 _COLOURS = ("cyan", "green", "yellow", "magenta")
-_SCALE_WIDTH = 8
-#: Columns that a time takes on the axis, with the room beside it.
-_TIME_ROOM = 9
 _PREFERRED = ("state.position", "state.speed")
 
 
@@ -194,7 +190,7 @@ class PlotPanel(Horizontal):
 
     def on_click(self, event: events.Click) -> None:
         """Read out the time that was clicked."""
-        column = event.screen_x - self._chart.region.x - _SCALE_WIDTH - 1
+        column = event.screen_x - self._chart.region.x - SCALE_WIDTH - 1
         if 0 <= column < self._columns:
             first, last = self.span()
             self._read_out(first + (last - first) * (2 * column + 1) // (2 * self._columns))
@@ -202,7 +198,7 @@ class PlotPanel(Horizontal):
     @property
     def _columns(self) -> int:
         """How wide the charts are, without their scales."""
-        return self._chart.size.width - _SCALE_WIDTH - 1
+        return self._chart.size.width - SCALE_WIDTH - 1
 
     # --- drawing --------------------------------------------------------------------------------------------------
 
@@ -248,8 +244,8 @@ class PlotPanel(Horizontal):
             return text
         unit = self.rows.units.get(name, "")
         # The label of the axis stands above it.
-        text.append(f"{unit[:_SCALE_WIDTH]:>{_SCALE_WIDTH}} ")
-        room = width - _SCALE_WIDTH - 1
+        text.append(f"{unit[:SCALE_WIDTH]:>{SCALE_WIDTH}} ")
+        room = width - SCALE_WIDTH - 1
         what, said = printable(_short(name)), self._said(points, span, unit)
         # Where room is short, the drive goes first, which the tree tells, and then the time.
         field = what.partition(" ")[2]
@@ -258,14 +254,9 @@ class PlotPanel(Horizontal):
             for each in (f"{what}  {said}", f"{field}  {said}", f"{field}  {said.partition(' at ')[0]}")
         ]
         text.append(next((t for t in titles if len(t) <= room), titles[-1][:room]) + "\n", f"bold {colour}")
-        values = [value for _, value in points]
-        rows = height - 1
-        ticks = round_ticks(min(values), max(values), max(2, (rows + 1) // 2))
-        drawn = chart(points, span, (ticks[0], ticks[-1]), (width - _SCALE_WIDTH - 1, rows))
-        labels = {round((rows - 1) * (ticks[-1] - t) / (ticks[-1] - ticks[0])): _number(t) for t in ticks}
         cursor = self._column(span)
-        for at, row in enumerate(drawn):
-            text.append(f"{labels.get(at, ''):>{_SCALE_WIDTH}}{'┤' if at in labels else '│'}")
+        for scale, row in scaled(points, span, room, height - 1):
+            text.append(scale)
             if cursor is None:
                 text.append(row + "\n", colour)
             else:
@@ -284,30 +275,20 @@ class PlotPanel(Horizontal):
         """Return what a series says at the cursor: the last value until then, and its time. Without a cursor the newest."""
         column = self._column(span)
         if column is None:
-            return f"last {_number(points[-1][1])} {unit}".rstrip()
+            return f"last {number_text(points[-1][1])} {unit}".rstrip()
         # A point in the column of the cursor is what one points at.
         end_ns = span[0] + (span[1] - span[0]) * (column + 1) // self._columns
         before = [point for point in points if point[0] <= end_ns]
         if not before:
             return "nothing yet at the cursor"
         t_ns, value = before[-1]
-        return f"{_number(value)} {unit}".rstrip() + f" at {self._source.times.text(t_ns)[:-3].strip()}"
+        return f"{number_text(value)} {unit}".rstrip() + f" at {self._source.times.text(t_ns)[:-3].strip()}"
 
     def _time_axis(self, span: tuple[int, int], width: int, done: bool) -> str:
         """Return the axis below the charts: round times, what they are, and how much time it is."""
-        inner = width - _SCALE_WIDTH - 1
-        line, labels = list("─" * inner), " " * inner
-        for t_ns, label in time_ticks(*span, self._source.times, max(2, inner // _TIME_ROOM)):
-            at = min(inner - 1, (t_ns - span[0]) * inner // max(1, span[1] - span[0]))
-            line[at] = "┬"
-            place = max(0, min(at - len(label) // 2, inner - len(label)))
-            if not labels[max(0, place - 1) : place + len(label) + 1].strip():
-                labels = labels[:place] + label + labels[place + len(label) :]
         zone = self._source.times.zone or "s"
         length = f"{(span[1] - span[0]) / SECOND:.4g} s"
-        left = zone if done else "looking"
-        line_text = "".join(line)
-        return f"{length[:_SCALE_WIDTH]:>{_SCALE_WIDTH}}└{line_text}\n{left:>{_SCALE_WIDTH}} {labels}"
+        return time_axis(span, width - SCALE_WIDTH - 1, self._source.times, zone if done else "looking", length)
 
 
 def _path(name: str) -> tree.Path:
@@ -328,8 +309,3 @@ def _order(name: str) -> tuple[str, tuple[int, str], int, str]:
     bus, who, kind = _path(name)
     rank = next((at for at, end in enumerate(("state", " reply", " request")) if kind.endswith(end)), 3)
     return bus, (number_of(who), who), rank, f"{kind}.{'~' * name.endswith('._latency')}{name}"
-
-
-def _number(value: float) -> str:
-    """Return a number in at most eight characters."""
-    return next(text for digits in (6, 4, 3, 2, 1) if len(text := f"{value:.{digits}g}") <= _SCALE_WIDTH or digits == 1)

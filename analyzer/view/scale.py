@@ -1,12 +1,18 @@
-"""Scales of a chart: round ticks of values and of times."""
+"""Charts with scales: round ticks of values to the left, of times below."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import ceil, floor, log10
 
 from analyzer.sources.times import ShownTime
+from analyzer.view.braille import chart
 
 SECOND = 1_000_000_000
+#: Columns of the scale to the left, without its line.
+SCALE_WIDTH = 8
+#: Columns that a time takes on the axis, with the room beside it.
+_TIME_ROOM = 9
 #: Steps of a time axis: decimal ones below ten seconds, those of a clock from there on.
 _STEPS_NS = (
     *(factor * 10**power for power in range(3, 10) for factor in (1, 2, 5)),
@@ -46,3 +52,29 @@ def time_ticks(first_ns: int, last_ns: int, times: ShownTime, most: int) -> list
 def _cut(text: str, digits: int) -> str:
     """Return a time with fewer digits behind the point; it is printed with six."""
     return (text[: len(text) - 6 + digits] if digits else text[:-7]).strip()
+
+
+def scaled(points: Sequence[tuple[int, float]], span: tuple[int, int], width: int, height: int) -> list[tuple[str, str]]:
+    """Return points (time, value) as rows of a chart, each behind its part of the scale: `width` and `height` of the chart."""
+    values = [value for _, value in points]
+    ticks = round_ticks(min(values), max(values), max(2, (height + 1) // 2))
+    drawn = chart(points, span, (ticks[0], ticks[-1]), (width, height))
+    labels = {round((height - 1) * (ticks[-1] - t) / (ticks[-1] - ticks[0])): number_text(t) for t in ticks}
+    return [(f"{labels.get(at, ''):>{SCALE_WIDTH}}{'┤' if at in labels else '│'}", row) for at, row in enumerate(drawn)]
+
+
+def time_axis(span: tuple[int, int], width: int, times: ShownTime, left: str, length: str) -> str:
+    """Return the two rows below a chart of `width`: round times; to the left how long it is, and a word."""
+    line, labels = list("─" * width), " " * width
+    for t_ns, label in time_ticks(*span, times, max(2, width // _TIME_ROOM)):
+        at = min(width - 1, (t_ns - span[0]) * width // max(1, span[1] - span[0]))
+        line[at] = "┬"
+        place = max(0, min(at - len(label) // 2, width - len(label)))
+        if not labels[max(0, place - 1) : place + len(label) + 1].strip():
+            labels = labels[:place] + label + labels[place + len(label) :]
+    return f"{length[:SCALE_WIDTH]:>{SCALE_WIDTH}}└{''.join(line)}\n{left:>{SCALE_WIDTH}} {labels}"
+
+
+def number_text(value: float) -> str:
+    """Return a number in at most eight characters."""
+    return next(text for digits in (6, 4, 3, 2, 1) if len(text := f"{value:.{digits}g}") <= SCALE_WIDTH or digits == 1)

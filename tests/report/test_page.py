@@ -163,6 +163,37 @@ def test_text_from_the_wire_is_text(tmp_path):
     assert scripts == len(re.findall("</script>", page))
 
 
+#: A reader who uses the buttons, drags across the last plot, pulls it with Shift, and clicks twice to see all of it.
+READER = """
+const told = document.querySelector("output"), over = [...document.querySelectorAll(".u-over")].at(-1);
+const press = what => document.querySelector(`[data-do=${what}]`).click();
+const mouse = (kind, share, more = {}) => {
+  const box = over.getBoundingClientRect();
+  const at = { clientX: box.left + share * box.width, clientY: box.top + 20, movementX: 9, bubbles: true, ...more };
+  (kind === "mouseup" ? document : over).dispatchEvent(new MouseEvent(kind, at));
+};
+const rest = () => new Promise(done => setTimeout(done, 50));
+const drag = async (from, to, more) => {
+  for (const [kind, share] of [["mousemove", from], ["mousedown", from], ["mousemove", to], ["mouseup", to]]) {
+    mouse(kind, share, more);
+    await rest();
+  }
+};
+over.scrollIntoView();
+await rest();
+["in", "in", "on"].forEach(press);
+document.body.dataset.buttons = told.textContent;
+press("all");
+await rest();
+await drag(0.25, 0.75, {});
+document.body.dataset.dragged = told.textContent;
+await drag(0.6, 0.5, { shiftKey: true });
+document.body.dataset.pulled = told.textContent;
+mouse("dblclick", 0.5);
+document.body.dataset.all = told.textContent;
+"""
+
+
 @needs_chromium
 @pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_a_browser_draws_it_without_complaint(tmp_path, scheme):
@@ -172,16 +203,16 @@ def test_a_browser_draws_it_without_complaint(tmp_path, scheme):
     more += [("/b/stats", 10_000_000_000, {"frames": 7})]
     write_log(tmp_path / "x.mcap", sorted([*ramp, *more], key=lambda each: each[1]))
     made(tmp_path / "x.mcap", page)
-    # As a reader who zooms twice, and pans once.
-    clicks = "for (const what of ['in', 'in', 'on']) document.querySelector(`[data-do=${what}]`).click();"
-    checks = (
-        f"setTimeout(() => {{ {clicks} document.body.dataset.zoomed = document.querySelector('output').textContent; }}, 500)"
-    )
-    page.write_text(page.read_text().replace("</body>", f"<script>{checks}</script></body>"))
+    page.write_text(page.read_text().replace("</body>", f"<script>setTimeout(async () => {{ {READER} }}, 300)</script></body>"))
     shot = tmp_path / "x.png"
     dom = chromium(page, tmp_path / "home", "--window-size=1000,1400", "--dump-dom", scheme=scheme)
     assert dom.count("<canvas") == 2
-    assert re.search(r'data-zoomed="09:00:09\.\d+ to 09:00:14\.\d+"', dom)
+    seen = dict(re.findall(r'data-(\w+)="09:00:(\d\d\.\d)\d* to 09:00:\d\d\.\d+"', dom))
+    # 20 s are shown: a quarter of them in the middle, one step on; from 25 % to 75 %; then pulled to the left by 10 %.
+    assert {name: float(value) for name, value in seen.items()} == pytest.approx(
+        {"buttons": 9.5, "dragged": 5.0, "pulled": 6.0}, abs=0.15
+    )
+    assert 'data-all=""' in dom
     chromium(page, tmp_path / "home", "--window-size=1000,1400", f"--screenshot={shot}", scheme=scheme)
     seen = np.round(matplotlib.image.imread(shot)[..., :3] * 255).astype(int)
     ground, line = {"light": ((255, 255, 255), (0x0A, 0x7F, 0x7F)), "dark": ((13, 17, 23), (0x39, 0xC5, 0xBB))}[scheme]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer.cli import main
-from analyzer.report.traffic import Traffic, extremes
+from analyzer.report.traffic import Marks, Traffic, extremes
 from analyzer.sources import open_source
 from tests.test_readme import ROOT
 
@@ -21,6 +21,20 @@ def test_thinning_keeps_the_ends_and_every_peak(values, most):
     assert {0, len(values) - 1} <= set(kept.tolist())
     assert column[kept].min() == column.min()
     assert column[kept].max() == column.max()
+
+
+@given(st.lists(st.integers(1, 40), max_size=30), st.integers(2, 50))
+def test_of_many_marks_each_so_many_th_is_kept(batches, most):
+    marks, at = Marks("motion", "run_speed"), 0
+    for size in batches:
+        times = list(range(at, at + size))
+        marks.add(times, times, [str(t) for t in times], most)
+        at += size
+    assert marks.count == at
+    assert len(marks.t_ns) <= most
+    step = marks.t_ns[1] if len(marks.t_ns) > 1 else max(at, 1)
+    assert marks.t_ns == list(range(0, at, step))
+    assert [marks.text(n) for n in range(len(marks.t_ns))] == [str(t) for t in marks.t_ns]
 
 
 def traffic_of(capture, folder):
@@ -42,7 +56,7 @@ def test_a_log_gives_values_latencies_marks_and_findings(tmp_path):
         "move_relative_axis": "motion", "emergency_stop": "stop", "! out_of_range": "error", "! failed_status": "error",
         "! bad_checksum": "error",
     }  # fmt: skip
-    assert drive.marks["run_speed"].texts == ["direction=ccw speed=320 rpm acceleration=2"]
+    assert drive.marks["run_speed"].text(0) == "direction=ccw speed=320 rpm acceleration=2"
     # The last reply to a move tells how long the move took, not the drive's latency.
     assert traffic.talks["serial", "move_relative_pulses"].latencies.greatest == 3_000_000
     (found,) = traffic.breaches["out_of_range"].first

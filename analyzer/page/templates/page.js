@@ -123,6 +123,9 @@ const tellMarks = (marks, place, axis) => plot => {
   place.textContent = best ? `${axis.value(best[2])}  ${best[0].label} ${best[0].texts[best[1]]}` : "";
 };
 
+// Round steps of a clock, in seconds.
+const STEPS = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200,
+  10800, 21600, 43200, 86400, 172800, 604800, 2592000];
 const FROM_ZERO = (_, low, high) => [0, uPlot.rangeNum(0, high || 1, 0.1, true)[1]];
 const plots = [];
 const width = place => Math.max(200, Math.min(place.classList.contains("long") ? 1400 : 900, place.clientWidth || 900));
@@ -148,7 +151,7 @@ const draw = place => {
     value: (_, each) => value(about.yUnit)(_, each),
   }));
   const below = { ...axis(about.x, about.xUnit), size: 46 };
-  if (about.axis === "clock") Object.assign(below, { label: undefined, values: ticks, size: 26, space: (_, n, low, high) => high - low < 20 ? 110 : 70 });
+  if (about.axis === "clock") Object.assign(below, { label: undefined, values: ticks, size: 26, incrs: STEPS, space: (_, n, low, high) => high - low < 5 ? 100 : 72 });
   else if (long) Object.assign(below, { size: 26, label: undefined });
   if (shape.tick) below.values = (_, splits) => splits.map(shape.tick);
   if (about.axis === "log") below.values = (_, splits) => splits.map(each => Number.isInteger(+Math.log10(each).toFixed(6)) ? (each < 1000 ? `${+each.toPrecision(3)} ms` : `${each / 1000} s`) : "");
@@ -164,7 +167,8 @@ const draw = place => {
     options.cursor = { sync: { key: about.group }, drag: { x: true, y: false, setScale: false } };
     options.hooks.setSelect = [plot => {
       const { left, width } = plot.select;
-      if (width > 2) show(all, plot.posToVal(left, "x"), plot.posToVal(left + width, "x"));
+      // The others of the group are told of it, too.
+      if (width > 2 && all.pulled === plot) show(all, plot.posToVal(left, "x"), plot.posToVal(left + width, "x"));
       plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
     }];
     options.cursor.bind = { dblclick: () => () => { show(all, ...all.whole); return null; } };
@@ -188,6 +192,7 @@ const draw = place => {
   }, { passive: false });
   // With Shift a plot is pulled along instead of a stretch being chosen.
   over.addEventListener("mousedown", event => {
+    all.pulled = plot;
     if (!event.shiftKey) return;
     event.stopImmediatePropagation();
     let from = event.clientX;

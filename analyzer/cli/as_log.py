@@ -1,0 +1,88 @@
+"""A capture as a log, whatever it is: a log as it is, anything else decoded into one that is gone afterwards."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+from analyzer.catalogue import Dialect
+from analyzer.cli.decode import cores, decode
+from analyzer.cli.decode_targets import Capture
+from analyzer.cli.reading import progress
+from analyzer.cli.time_range import TimeRange
+from analyzer.diagnosis.watch import Watch
+from analyzer.sources import Source, open_source
+from analyzer.sources.times import ShownTime
+
+#: What asks for another decoding than the one that a log holds.
+_DECODING = ("model", "baud", "group", "ids", "late")
+#: Topics of decoded traffic, and how many records are looked through for the first one.
+_DECODED = re.compile(r"/[^/]*/([^/]*/[^/]*/(request|reply)|unknown|foreign|junk)")
+_LOOKED = 20_000
+
+
+@dataclass
+class AsLog:
+    """A log to read: its source, and the time range that is wanted of it.
+
+    `name`: of the capture; `watch`: what its decoding kept for a diagnosis, None where nothing was decoded.
+    """
+
+    source: Source
+    name: str
+    shown: ShownTime
+    since_ns: int = -(1 << 63)
+    until_ns: int = 1 << 63
+    watch: Watch | None = None
+    dialects: tuple[Dialect, ...] = ()
+    notes: list[str] = field(default_factory=list)
+
+
+@contextmanager
+def as_log(path: str, arguments: argparse.Namespace) -> Iterator[AsLog]:
+    """Open a capture as a log. Raises UnreadableError, and UsageError for options that do not fit it."""
+    if (
+        path != "-"
+        and arguments.dialect == "auto"
+        and not any(getattr(arguments, name) for name in _DECODING)
+        and _is_decoded(path)
+    ):
+        with open_source(path) as source:
+            wanted = TimeRange(source, arguments.since, arguments.until, utc=arguments.utc)
+            with progress(source, f"reading {source.name}"):
+                yield AsLog(source, source.name, wanted.shown, wanted.since_ns, wanted.until_ns)
+        return
+    with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
+        target = Path(folder) / "capture.mcap"
+        given = argparse.Namespace(**vars(arguments) | {"to": "mcap", "jobs": cores(), "force": True})
+        done = decode(
+            Capture(path, target),
+            given,
+            lambda reading, frames: progress(reading.source, f"decoding {reading.source.name}", frames),
+        )
+        if done.stopped.startswith("stopped"):
+            raise KeyboardInterrupt
+        reading = done.reading
+        notes = [*reading.source.notes, *([done.stopped] if done.stopped else [])]
+        with open_source(target) as source:
+            shown = reading.time_range.shown
+            yield AsLog(source, reading.source.name, shown, watch=done.watch, dialects=tuple(reading.dialects), notes=notes)
+
+
+def _is_decoded(path: str) -> bool:
+    """Say whether a capture is a log that holds more than what was received."""
+    with open_source(path) as source:
+        if source.kind != "log":
+            return False
+        from mcap.records import Channel
+
+        from analyzer.sources.mcap_records import records
+
+        found = (record for record in islice(records(source), _LOOKED) if isinstance(record, Channel))
+        return any(_DECODED.fullmatch(channel.topic) for channel in found)
