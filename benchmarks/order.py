@@ -4,7 +4,8 @@
 
 First the seconds of each claim, and of each motion that several claims judge, by the rules of a real drive, on an ideal one.
 Then, again and again, the claim that adds most for a second: known faults that no claim before it refutes, commands and aspects
-that no claim before it looks at. `--known`: which claims refute which fault, a line each as in
+that no claim before it looks at. Claims that judge the same recordings are weighed together. A short run leaves out a claim
+whose faults those after it refute, too. `--known`: which claims refute which fault, a line each as in
 `tests/conformance/golden/faults.jsonl` (the default); may be given again, and what the files say of a fault is put together.
 """
 
@@ -13,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Hashable, Iterable, Mapping
 from pathlib import Path
 from statistics import median
@@ -116,35 +117,108 @@ def measured(target: Target) -> tuple[Cost, Cost, dict[str, Measured]]:
 
 def greedy(costs: Mapping[str, Measured], refuted_by: Mapping[str, set[str]], before: float = 0.0) -> list[str]:
     """Return claims in the order of what they add for a second, of a run whose first one begins after so many seconds."""
-    catches: dict[str, set[str]] = defaultdict(set)
+    news: dict[str, set[Hashable]] = {name: set(each.claim.covers) for name, each in sorted(costs.items())}
     for fault, claims in refuted_by.items():
-        for claim in claims:
-            catches[claim].add(fault)
-    new = {name: (catches[name], set(each.claim.covers)) for name, each in sorted(costs.items())}
-    found: list[str] = []
-    recorded: set[Hashable] = set()
-
-    def price(name: str) -> float:
-        return costs[name].rest + sum(seconds for key, seconds in costs[name].parts.items() if key not in recorded)
-
-    passed = before
-    while new and passed < _LIST_SECONDS:
-        # A short run leaves out what would take much of it.
-        short = passed < order.SHORT_SECONDS
-        worth = {
-            name: (len(faults) + _NEW_PAIR * len(pairs)) / (price(name) + _LEAST)
-            for name, (faults, pairs) in new.items()
-            if not short or price(name) <= order.LONGEST * (order.SHORT_SECONDS - before)
-        }
-        best = max(worth, key=lambda name: worth[name], default="")
-        if not best or not worth[best]:
+        for claim in claims & news.keys():
+            news[claim].add(fault)
+    found = _Found(costs, news, before)
+    while found.passed < _LIST_SECONDS:
+        names, rate = found.best()
+        if not names:
             break
-        found.append(best)
-        passed += price(best)
-        recorded.update(costs[best].parts)
-        faults, pairs = new.pop(best)
-        new = {n: (own - faults, looks - pairs) for n, (own, looks) in new.items()}
-    return found
+        for name in names:
+            found.add(name)
+        if found.short:
+            found.leave_out(rate)
+    return found.names
+
+
+def _worth(news: Iterable[Hashable]) -> float:
+    """Return what is worth finding, in faults: news are faults by name, and pairs of a command and an aspect."""
+    return sum(1.0 if isinstance(new, str) else _NEW_PAIR for new in news)
+
+
+class _Found:
+    """Claims that are chosen, in order, and what they find. `passed`: the seconds until the last one has ended."""
+
+    def __init__(self, costs: Mapping[str, Measured], news: Mapping[str, set[Hashable]], before: float) -> None:
+        self.names: list[str] = []
+        self.passed = before
+        self._costs, self._news = costs, news
+        self._seconds = {key: seconds for each in costs.values() for key, seconds in each.parts.items()}
+        self._longest = order.LONGEST * (order.SHORT_SECONDS - before)
+        self._waiting = {name: set(own) for name, own in news.items()}
+        self._finders: Counter[Hashable] = Counter()
+        self._users: Counter[Hashable] = Counter()
+        self._left_out: set[str] = set()
+
+    @property
+    def short(self) -> bool:
+        """Whether a short run is not full yet."""
+        return self.passed < order.SHORT_SECONDS
+
+    def best(self) -> tuple[list[str], float]:
+        """Return the claims that add most for a second, and how much: one, or several that judge the same recordings.
+
+        A short run leaves out what would take much of it.
+        """
+        useful = {name: new for name, new in self._waiting.items() if new}
+        best: tuple[list[str], float] = [], 0.0
+        for parts in {frozenset(self._costs[name].parts): None for name in useful}:
+            seconds = self._recording(parts)
+            if not self.short or seconds <= self._longest:
+                behind = {name: new for name, new in useful.items() if self._judges(name, parts)}
+                best = max(best, self._together(behind, seconds), key=lambda found: found[1])
+        return best
+
+    def _judges(self, name: str, parts: frozenset[Hashable]) -> bool:
+        own = self._costs[name].parts
+        return parts.issuperset(own) and bool(own) == bool(parts)
+
+    def _recording(self, parts: Iterable[Hashable]) -> float:
+        return sum(self._seconds[key] for key in parts if not self._users[key])
+
+    def _together(self, behind: Mapping[str, set[Hashable]], seconds: float) -> tuple[list[str], float]:
+        """Return those of some claims that raise what is found for a second, and that, with the seconds of the recordings."""
+        names: list[str] = []
+        found: set[Hashable] = set()
+        highest = 0.0
+        left = dict(behind)
+        while left:
+            name = max(left, key=lambda name: _worth(left[name] - found) / (self._costs[name].rest + _LEAST))
+            seconds += self._costs[name].rest + _LEAST
+            rate = _worth(found | left[name]) / seconds
+            if rate <= highest or (self.short and self._costs[name].rest > self._longest):
+                break
+            highest = rate
+            names.append(name)
+            found |= left.pop(name)
+        return names, highest
+
+    def add(self, name: str) -> None:
+        """Choose a claim as the next."""
+        cost, own = self._costs[name], self._news[name]
+        self.names.append(name)
+        self.passed += cost.rest + self._recording(cost.parts)
+        self._users.update(cost.parts)
+        self._finders.update(own)
+        del self._waiting[name]
+        for new in self._waiting.values():
+            new -= own
+
+    def leave_out(self, rate: float) -> None:
+        """Let claims wait that find no fault alone any more, and less for a second than what was chosen last; each once."""
+        for name in [name for name in self.names if name not in self._left_out]:
+            cost = self._costs[name]
+            alone = {new for new in self._news[name] if self._finders[new] == 1}
+            freed = cost.rest + sum(self._seconds[key] for key in cost.parts if self._users[key] == 1)
+            if not any(isinstance(new, str) for new in alone) and _worth(alone) / (freed + _LEAST) < rate:
+                self.names.remove(name)
+                self._left_out.add(name)
+                self.passed -= freed
+                self._users.subtract(cost.parts)
+                self._finders.subtract(self._news[name])
+                self._waiting[name] = alone
 
 
 def make(target: Target, known: Iterable[Mapping[str, object]]) -> dict[str, Cost]:

@@ -5,7 +5,7 @@
 
     subdivision x motion        both ways by turns; moves by pulses at all subdivisions
 
-What a row shows is kept once, and judged by the claims about its subdivision and about its motion.
+What a subdivision shows is kept once, and judged by the claims about it and about each motion.
 
 Rules kept here:
 - A turn has 200 pulses for each subdivision; what counts by the encoder goes as far at each.
@@ -84,27 +84,27 @@ def _sent(dialect: Dialect, subdivision: int) -> int | None:
     return sent if found[1].allows(sent) else None
 
 
-def _table(dialect: Dialect) -> Iterator[tuple[int, Command, int]]:
-    """Yield each subdivision with the motions that are tried at it, and their ways."""
+def _table(dialect: Dialect) -> dict[int, list[tuple[Command, int]]]:
+    """Return the motions that are tried at each subdivision, and their ways."""
     every = motions_of(dialect)
     by_pulses = [c for c in every if c.verb is Verb.MOVE_RELATIVE_PULSES]
     others = [c for c in every if c not in by_pulses]
+    found = {}
     for number, subdivision in enumerate((*_TRIED, *_ALSO, *_OTHERS)):
         tried = every if subdivision not in _OTHERS else (*by_pulses, others[number % len(others)])
-        for place, command in enumerate(tried) if _sent(dialect, subdivision) is not None else ():
-            yield subdivision, command, -1 if (number + place) % 2 else 1
+        if _sent(dialect, subdivision) is not None:
+            found[subdivision] = [(command, -1 if (number + place) % 2 else 1) for place, command in enumerate(tried)]
+    return found
 
 
-def turned(probe: Probe) -> tuple[Tried, ...]:
-    """Carry out all motions and return what was seen."""
+def turned(probe: Probe, subdivision: int) -> tuple[Tried, ...]:
+    """Carry out the motions of a subdivision and return what was seen. Raises Refused where the gate lets none through."""
     found: list[Tried] = []
-    ready, rest = 0, motion.stand_still(probe)
+    motion.ready_to_move(probe, subdivision=_sent(probe.dialect, subdivision))
+    rest = motion.wait_standing(probe)
     refused: Refused | None = None
-    for subdivision, command, way in _table(probe.dialect):
+    for command, way in _table(probe.dialect)[subdivision]:
         try:
-            if ready != subdivision:
-                motion.ready_to_move(probe, subdivision=_sent(probe.dialect, subdivision))
-                ready, rest = subdivision, motion.wait_standing(probe)
             found.append(_try(probe, subdivision, command, way, rest))
             rest = found[-1].end
         except Refused as error:
@@ -177,7 +177,7 @@ def _expect(probe: Probe, tried: Tried, text: str, *, speed: bool = True, way: b
 
 
 def _of(probe: Probe, subdivision: int, *verbs: Verb) -> list[Tried]:
-    found = [t for t in probe.recorded(turned) if t.subdivision == subdivision and (t.command.verb in verbs or not verbs)]
+    found = [tried for tried in probe.recorded(turned, subdivision) if tried.command.verb in verbs or not verbs]
     if not found:
         raise Inconclusive(f"no motion could be tried at {subdivision} subdivisions")
     return found
@@ -230,9 +230,9 @@ _of_subdivision = partial(of_motion, each=_subdivisions, parameters=lambda case:
 
 @_of_subdivision(name="{command}/speed-at-{subdivision}", refuted_by="another speed of the shaft", at_best=Certainty.LIKELY)
 def _speed(probe: Probe, subdivision: int) -> None:
-    """At {subdivision} subdivisions a run at speed {speed} turns the shaft at {rpm:g} rpm."""
-    for tried in _of(probe, subdivision, Verb.RUN_SPEED):
-        _expect(probe, tried, "the speed of the shaft does not follow the subdivision as the manual says")
+    """At {subdivision} subdivisions speed {speed} turns the shaft at {rpm:g} rpm, in a run and in a move."""
+    for tried in _of(probe, subdivision):
+        _expect(probe, tried, "the speed of the shaft does not follow the subdivision as the manual says", way=False)
 
 
 @_of_subdivision(name="{command}/pulses-at-{subdivision}", refuted_by="a move by pulses of another length")
@@ -252,9 +252,9 @@ def _pulses_at_others(probe: Probe, others: list[int]) -> None:
 @of_motion(each=_motions, refuted_by="another length, another way, or another speed")
 def _at_each_subdivision(probe: Probe, command: Command) -> None:
     """At each subdivision {command} goes as far as asked and as fast as the law of subdivisions says."""
-    for tried in probe.recorded(turned):
-        if tried.command.name == command.name:
-            _expect(probe, tried, f"{command.name} goes elsewhere or at another speed at {tried.subdivision} subdivisions")
+    for subdivision, motions in _table(probe.dialect).items():
+        for tried in _of(probe, subdivision, command.verb) if command in (c for c, _ in motions) else ():
+            _expect(probe, tried, f"{command.name} goes elsewhere or at another speed at {subdivision} subdivisions")
 
 
 def _lowest(dialect: Dialect) -> Iterator[Case]:

@@ -11,6 +11,7 @@ full run tries every claim and reports all refutations.
 from __future__ import annotations
 
 import multiprocessing
+import re
 import sys
 import time
 from collections import Counter
@@ -25,7 +26,7 @@ from analyzer.catalogue import Dialect
 from conformance.claim import Claim, Outcome
 from conformance.drives import make
 from conformance.drives.drive import Fault
-from conformance.suite import engine
+from conformance.suite import engine, order
 from conformance.suite import plan as suite
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.suite.target import EMULATED, Target, parse, telling_models
@@ -119,14 +120,19 @@ def with_fault(target: Target, fault: Fault) -> make.Specification:
 
 
 def _likely_first(claims: Iterable[Claim], fault: Fault) -> list[Claim]:
-    """Return claims with those first whose words are those of the fault; those alike by id."""
+    """Return claims with those first whose words are those of the fault; of those alike one of each kind, by id, then a second.
+
+    Claims of one kind often see the same: without turns they would crowd out the others.
+    """
     words = set(fault.name.replace("-", " ").split()) | set(fault.text.lower().split()) | set(fault.breaks.lower().split())
-
-    def distance(claim: Claim) -> int:
-        own = set(claim.id.replace("/", " ").replace("_", " ").replace("-", " ").split())
-        return -len(own & words)
-
-    return sorted(claims, key=lambda claim: (distance(claim), claim.id))
+    met: Counter[tuple[int, str]] = Counter()
+    keys: dict[str, tuple[int, int, str]] = {}
+    for claim in sorted(claims, key=lambda claim: claim.id):
+        alike = len(words.intersection(re.split("[ /_-]", claim.id)))
+        kind = (alike, order.kind(claim))
+        met[kind] += 1
+        keys[claim.id] = (-alike, met[kind], claim.id)
+    return sorted(claims, key=lambda claim: keys[claim.id])
 
 
 # --- the command ------------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from itertools import pairwise
 import pytest
 
 from analyzer.catalogue import Risk
+from benchmarks.order import Measured, greedy
 from conformance.claim import Claim, Theme
 from conformance.cli.test import time_left
 from conformance.gate.permissions import Allowance
@@ -123,3 +124,22 @@ def test_a_run_plans_no_time_for_claims_that_cannot_run() -> None:
     planned = Plan((_TARGETS[0],)).seconds(_TARGETS[0])
     assert planned["mks-rs485/motion/run_speed/speed-60"] == 0
     assert sum(planned.values()) > 0
+
+
+def _measured(name: str, rest: float, **parts: float) -> Measured:
+    return Measured(
+        Claim(f"x/shape/{name}", Theme.SHAPE, "x", "x", "", "y", lambda probe: None), order.Cost(rest, 0), rest, parts, ()
+    )
+
+
+def test_claims_that_judge_one_recording_are_weighed_together() -> None:
+    shared = {f"judge-{n}": _measured(f"judge-{n}", 0.0, motion=10.0) for n in range(5)}
+    costs = {**shared, "alone": _measured("alone", 4.0), "late": _measured("late", 9.0)}
+    refuted_by = {**{f"fault-{name}": {name} for name in costs}, "again": {"judge-0"}}
+    assert greedy(costs, refuted_by) == [*shared, "alone", "late"]
+
+
+def test_a_claim_whose_faults_others_refute_too_is_left_out() -> None:
+    costs = {"first": _measured("first", 1.0), "one": _measured("one", 1.2), "two": _measured("two", 1.2)}
+    refuted_by = {"a": {"first", "one"}, "b": {"first", "two"}, "c": {"one"}, "d": {"two"}, "e": {"first", "one"}}
+    assert greedy(costs, refuted_by) == ["one", "two"]

@@ -29,7 +29,16 @@ def test_a_claim_that_says_the_right_thing_refutes():
     target = parse("mks-rs485@1,model=42D")
     fault = next(f for f in mutants.faults_of(target.dialect) if f.name == "checksum-wrong")
     (mutant,) = mutants.mutants([target], only=[fault.name])
-    assert "checksum" in mutant.refuted[0][0]
+    assert "checksum" in " ".join(mutant.refuted[0])
+
+
+def test_one_claim_of_each_kind_is_tried_before_a_second():
+    target = parse("mks-rs485@1,model=42D")
+    fault = replace(mutants.faults_of(target.dialect)[0], name="reserved", text="", breaks="")
+    ids = ["shape/enable/reserved", "shape/read_io/reserved", "shape/reply/reserved", "shape/read_io/length"]
+    named = {claim.id.split("/", 1)[1]: claim for claim in plan.every_claim(target)}
+    found = mutants._likely_first([replace(named["shape/read_io/length"], id=f"mks-rs485/{name}") for name in ids], fault)
+    assert [claim.id.split("/", 1)[1] for claim in found] == [ids[0], ids[2], ids[1], ids[3]]
 
 
 def test_a_fault_that_nothing_can_see_survives(monkeypatch):
