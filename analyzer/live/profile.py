@@ -171,8 +171,14 @@ def names() -> list[str]:
 
 def paths() -> list[Path]:
     """Return the profiles that there are: the nearest one of this folder and those above, then the user's."""
-    here = Path.cwd()
-    found = next((folder / FILE for folder in (here, *here.parents) if _is_there(folder / FILE)), None)
+    try:
+        here = Path.cwd()
+    except FileNotFoundError:
+        # It was removed, and so was what stood in it.
+        folders: tuple[Path, ...] = ()
+    else:
+        folders = (here, *here.parents)
+    found = next((folder / FILE for folder in folders if _is_there(folder / FILE)), None)
     own = user_folder() / FILE
     return [*([found] if found is not None else []), *([own] if own != found and _is_there(own) else [])]
 

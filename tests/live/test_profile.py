@@ -85,6 +85,15 @@ def test_a_drive_may_have_a_port_of_its_own(bench):
     assert named.drives[0].target == "mks-can@0x12"
 
 
+def test_in_a_folder_that_was_removed_the_user_s_profile_counts(bench):
+    (bench / "home/servotap").mkdir(parents=True)
+    (bench / "home/servotap/servotap.toml").write_text(ARM)
+    (bench / "gone").mkdir()
+    os.chdir(bench / "gone")
+    (bench / "gone").rmdir()
+    assert profile.names() == ["arm"]
+
+
 @pytest.mark.parametrize("text", ["serial:/dev/ttyUSB0", "mks-rs485@1", "mks-rs485", "emulated", "all", "x=tcp:a:1", "-"])
 def test_what_is_no_name_is_not_looked_up(folder, text):
     (folder / "servotap.toml").write_text("this is no TOML")
