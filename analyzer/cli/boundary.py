@@ -29,6 +29,8 @@ from analyzer.values import escaped, printable
 
 #: Exit status of a fault of servotap, as `EX_SOFTWARE` of sysexits.h.
 FAULT = 70
+#: Exit status of a command whose reader has gone, as a shell tells SIGPIPE: what it would have judged is not known.
+READER_GONE = 141
 #: Environment variables: shows the traceback of a fault; the folder for the files about faults, else that of temporary files.
 TRACEBACK, FOLDER = "SERVOTAP_TRACEBACK", "SERVOTAP_FAULTS"
 _COLOUR = re.compile(r"(\x1b\[(?:[0-2]|3[1-6])m)")
@@ -213,6 +215,7 @@ def bounded(command: Callable[[list[str]], int], words: list[str]) -> int:
 
 
 def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faults) -> int:
+    status = 0
     try:
         status = command(words)
         sys.stdout.flush()
@@ -220,7 +223,7 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
     except BrokenPipeError:
         # The reader of our output has gone (`| head`): leave without a word.
         _drop_output()
-        return 0
+        return status or READER_GONE
     except KeyboardInterrupt:
         print("servotap: interrupted; nothing more was written", file=sys.stderr)
         return 130
@@ -232,7 +235,7 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
             except OSError:
                 _drop_output()
             print(f"servotap: {refused}", file=sys.stderr)
-            return 2
+            return max(status, 2)
         faults.add(error)
         return FAULT
 
@@ -250,6 +253,8 @@ def _refused(error: Exception) -> str:
         return str(error) if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop") else ""
     if error.errno in _SHORT:
         return f"the system has no more for this process: {error.strerror}"
+    if error.errno == errno.ENOENT and error.filename is None:
+        return "the current folder has been removed: change into one that exists"
     if error.filename is not None:
         return f"{os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename}: {error.strerror}"
     return f"cannot write the output: {error.strerror}" if error.errno in _UNWRITTEN else ""

@@ -58,16 +58,20 @@ def run(arguments: argparse.Namespace) -> int:
     if not place:
         raise UnreadableError(f"{path} does not say where the drive was: give --on ENDPOINT")
     addresses = frozenset(change.address for change in changes)
+    found: list[str] = []
     # Reads by this gate; what is put back, and nothing else, passes another one.
     with gate_to(profile.endpoint(place), Allowance(addresses=addresses)) as gate:
         try:
             # A drive that may answer elsewhere is brought back first, for it has to be stopped there.
             restore(path, gate, link_only=True)
             for address, dialect in {change.address: dialect_of(change) for change in changes}.items():
-                _stand(gate, dialect, address, arguments.cut_power)
+                found.append(_stand(gate, dialect, address, arguments.cut_power))
             failure = restore(path, gate)
         except LineLost as error:
             failure = str(error)
+    # After all drives: one that turns is stopped, and settings are put back, also where nothing can be printed.
+    for told in found:
+        print(told)
     if failure:
         left = len(journal.open_changes(journal.read(path)))
         print(f"servotap restore: {left} of {len(changes)} not put back: {failure}", file=sys.stderr)
@@ -76,13 +80,11 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _stand(gate: Gate, dialect: Dialect, address: int, power: str) -> None:
-    """Look at the shaft, stop it where it does not stand, and say what was found. Raises NotStopped."""
+def _stand(gate: Gate, dialect: Dialect, address: int, power: str) -> str:
+    """Look at the shaft, stop it where it does not stand, and return what was found. Raises NotStopped."""
     name = drive_name(dialect, address)
-    found = standing_failure(gate, dialect, address)
-    if not found:
-        print(f"{name}: the shaft stands")
-        return
-    print(f"{name}: the shaft is not seen standing ({found}): stopping it first")
+    failure = standing_failure(gate, dialect, address)
+    if not failure:
+        return f"{name}: the shaft stands"
     stop_or_cut(gate, dialect, address, power)
-    print(f"{name}: stopped, and it stands")
+    return f"{name}: the shaft was not seen standing ({failure}): stopped, and it stands"

@@ -76,7 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"{dialect.name} is a dialect of {dialect.bus}, and {endpoint.text} is a {endpoint.bus_kind} bus")
     endpoint = at_own_rate(endpoint, named[0][0]) if named else endpoint.at(rates[0]) if len(rates) > 1 else endpoint
     addresses = addresses_of(arguments.addresses, "--addresses", min(d.addresses[0] for d in dialects))
-    failures = []
+    stand: list[str] = []
+    failures: list[str] = []
     with as_interrupt(), gate_to(endpoint, Allowance()) as gate:
         drives = [_Drive(*each, gate.line.endpoint.bits_per_second) for each in named]
         try:
@@ -84,16 +85,26 @@ def run(arguments: argparse.Namespace) -> int:
                 _ask(gate, drive)
             if not alone:
                 drives += [each for each in _found(gate, dialects, addresses, rates) if each not in drives]
-            failures = [text for drive in drives if (text := _prove(gate, drive))]
+            for drive in drives:
+                told, stands = _prove(gate, drive)
+                (stand if stands else failures).append(told)
             if not drives:
                 failures.append(f"no drive answered on {arguments.endpoint}: name it if it does not answer reads")
         except ServotapError as error:
             failures.append(str(error))
         except KeyboardInterrupt:
             failures.append(f"{', '.join(drive.name for drive in drives) or arguments.endpoint}: interrupted")
+    power = ""
     if failures:
         with undisturbed():
-            raise NotStopped(f"NOT STOPPED: {'; '.join(failures)}; {stopping.cut_power(arguments.cut_power)}")
+            power = stopping.cut_power(arguments.cut_power)
+    try:
+        # After all drives: one that turns is stopped also where nothing can be printed.
+        for told in stand:
+            print(told)
+    finally:
+        if failures:
+            raise NotStopped(f"NOT STOPPED: {'; '.join(failures)}; {power}")
     return 0
 
 
@@ -120,16 +131,15 @@ def _ask(gate: Gate, drive: _Drive) -> None:
             print(f"{drive.name}: {refused}", file=sys.stderr)
 
 
-def _prove(gate: Gate, drive: _Drive) -> str:
-    """Prove that a drive stands, and stop it once more where it does not; return why there is no proof, or nothing."""
+def _prove(gate: Gate, drive: _Drive) -> tuple[str, bool]:
+    """Prove that a drive stands, and stop it once more where it does not; return what is found, and whether it stands."""
     if drive.rate != gate.line.endpoint.bits_per_second:
         gate.set_speed(drive.rate)
     way, failure = stopping.stop(gate.under(stopping.stopping(drive.address)), drive.dialect, drive.address)
     if failure:
-        return f"{drive.name}: {failure}"
+        return f"{drive.name}: {failure}", False
     try:
         place = motion.position(plain_probe(drive.dialect, drive.address, gate)).value
     except Inconclusive as error:
-        return f"{drive.name}: {error}"
-    print(f"{drive.name}: stands at {place:.2f} deg, after a stop {way}")
-    return ""
+        return f"{drive.name}: {error}", False
+    return f"{drive.name}: stands at {place:.2f} deg, after a stop {way}", True

@@ -16,9 +16,9 @@ from types import SimpleNamespace
 import pytest
 from rich.progress import Progress
 
-from analyzer.cli import COMMANDS, main
+from analyzer.cli import COMMANDS, boundary, main
 from analyzer.cli import show as show_module
-from analyzer.cli.boundary import FOLDER, _clean_streams, bounded
+from analyzer.cli.boundary import FOLDER, READER_GONE, _clean_streams, bounded
 from analyzer.cli.console import Console
 
 ROOT = Path(__file__).parents[2]
@@ -74,6 +74,45 @@ def test_the_option_stands_before_or_behind_the_command(words, faults, capsys, m
     monkeypatch.setattr(show_module, "run", fails(ZeroDivisionError()))
     assert main(words) == 70
     assert "ZeroDivisionError" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_current_folder_that_was_removed_is_told(faults, capsys, tmp_path, monkeypatch):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert main(["record", "left=tcp:127.0.0.1:1", "-o", "left.mcap"]) == 2
+    assert capsys.readouterr().err == "servotap: the current folder has been removed: change into one that exists\n"
+    assert faults() == []
+
+
+def prints(status):
+    def command(words):
+        print("x", end="")
+        return status
+
+    return command
+
+
+@pytest.mark.parametrize(
+    ("error", "command", "status"),
+    [
+        (BrokenPipeError(), fails(BrokenPipeError()), READER_GONE),
+        (BrokenPipeError(), prints(0), READER_GONE),
+        (BrokenPipeError(), prints(1), 1),
+        (BrokenPipeError(), prints(20), 20),
+        (OSError(errno.ENOSPC, "full"), prints(0), 2),
+        (OSError(errno.ENOSPC, "full"), prints(1), 2),
+        (OSError(errno.ENOSPC, "full"), prints(20), 20),
+    ],
+)
+def test_output_that_is_not_taken_makes_no_run_green(error, command, status, capfd, monkeypatch):
+    class Unread(io.StringIO):
+        def flush(self):
+            raise error
+
+    monkeypatch.setattr(sys, "stdout", Unread())
+    monkeypatch.setattr(boundary, "_drop_output", lambda: None)
+    assert bounded(command, ["test"]) == status
 
 
 def test_where_no_file_can_be_written_the_traceback_is_shown(tmp_path, monkeypatch, capsys):
@@ -193,7 +232,7 @@ def test_a_reader_that_leaves_is_no_fault(tmp_path):
     os.close(read)
     with open(write, "w") as out:
         done = subprocess.run([*SHELL, "catalogue", "--dialect", "mks-can"], stdout=out, stderr=subprocess.PIPE, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, done.stderr) == (READER_GONE, "")
 
 
 def test_standard_error_that_cannot_be_written_changes_nothing():

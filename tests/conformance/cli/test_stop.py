@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import signal
 
 import pytest
@@ -80,4 +81,20 @@ def test_a_stop_that_is_interrupted_says_that_the_drive_may_turn(number, port, c
     monkeypatch.setattr(stop, "_prove", lambda gate, drive: signal.raise_signal(number))
     assert run(port[0], "mks-rs485@2", "--cut-power", f"touch {tmp_path / 'cut'}") == 20
     assert "NOT STOPPED: mks-rs485@2: interrupted" in capsys.readouterr().err
+    assert (tmp_path / "cut").exists()
+
+
+class GoneReader(io.StringIO):
+    """The output of a program whose reader has gone."""
+
+    def write(self, text: str) -> int:
+        raise BrokenPipeError
+
+
+def test_a_drive_that_is_not_stopped_is_told_also_where_nothing_can_be_printed(port, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(stopping, "_RAMP_NS", 400_000_000)
+    monkeypatch.setattr(stopping, "_AT_ONCE_NS", 400_000_000)
+    monkeypatch.setattr("sys.stdout", GoneReader())
+    assert run(port[0], "mks-rs485@2", "mks-rs485@9", "--cut-power", f"touch {tmp_path / 'cut'}") == 20
+    assert "NOT STOPPED: mks-rs485@9" in capsys.readouterr().err
     assert (tmp_path / "cut").exists()
