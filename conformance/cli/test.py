@@ -31,7 +31,7 @@ from conformance.safety.signals import as_interrupt
 from conformance.suite import plan as suite
 from conformance.suite import target
 from conformance.suite.options import add_safety_arguments, add_verdict_arguments, plan_from
-from conformance.suite.record import RunRecord, VerdictRecord, too_inconclusive
+from conformance.suite.record import RunRecord, VerdictRecord, doubt_about
 
 if TYPE_CHECKING:
     from conformance.report.baseline import Deviation
@@ -212,11 +212,9 @@ def _status(records: Sequence[VerdictRecord], arguments: argparse.Namespace, tro
     found = [REFUTED] if any(r.refuted for r in records) and not arguments.baseline else []
     if trouble is not None:
         found.append(trouble.exit_status)
-    judged = (Outcome.CONFIRMED, Outcome.REFUTED, Outcome.OBSERVED)
-    doubt = too_inconclusive(records, arguments.max_inconclusive)
+    doubt = doubt_about(records, arguments.max_inconclusive)
     if doubt:
         print(f"servotap test: {doubt}", file=sys.stderr)
-    if doubt or not any(r.outcome in judged for r in records):
         found.append(RigFault.exit_status)
     return worst(*found, 0)
 

@@ -173,12 +173,14 @@ def most_inconclusive(text: str) -> float:
     return share if text.endswith("%") else -share
 
 
-def too_inconclusive(records: Iterable[VerdictRecord], most: float) -> str:
-    """Say that too many claims of those that ran are inconclusive; nothing where they are not.
+def doubt_about(records: Iterable[VerdictRecord], most: float) -> str:
+    """Say why a run proves little: no claim has a verdict, or too many are inconclusive; nothing where neither is so.
 
-    `most`: a share; below 0 a number of claims.
+    `most`: a share of the claims that ran; below 0 a number of claims.
     """
     ran = [r.outcome for r in records if r.outcome != Outcome.NOT_RUN]
     count = sum(outcome == Outcome.INCONCLUSIVE for outcome in ran)
+    if count == len(ran):
+        return f"no claim has a verdict: {count} inconclusive, all others did not run"
     limit = -most if most < 0 else most * len(ran)
     return f"{count} of {len(ran)} claims that ran are inconclusive (--max-inconclusive)" if count > limit else ""

@@ -9,12 +9,14 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import can
+import msgspec
 import pytest
 import serial
 
 import servotap
 from analyzer.records import CanFrame
-from conformance.pytest_plugin import fixtures, plugin
+from conformance.pytest_plugin import fixtures, plugin, reports
+from conformance.suite.record import VerdictRecord
 
 
 def test_a_program_opens_the_port_of_drives(servo_port):
@@ -192,3 +194,12 @@ def test_a_word_at_servo_on_names_a_drive_of_a_profile(drives, places, became):
     option = SimpleNamespace(servotap_drive=drives, servotap_on=places)
     plugin._names_as_drives(option)
     assert (option.servotap_drive, option.servotap_on) == became
+
+
+@pytest.mark.parametrize(("outcomes", "status"), [(["not run"], 10), (["inconclusive"], 10), (["confirmed", "not run"], 0)])
+def test_a_run_in_which_no_claim_has_a_verdict_is_no_success(outcomes, status):
+    config = SimpleNamespace(stash=pytest.Stash(), getoption=lambda name: "50%")
+    common = dict.fromkeys(("id", "target", "theme", "dialect", "statement", "section", "certainty", "refuted_by"), "")
+    records = [VerdictRecord(outcome=outcome, **common) for outcome in outcomes]
+    reports.judge(config, [msgspec.json.encode(record).decode() for record in records])
+    assert config.stash.get(plugin.STATUS, 0) == status

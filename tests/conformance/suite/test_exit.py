@@ -7,7 +7,7 @@ from mcap.writer import Writer
 
 from benchmarks.gate import READS, sound
 from conformance.claim import NotStopped, Outcome, RigFault, Verdict, worst
-from conformance.suite.record import most_inconclusive, too_inconclusive
+from conformance.suite.record import doubt_about, most_inconclusive
 from tests.conformance.drives.served import on_logged_pty, on_pty
 from tests.conformance.suite.test_suite import main
 
@@ -27,12 +27,20 @@ class Record:
 
 
 @pytest.mark.parametrize(
-    ("most", "inconclusive", "confirmed", "not_run", "too_many"),
-    [("10%", 1, 9, 0, False), ("10%", 2, 9, 90, True), ("3", 3, 0, 0, False), ("3", 4, 100, 0, True), ("100%", 5, 0, 0, False)],
+    ("most", "inconclusive", "confirmed", "not_run", "told"),
+    [
+        ("10%", 1, 9, 0, ""),
+        ("10%", 2, 9, 90, "2 of 11 claims"),
+        ("3", 3, 1, 0, ""),
+        ("3", 4, 100, 0, "4 of 104 claims"),
+        ("100%", 5, 1, 0, ""),
+        ("100%", 5, 0, 0, "no claim has a verdict"),
+        ("10%", 0, 0, 413, "no claim has a verdict"),
+    ],
 )
-def test_many_inconclusive_claims_are_no_success(most, inconclusive, confirmed, not_run, too_many):
+def test_a_run_without_verdicts_or_with_many_inconclusive_ones_is_no_success(most, inconclusive, confirmed, not_run, told):
     records = [Record("inconclusive")] * inconclusive + [Record("confirmed")] * confirmed + [Record("not run")] * not_run
-    assert bool(too_inconclusive(records, most_inconclusive(most))) is too_many
+    assert doubt_about(records, most_inconclusive(most))[: len(told) or None] == told
 
 
 @pytest.mark.parametrize("text", ["x", "-1", "101%", "0.5", ""])
