@@ -22,6 +22,7 @@ RUNS = (
     ("columns.py", ("--rounds", "1"), ("--frames", "30000", "--rounds", "1")),
     ("serial_columns.py", (), ("--frames", "20000", "--rounds", "1")),
     ("framing_noise.py", ("--frames", "100000"), ("--frames", "5000")),
+    ("report.py", (), ("--frames", "20000")),
     ("diagnosis.py", (), ("--frames", "20000", "--rounds", "1")),
     ("drive_replies.py", (), ()),
     ("replay_drift.py", (), ("--seconds", "2")),

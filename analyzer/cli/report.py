@@ -20,7 +20,7 @@ from analyzer.errors import UnreadableError, UsageError
 from analyzer.report.page import Log, Unread, html
 from analyzer.report.traffic import Traffic
 from analyzer.sources.times import Anchor, TimeOption
-from analyzer.values import counted, printable, storable
+from analyzer.values import printable, storable
 
 EXAMPLES = """\
 exit status: 0; 2 if a file could not be read.
@@ -117,9 +117,11 @@ def _diagnosis(path: str, arguments: argparse.Namespace, traffic: Traffic) -> tu
             pipeline.feed(item)
             if watch.frames >= LOOKED:
                 break
-        pipeline.close()
+        else:
+            # What still waits for its reply at the end has got none; where the looking ends, that is not known.
+            pipeline.close()
     looked = ""
     if long:
         begin = "its first finding" if since_ns is not None else "its beginning"
-        looked = f"The diagnosis looked at {counted(watch.frames, 'frame')} from {begin} on; servotap diagnose looks at all."
+        looked = f"The diagnosis looked at {watch.frames:,} frames from {begin} on; servotap diagnose looks at all."
     return diagnosis(watch, reading.dialects), looked

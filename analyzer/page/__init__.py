@@ -57,7 +57,8 @@ class Chart:
     """Long columns over one x axis: `x` grows, `lines` are as long, NaN where a line has no value.
 
     `axis`: what x is: `clock` (seconds since 1970, shown as UTC), `elapsed` (seconds), `frames` (their numbers) or `log` (a
-    logarithmic scale in `x_unit`). Charts of one `group` are zoomed together. `look`: `line`, `area` or `steps`.
+    logarithmic scale in `x_unit`). Charts of one `group` are zoomed together. `look`: `line`, or `steps` from each point to the
+    next, above 0.
     """
 
     x: NDArray[np.float64]

@@ -235,42 +235,45 @@ class _Section:
 
     # --- plots --------------------------------------------------------------------------------------------------------
 
-    def _chart(self, x: Numbers, lines: Mapping[str, Numbers], y: str, unit: str, look: str, colour: str = "") -> Chart:
-        """Return a chart of the group; a pause breaks its lines."""
+    def _chart(self, x: Numbers, values: Numbers, y: str, unit: str, colour: str) -> Chart:
+        """Return a line of the group; a pause breaks it."""
         steps = np.diff(x)
         if len(steps) and steps.min() < 0:
             # Buses of a merged log, or a damaged one: a plot needs its points in order.
             order = np.argsort(x, kind="stable")
-            x, lines = x[order], {name: values[order] for name, values in lines.items()}
+            x, values = x[order], values[order]
             steps = np.diff(x)
         if len(steps) > 2:
             usual = float(np.median(steps))
             pauses = np.flatnonzero(steps > max(_PAUSE_STEPS * usual, _PAUSE_SHARE * float(x[-1] - x[0]))) + 1
-            middles = (x[pauses - 1] + x[pauses]) / 2
-            x = np.insert(x, pauses, middles)
-            lines = {name: np.insert(values, pauses, np.nan) for name, values in lines.items()}
-        return Chart(x, lines, y, unit, self.axis.name, self.axis.unit, self.group, look, colour)
+            x = np.insert(x, pauses, (x[pauses - 1] + x[pauses]) / 2)
+            values = np.insert(values, pauses, np.nan)
+        return Chart(x, {y: values}, y, unit, self.axis.name, self.axis.unit, self.group, "line", colour)
 
     def _of_bus(self, bus: Bus) -> Iterator[Chart]:
         """Yield the charts of a bus: its load, or frames a second where the speed is not known, and what was wrong."""
-        if not self.axis.timed or bus.frames.count < 2:
+        if not self.axis.timed or not bus.frames.count:
             return
-        t_ns, sequence, frames = bus.frames.columns()
-        loads = bus.load.columns()
-        if len(loads[2]) and loads[2].max() > 0:
-            kept = extremes(loads[2], self.points)
-            x = self.axis(loads[0][kept], loads[1][kept])
-            yield self._chart(x, {"load": loads[2][kept] * 100}, "bus load", "%", "area", "--blue")
+        load, frames = bus.load.columns(), bus.frames.columns()
+        if len(load[2]) and load[2].max() > 0:
+            yield self._seconds(load[0], {"load": load[2] * 100}, "bus load", "%", "--blue")
         else:
-            kept = extremes(frames, self.points)
-            x = self.axis(t_ns[kept], sequence[kept])
-            yield self._chart(x, {"frames": frames[kept]}, "frames", "1/s", "area", "--blue")
+            yield self._seconds(frames[0], {"frames": frames[2]}, "frames", "1/s", "--blue")
         errors, warnings = bus.errors.columns()[2], bus.warnings.columns()[2]
-        if len(errors) == len(warnings) == len(frames) and (errors.any() or warnings.any()):
-            kept = extremes(errors + warnings, self.points)
-            x = self.axis(t_ns[kept], sequence[kept])
-            lines = {"errors": errors[kept], "warnings": warnings[kept]}
-            yield self._chart(x, lines, "findings", "1/s", "steps", "--red")
+        if len(errors) == len(warnings) == len(frames[0]) and (errors.any() or warnings.any()):
+            yield self._seconds(frames[0], {"errors": errors, "warnings": warnings}, "findings", "1/s", "--red")
+
+    def _seconds(self, t_ns: Integers, lines: Mapping[str, Numbers], y: str, unit: str, colour: str) -> Chart:
+        """Return a chart of counts by second: what was not counted is 0."""
+        ends = t_ns + SECOND
+        silent = np.flatnonzero(np.append(t_ns[1:] > ends[:-1], True)) + 1
+        t_ns = np.insert(t_ns, silent, ends[silent - 1])
+        lines = {name: np.insert(values, silent, 0.0) for name, values in lines.items()}
+        kept = extremes(np.sum(list(lines.values()), axis=0), self.points)
+        t_ns = t_ns[kept].clip(self.traffic.first_ns, self.traffic.last_ns)
+        x = self.axis(t_ns, np.zeros(len(t_ns), np.int64))
+        kept_lines = {name: values[kept] for name, values in lines.items()}
+        return Chart(x, kept_lines, y, unit, self.axis.name, self.axis.unit, self.group, "steps", colour)
 
     def _drawn(self, drive: Drive) -> _Drawn:
         charts = []
@@ -279,7 +282,7 @@ class _Section:
                 t_ns, sequence, values = drive.states[name].columns()
                 kept = extremes(values, self.points)
                 x = self.axis(t_ns[kept], sequence[kept])
-                charts.append(self._chart(x, {name: values[kept]}, name, STATE_UNITS[name], "line", _COLOURS[name]))
+                charts.append(self._chart(x, values[kept], name, STATE_UNITS[name], _COLOURS[name]))
         to_all = [
             each for one in self.drives if one.bus == drive.bus and one.address in ("0", "all") for each in one.marks.values()
         ]
@@ -318,8 +321,7 @@ class _Section:
         if not len(pauses) or len(pauses) >= _STRETCHES:
             return
         for part in np.split(t_ns, pauses):
-            # The counts of a second stand at its end.
-            first, last = max(int(part[0]) - SECOND, self.traffic.first_ns), int(part[-1])
+            first, last = max(int(part[0]), self.traffic.first_ns), min(int(part[-1]) + SECOND, self.traffic.last_ns)
             yield f"{self.time(first)[:8]}, {duration((last - first) / SECOND)}", self.place(first, 0), self.place(last, 0)
 
     # --- tables -------------------------------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ from analyzer.records import Severity
 from analyzer.sinks.summary import Latencies
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Source, describe
+from analyzer.sources.times import SECOND
 from analyzer.values import fields_text, identifier
 
 if TYPE_CHECKING:
@@ -224,13 +225,17 @@ class Talk:
 
 @dataclass
 class Bus:
-    """A bus, second by second: bus load (0..1), frames, errors and warnings; and bytes that belong to no frame."""
+    """A bus, second by second: bus load (0..1), frames, errors and warnings; and bytes that belong to no frame.
+
+    `second_ns`: a time in the second whose counts come next.
+    """
 
     load: Track = field(default_factory=Track)
     frames: Track = field(default_factory=Track)
     errors: Track = field(default_factory=Track)
     warnings: Track = field(default_factory=Track)
     junk_bytes: Counter[str] = field(default_factory=Counter)
+    second_ns: int | None = None
 
 
 class Example(NamedTuple):
@@ -547,8 +552,11 @@ class Traffic:
         self.raw += len(topic.data)
 
     def _take_seconds(self, topic: _Topic) -> None:
-        rows = self._seconds(topic)
-        t_ns, none, bus = np.array(topic.times, np.int64), np.zeros(len(rows), np.int64), self._bus(topic.bus)
+        rows, bus = self._seconds(topic), self._bus(topic.bus)
+        # The counts of a second are written with the first frame behind it, so they are of the second of the ones before.
+        begins = [bus.second_ns if bus.second_ns is not None else self.first_ns, *topic.times[:-1]]
+        bus.second_ns = topic.times[-1]
+        t_ns, none = np.array(begins, np.int64) // SECOND * SECOND, np.zeros(len(rows), np.int64)
         for name in ("load", "frames", "errors", "warnings"):
             values = np.array([getattr(row, name) for row in rows], np.float64)
             getattr(bus, name).add(t_ns, none, values)

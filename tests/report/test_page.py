@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 
@@ -29,6 +30,12 @@ def made(*words):
 
 def charts(page):
     return [json.loads(each) for each in re.findall(r'<div class="plot long".*?json">(.*?)</script>', page, re.DOTALL)]
+
+
+def values(column):
+    """Return what a packed column holds."""
+    whole = np.frombuffer(base64.b64decode(column["text"]), "<u4")
+    return np.round(column["low"] + whole * (column["high"] - column["low"]) / (2**32 - 2), 6).tolist()
 
 
 def write_log(path, messages, *, metadata=None, about=None):
@@ -59,6 +66,8 @@ def test_a_page_says_what_was_captured_and_what_is_wrong(tmp_path):
     drawn = {each["y"]: each for each in charts(page)}
     assert set(drawn) == {"frames", "findings", "position", "speed"}
     assert drawn["speed"]["axis"] == "clock"
+    # Frames by second, with nothing where nothing came: 8 in the first, 12 in the second, then silence.
+    assert values(drawn["frames"]["data"][1])[:4] == [8, 12, 0, 5]
     assert drawn["speed"]["data"][1]["low"] == 320
     assert "http" not in re.sub(r"<script>/\*.*?</script>", "", page, flags=re.DOTALL)
 
@@ -68,6 +77,15 @@ def test_a_log_and_its_capture_give_the_same_page(tmp_path, capsys):
     assert main(["decode", str(CAPTURES / "mks_rs485.log"), "-o", str(tmp_path / "mks_rs485.log.mcap")]) == 0
     other = made(tmp_path / "mks_rs485.log.mcap", tmp_path / "b.html")
     assert told(one) == told(other).replace("mks_rs485.log.mcap", "mks_rs485.log")
+
+
+@pytest.mark.parametrize("looked", range(1, 9))
+def test_of_a_long_log_a_part_is_diagnosed_and_its_end_is_no_trouble(tmp_path, monkeypatch, looked):
+    monkeypatch.setattr("analyzer.cli.report.LOOKED", looked)
+    assert main(["decode", str(CAPTURES / "lk_rs485.log"), "-o", str(tmp_path / "x.mcap")]) == 0
+    text = told(made(tmp_path / "x.mcap", tmp_path / "x.html"))
+    assert "Nothing wrong was found" in text
+    assert re.search(r"The diagnosis looked at \d frames from its beginning on", text)
 
 
 def test_a_capture_without_times_counts_frames(tmp_path):
@@ -97,7 +115,8 @@ def test_several_captures_stand_on_one_page(tmp_path):
 def test_long_pauses_part_a_capture_and_break_its_lines(tmp_path):
     hour = 3_600_000_000_000
     states = [("/b/1/state", part * hour + n * 10_000_000, {"speed": float(n)}) for part in (0, 5, 9) for n in range(50)]
-    counts = [("/b/stats", part * hour + 500_000_000, {"frames": 50}) for part in (0, 5, 9)]
+    # A second's counts come with the first frame behind it.
+    counts = [("/b/stats", at, {"frames": 50}) for at in (5 * hour, 9 * hour, 9 * hour + 500_000_000)]
     reply = ("/b/1/read_speed/reply", 0, {"speed": 1, "_raw": "32"})
     write_log(tmp_path / "x.mcap", sorted([reply, *states, *counts], key=lambda each: each[1]))
     page = made(tmp_path / "x.mcap", tmp_path / "x.html")

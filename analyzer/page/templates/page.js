@@ -146,7 +146,7 @@ const draw = place => {
   const series = about.lines.map((line, n) => ({
     label: line.name, stroke: () => colour(paint(line, n)), width: long ? 1.5 : 2, dash: line.dashed ? [6, 4] : undefined,
     points: long ? { size: 5, ...(about.look === "steps" ? { show: false } : {}) } : { show: !line.dashed && data[0].length < 200 }, spanGaps: !long,
-    fill: about.look === "area" ? () => colour(paint(line, n)) + "30" : undefined,
+    fill: about.look === "steps" ? () => colour(paint(line, n)) + "30" : undefined,
     paths: about.look === "steps" ? uPlot.paths.stepped({ align: 1 }) : undefined,
     value: (_, each) => value(about.yUnit)(_, each),
   }));
