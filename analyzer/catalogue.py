@@ -167,7 +167,8 @@ class Form:
 
     `code`: the code on the wire where it is not the command's own (a reply that carries the code of the parameter it
     answers). `needs_request`: this is a reply only while a request of this command is open; `request_values` are values
-    (as sent) that this open request must have.
+    (as sent) that this open request must have. `after_request`: its layout begins with the data of this request, which
+    alone say what the reply's own data are.
     """
 
     layout: Layout
@@ -175,6 +176,7 @@ class Form:
     code: int | None = None
     models: tuple[str, ...] = ()
     needs_request: bool = False
+    after_request: bool = False
     request_values: Mapping[str, int] | None = None
 
 
@@ -521,7 +523,8 @@ class Dialect:
     encoder, 0 where it is not known. `mode_speeds`: the highest speed (rpm) of each work mode, by its name; a mode that is
     not listed has that of the command's field. `rates`: bits per second of each value of the field with
     `Effect.BAUD_RATE`. `unlisted_codes`: codes that drives were seen to answer without the manual
-    listing them. `said_in`: the module with the manual's statements (`STATEMENTS`), loaded when they are asked for.
+    listing them. `of_drives`: False where it describes other devices, by a file or by their functions alone. `said_in`: the
+    module with the manual's statements (`STATEMENTS`), loaded when they are asked for.
     """
 
     name: str
@@ -549,6 +552,7 @@ class Dialect:
     mode_speeds: Mapping[str, int] = field(default_factory=dict)
     rates: Mapping[int, int] = field(default_factory=dict)
     unlisted_codes: tuple[int, ...] = ()
+    of_drives: bool = True
     said_in: str = ""
 
     def __post_init__(self) -> None:

@@ -16,11 +16,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from decimal import Decimal
 from functools import cached_property
+from math import isfinite
 from typing import Any
 
 import msgspec
 
-from analyzer.layout import Field, FieldKind, Layout, Order
+from analyzer.layout import Field, FieldKind, Layout, MisfitError, Order, ReadLayout
 
 #: The largest integer that a double, and so JSON, holds exactly.
 EXACT = 2**53
@@ -115,6 +116,10 @@ class Codec:
     def matches(self, data: bytes) -> bool:
         """Say whether data are of this layout: the length fits and every fixed field has its value."""
         return self.layout.fits(len(data)) and (not self.fixed or self._fixed_match(data))
+
+    def misfit(self, data: bytes) -> Violation | None:
+        """Return why data of a fitting length cannot be read; None where they can, as all data of declared bits."""
+        return None
 
     def _physical(self, items: list[tuple[int, Field]]) -> Callable[[bytes], dict[str, Any]]:
         if any(f.bit_width == 0 or f.bit_width > 53 for _, f in items):
@@ -256,9 +261,75 @@ def shown(value: float) -> str:
     return str(value) if isinstance(value, int) else f"{value:.9g}"
 
 
+class ReadCodec(Codec):
+    """Reads data by the reader of their layout. It writes none."""
+
+    def __init__(self, layout: ReadLayout) -> None:
+        super().__init__(layout)
+        self._reader = layout.reader
+        #: The last data, their values, and why they have none: each frame is asked for both, more than once.
+        self._last: tuple[bytes | None, dict[str, Any], MisfitError | None] = (None, {}, None)
+
+    def _read(self, data: bytes) -> tuple[bytes | None, dict[str, Any], MisfitError | None]:
+        if self._last[0] != data:
+            try:
+                self._last = data, _exact(self._reader(data)), None
+            except MisfitError as error:
+                self._last = data, {}, error
+        return self._last
+
+    @cached_property
+    def wire(self) -> Callable[[bytes], dict[str, Any]]:
+        """Reads data into values by name; what was sent for them is the reader's own."""
+        return self.physical_slowly
+
+    @cached_property
+    def physical(self) -> Callable[[bytes], dict[str, Any]]:
+        return self.physical_slowly
+
+    @cached_property
+    def json(self) -> Callable[[bytes], bytes]:
+        return self._json_slowly
+
+    @cached_property
+    def valid(self) -> Callable[[bytes], bool]:
+        return lambda data: self.misfit(data) is None
+
+    def physical_slowly(self, data: bytes) -> dict[str, Any]:
+        return dict(self._read(data)[1])
+
+    def matches(self, data: bytes) -> bool:
+        return self.layout.fits(len(data)) and self.misfit(data) is None
+
+    def misfit(self, data: bytes) -> Violation | None:
+        error = self._read(data)[2]
+        return None if error is None else Violation(error.rule, str(error))
+
+    def broken(self, data: bytes) -> tuple[Violation, ...]:
+        misfit = self.misfit(data)
+        return () if misfit is None else (misfit,)
+
+    def encode(self, values: Mapping[str, int | bytes]) -> bytes:
+        raise ValueError("what a reader reads cannot be written")
+
+
+def _exact(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values as JSON can hold them: a number that is none, or is too long, becomes a text beside or instead of it."""
+    result: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, float) and not isfinite(value):
+            result[name + "_text"] = str(value)
+            continue
+        result[name] = value
+        if isinstance(value, int) and abs(value) > EXACT:
+            result[name + "_text"] = str(value)
+    return result
+
+
 def codec(layout: Layout) -> Codec:
     """Return the codec of a layout; made once, and kept with it."""
     kept: Codec | None = layout.__dict__.get("_codec")
     if kept is None:
-        kept = layout.__dict__["_codec"] = Codec(layout)
+        kept = ReadCodec(layout) if isinstance(layout, ReadLayout) else Codec(layout)
+        layout.__dict__["_codec"] = kept
     return kept

@@ -11,7 +11,7 @@ from enum import StrEnum
 
 from analyzer.catalogue import Command, Form, Role
 from analyzer.codec import codec
-from analyzer.link import READS
+from analyzer.link import READS, read_bytes
 from analyzer.records import Frame, Lane, Message
 
 
@@ -106,7 +106,8 @@ class Context:
         for request in reversed(self.open.get(address, [])):
             command = request.command
             if command is not None and command.function == function and request.state is State.WAITING:
-                return 2 * (request.message.values.get("quantity", command.quantity) or command.quantity)
+                quantity: int = request.message.values.get("quantity", command.quantity) or command.quantity
+                return read_bytes(function, quantity)
         return 0
 
     def asked(
@@ -134,7 +135,7 @@ def answers(request: Request, function: int | None, code: int | None, data: byte
         wanted = form.request_values
         if wanted and any(request.message.values.get(n) != v for n, v in wanted.items()):
             continue
-        if codec(form.layout).matches(data):
+        if codec(form.layout).matches(request.message.data + data if form.after_request else data):
             return form
     return None
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.codec import Codec, Violation, codec
 from analyzer.context import Context, Request, State
-from analyzer.link import Head
+from analyzer.link import EXTENDED_ID, Head
 from analyzer.records import Frame, Lane, Message
 
 _Entry = tuple[Command, Form, Codec]
@@ -63,7 +63,8 @@ class Decoder:
 
     def decode(self, frame: Frame, context: Context | None = None) -> tuple[Message, Request | None]:
         """Return the message of a frame, and the open request that it answers if it is a reply to one."""
-        can_id = frame.can.id if frame.can is not None else None
+        can = frame.can
+        can_id = None if can is None else can.id | EXTENDED_ID if can.extended else can.id
         head = self._link.parse(frame.data, can_id)
         data = frame.data[head.start : head.stop]
         role = head.role
@@ -238,6 +239,8 @@ class Decoder:
             known = self._replies.get((head.function, -1 if head.code is None else head.code), [])
             return self._unfitting(frame, Role.REPLY, head, data, known, request=False, asked=request), request
         command, form, coder = entry
+        if form.after_request and request is not None:
+            data = request.message.data + data
         message = Message(frame, Role.REPLY, head.address, command, form, data, coder.broken(data))
         return message, request
 
@@ -286,9 +289,13 @@ class Decoder:
         command = general[0] if general else (asked.command if asked else None)
         if command is not None:
             forms = command.request_forms if request else command.reply_forms
+            before = asked.message.data if asked is not None else b""
+            misfits = [codec(f.layout).misfit(before + data if f.after_request else data) for f in forms]
             sizes = sorted({f.layout.byte_length for f in forms})
             text = f"{command.name} {role}: expected {_either(sizes)} bytes of data, got {len(data)}"
-            violations = (Violation("wrong_length", text),)
+            # What a reader says of data that are long enough is more than that no form fits.
+            misfit = next((m for m, f in zip(misfits, forms, strict=True) if m is not None and f.layout.fits(len(data))), None)
+            violations = (misfit or Violation("wrong_length", text),)
             if not forms:
                 violations = (Violation("wrong_length", f"{command.name} has no {role}, got {len(data)} bytes"),)
         elif head.code is not None:

@@ -30,6 +30,8 @@ _OWN = {
     "mks-can": "analyzer.protocols.mks_can",
     "lk-rs485": "analyzer.protocols.lk_rs485",
 }
+#: Those of this package that are of no drive. Nothing that acts on a bus uses them.
+_OF_NO_DRIVE = {"modbus": "analyzer.protocols.modbus_slave"}
 GROUP = "servotap.dialects"
 _CODE = re.compile(r"(?:(?:0x)?([0-9a-f]{1,2})[:/])?(?:0x)?([0-9a-f]{1,4})h?", re.IGNORECASE)
 
@@ -48,7 +50,7 @@ def _added() -> dict[str, Dialect]:
 def _as_dialect(what: str, found: object) -> Dialect:
     if not isinstance(found, Dialect):
         raise UsageError(f"expected a Dialect, got {type(found).__name__}")
-    if found.name in _OWN:
+    if found.name in _OWN or found.name in _OF_NO_DRIVE:
         raise UsageError(f"the name {found.name} is taken: expected another one")
     if not isinstance(found.link, Link):
         raise UsageError(f"{found.name}: expected a Link, got {type(found.link).__name__}")
@@ -56,8 +58,13 @@ def _as_dialect(what: str, found: object) -> Dialect:
 
 
 def names() -> list[str]:
-    """Return the names of all dialects."""
+    """Return the names of all dialects of drives."""
     return [*_OWN, *sorted(_added())]
+
+
+def readable() -> list[str]:
+    """Return the names of all dialects that traffic can be read as."""
+    return [*names(), *_OF_NO_DRIVE]
 
 
 @cache
@@ -66,14 +73,15 @@ def get(name: str) -> Dialect:
 
     Raises UsageError for a name there is none of, with the nearest one.
     """
-    if name in _OWN:
-        dialect: Dialect = import_module(_OWN[name]).DIALECT
+    own = (_OWN | _OF_NO_DRIVE).get(name)
+    if own is not None:
+        dialect: Dialect = import_module(own).DIALECT
         return dialect
     if name in _added():
         return _added()[name]
-    close = difflib.get_close_matches(name.lower(), names(), 1, 0.4)
+    close = difflib.get_close_matches(name.lower(), readable(), 1, 0.4)
     hint = f"; did you mean {close[0]}?" if close else ""
-    raise UsageError(f"no dialect {name!r}{hint} (there are {', '.join(names())})")
+    raise UsageError(f"no dialect {name!r}{hint} (there are {', '.join(readable())})")
 
 
 def drive(text: str) -> tuple[Dialect, int]:
@@ -102,8 +110,13 @@ def drive_name(dialect: Dialect, address: int) -> str:
 
 
 def every() -> list[Dialect]:
-    """Return all dialects, without those that have failed and are left out."""
+    """Return all dialects of drives, without those that have failed and are left out."""
     return [dialect for dialect in map(get, names()) if not dialect.link.left_out]
+
+
+def of_no_drive() -> list[Dialect]:
+    """Return the dialects that a capture may turn out to be in where no drive speaks."""
+    return [get(name) for name in _OF_NO_DRIVE]
 
 
 def first_bytes() -> frozenset[int]:
@@ -128,7 +141,7 @@ def for_model(dialects: Sequence[Dialect], model: str | None) -> list[Dialect]:
 
 
 def by_name(model: str = "") -> dict[str, Dialect]:
-    """Return every dialect by its name, as a model speaks it. Raises UsageError for an unknown model."""
+    """Return every dialect of drives by its name, as a model speaks it. Raises UsageError for an unknown model."""
     return {d.name: d for d in for_model(every(), model or None)}
 
 

@@ -10,6 +10,8 @@ Who is a drive is said by the user (`--ids`), else, on CAN, by the frames:
 So a program that forgets the checksum is told so, and a CANopen node on the bus is left alone. What a drive sent before
 its first good frame may be foreign, too. Of a node that was odd for long, one good frame can be chance: it needs two in a row.
 
+An identifier that a file of messages (DBC) describes is no drive's, unless the user lists it.
+
 On serial lines only the user's word counts: who speaks something else there makes junk or frames with errors.
 """
 
@@ -25,12 +27,14 @@ from analyzer.records import CanFrame, Message
 CAN_ID_LIMIT = 0x7FF
 #: So many odd frames of a node make a good one doubtful: one frame in 256 has a fitting check by chance.
 _ODD_FOR_LONG = 32
+#: So many good frames in a row are no chance.
+_NO_CHANCE = 2
 
 
 class Nodes:
     """Who is a drive on one bus. `listed`: identifiers or addresses of drives, as the user says; None: the frames tell."""
 
-    STATE = ("drives", "odd")
+    STATE = ("drives", "odd", "claimed")
 
     def __init__(self, listed: Collection[int] | None) -> None:
         self.listed = listed
@@ -38,6 +42,8 @@ class Nodes:
         self.drives: set[int] = set()
         #: Odd frames by identifier, of those that are not.
         self.odd: dict[int, int] = {}
+        #: Of described identifiers, how many frames in a row were a drive's by their bytes, too; -1: that was said.
+        self.claimed: dict[int, int] = {}
 
     def knows(self, address: int) -> bool | None:
         """Say whether an address is a drive's; None where frames have to tell."""
@@ -58,6 +64,19 @@ class Nodes:
         elif odd or not near:
             self.odd[can.id] = odd + 1
         return near and not odd
+
+    def claimed_twice(self, can_id: int, message: Message | None) -> bool:
+        """Say, once for each identifier, that its frames are a file's by their identifier and a drive's by their bytes.
+
+        `message`: as a drive's dialect reads the frame, None if its check is wrong. One good frame can be chance.
+        """
+        before = self.claimed.get(can_id, 0)
+        if before < 0:
+            return False
+        row = before + 1 if message is not None and _is_good(message) else 0
+        said = row == _NO_CHANCE
+        self.claimed[can_id] = -1 if said else row
+        return said
 
 
 def _is_good(message: Message) -> bool:

@@ -15,7 +15,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from fractions import Fraction
@@ -31,12 +31,19 @@ class Order(StrEnum):
 
 
 class FieldKind(StrEnum):
-    """How the bits of a field are read."""
+    """How the bits of a field are read. Only a `ReadLayout` has fields of the last three kinds."""
 
     UINT = "uint"
     INT = "int"
     BYTES = "bytes"
     RESERVED = "reserved"
+    NUMBER = "number"
+    TEXT = "text"
+    NUMBERS = "numbers"
+
+
+#: Kinds whose values are no single number.
+NOT_NUMERIC = frozenset({FieldKind.BYTES, FieldKind.TEXT, FieldKind.NUMBERS})
 
 
 class Effect(StrEnum):
@@ -59,10 +66,12 @@ ANSWERING = frozenset((Effect.ADDRESS, Effect.GROUP, Effect.DIALECT, Effect.RESP
 
 
 @cache
-def _choice_names(choices: type[IntEnum]) -> dict[int, str]:
+def _enum_names(choices: type[IntEnum]) -> dict[int, str]:
     return {int(c): c.name.lower() for c in choices}
 
 
+#: Bits of an integer that a double, and so JSON, holds exactly.
+_EXACT_BITS = 53
 #: Names that a decoded message or a filter uses for something else; no field may take one.
 RESERVED_NAMES = frozenset({"address", "command", "role", "dialect", "bus", "time", "slots"})
 
@@ -111,7 +120,7 @@ class Field:
     minimum: int | None = None
     maximum: int | None = None
     values: frozenset[int] | None = None
-    choices: type[IntEnum] | None = None
+    choices: type[IntEnum] | Mapping[int, str] | None = None
     unit: str = ""
     scale: Fraction = Fraction(1)
     default: int | None = None
@@ -163,9 +172,16 @@ class Field:
         return self.low <= value <= self.high
 
     @property
+    def has_text_twin(self) -> bool:
+        """Whether a number may not hold its value, which then stands beside it as a text."""
+        return self.bit_width > _EXACT_BITS or self.kind is FieldKind.NUMBER
+
+    @property
     def choice_names(self) -> dict[int, str]:
-        """Integer as sent -> name in lower case; empty without choices."""
-        return {} if self.choices is None else _choice_names(self.choices)
+        """Integer as sent -> name; those of an enumeration in lower case. Empty without choices."""
+        if self.choices is None:
+            return {}
+        return dict(self.choices) if isinstance(self.choices, Mapping) else _enum_names(self.choices)
 
     def physical(self, value: int) -> int | float:
         """Return the physical value of an integer as sent, in `unit`."""
@@ -257,6 +273,34 @@ class Layout:
     def for_model(self, model: str) -> Layout:
         """Return this layout as one model has it."""
         return Layout(*(f.for_model(model) for f in self.fields))
+
+
+class MisfitError(ValueError):
+    """Data that a reader cannot read: the rule of findings that they break, and what was expected and got."""
+
+    def __init__(self, rule: str, text: str) -> None:
+        super().__init__(text)
+        self.rule = rule
+
+
+class ReadLayout(Layout):
+    """Fields that a function reads: their bits may stand anywhere, and some of them may not be there.
+
+    `reader` returns the values that are there: physical values by name, names of choices under `<name>_name`. It raises
+    `MisfitError` for data that it cannot read. `shortest`: the fewest bytes of data.
+    """
+
+    reader: Callable[[bytes], dict[str, Any]]
+
+    def __init__(self, *fields: Field, reader: Callable[[bytes], dict[str, Any]], shortest: int = 0) -> None:
+        # The places of the fields are the reader's own: only the shortest length is known here.
+        about = {"fields": fields, "reader": reader, "byte_length": shortest, "open_ended": True, "offsets": (0,) * len(fields)}
+        self.__dict__.update(about)
+        if len(self.named) != len(fields):
+            raise ValueError(f"two fields of one name in {[f.name for f in fields]}")
+
+    def for_model(self, model: str) -> Layout:
+        return self
 
 
 def uint(name: str, width: int, **options: Any) -> Field:

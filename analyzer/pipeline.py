@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import msgspec
+from msgspec.structs import replace
 
 from analyzer import events
 from analyzer.catalogue import Dialect, Role
@@ -307,6 +308,15 @@ class Pipeline:
         shortest = dialect.link.shortest
         usual = not (can.error or can.fd or can.extended or can.remote) and can.id <= CAN_ID_LIMIT and len(can.data) >= shortest
         good = not usual or dialect.link.fits(can.data, can.id)
+        described = port.describes(can)
+        if described is not None:
+            self._told(
+                port,
+                Frame(port.name, t_ns, t_ns, offset, can.data, described, can.direction, True, can),
+                dialect,
+                usual and good,
+            )
+            return
         frame = Frame(port.name, t_ns, t_ns, offset, can.data, dialect, can.direction, good, can)
         if not can.error and (can.extended or can.id not in port.nodes.drives) and not port.from_drive(frame, can, usual=usual):
             self._foreign(port, frame, can.id)
@@ -367,6 +377,18 @@ class Pipeline:
                 at = refused
 
     # --- what both share ------------------------------------------------------------------------------------------
+
+    def _told(self, port: Port, frame: Frame, dialect: Dialect, good: bool) -> None:
+        """Pass a message on that a file describes. `good`: its check fits as in the `dialect` of the drives."""
+        can = frame.can
+        assert can is not None  # only CAN frames are described by their identifier
+        message = port.decoders[frame.dialect.name].decode(frame)[0]
+        issues = of_message(message, port.context)
+        drive = port.decoders[dialect.name].decode(replace(frame, dialect=dialect))[0] if good else None
+        if port.nodes.claimed_twice(can.id, drive):
+            text = f"{frame.dialect.title} describes it, and its frames check as {dialect.name}: read as {frame.dialect.name}"
+            issues.append(Issue("claimed_twice", f"{text}; --ids 0x{can.id:X} reads it as a drive"))
+        self._write(port, message, issues)
 
     def _foreign(self, port: Port, frame: Frame, address: int) -> None:
         """Keep a frame of another node: it is for no drive and from none."""

@@ -16,6 +16,7 @@ from analyzer.context import Context
 from analyzer.decoder import Decoder
 from analyzer.foreign import CAN_ID_LIMIT, Likeness, Nodes
 from analyzer.framer import SILENCE_NS, Framer
+from analyzer.link import EXTENDED_ID
 from analyzer.records import CanFrame, Event, Frame, Junk, Message
 from analyzer.transactions import Transactions
 
@@ -71,6 +72,8 @@ class Port:
         self.decoders: dict[str, Decoder] = {}
         self.framer: Framer | None = None
         self.can: list[Dialect] = []
+        #: Those of CAN that describe the messages of other nodes.
+        self.described: list[Dialect] = []
         self.serial: list[Dialect] = []
         self._by_evidence: list[Dialect] = []
         self._alike: dict[str, Likeness] = {}
@@ -93,7 +96,9 @@ class Port:
             if known is None or known.dialect is not dialect:
                 self.decoders[dialect.name] = Decoder(dialect)
         serial = self.serial = [d for d in setup.dialects if d.bus == "serial"]
-        self.can = [d for d in setup.dialects if d.bus == "can"]
+        can = [d for d in setup.dialects if d.bus == "can"]
+        self.can = [d for d in can if not d.link.by_identifier]
+        self.described = [d for d in can if d.link.by_identifier]
         # What no check speaks for comes last.
         self._by_evidence = sorted(self.can, key=lambda d: not d.link.checked)
         self._alike = {d.name: Likeness(d) for d in self.can}
@@ -122,6 +127,13 @@ class Port:
         self.transactions = Transactions(
             self.context, late_ns=self._options.late_ns, half_duplex=self.framer is not None, timed=self._options.timed
         )
+
+    def describes(self, can: CanFrame) -> Dialect | None:
+        """Return the dialect that describes a CAN frame by its identifier, the first of several; None if it is for drives."""
+        if not self.described or can.error or can.remote or (self.nodes.listed is not None and can.id in self.nodes.listed):
+            return None
+        can_id = can.id | EXTENDED_ID if can.extended else can.id
+        return next((d for d in self.described if d.link.claims(can_id)), None)
 
     def can_dialect(self, can: CanFrame) -> Dialect:
         """Return the dialect of a CAN frame: one whose check fits, else one without checks that has its code and length."""

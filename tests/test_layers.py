@@ -31,6 +31,7 @@ LAYERS = (
     ("analyzer.diagnosis",),
     ("analyzer.sources", "analyzer.sinks", "analyzer.reference", "analyzer.export", "analyzer.page", "analyzer.table"),
     ("analyzer.report",),
+    ("analyzer.devices",),
     ("analyzer.live",),
     ("analyzer.cli", "analyzer.view", "analyzer.__main__"),
     ("conformance.claim", "conformance"),

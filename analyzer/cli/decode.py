@@ -295,6 +295,8 @@ def _metadata(
         values["frames_by_columns"] = str(pipeline.in_runs)
     if source.sha256:
         values["source_sha256"] = source.sha256
+    for file in reading.device_files:
+        values[f"device_file_{file.name}"] = f"{file.dialects[0].manual}, SHA-256 {file.sha256}"
     if reading.model:
         values["model"] = reading.model
     values |= reading.time_range.about()

@@ -27,7 +27,7 @@ from typing import Any
 from analyzer.catalogue import Dialect, Role
 from analyzer.errors import UsageError
 from analyzer.findings import RULES
-from analyzer.layout import Field, FieldKind
+from analyzer.layout import NOT_NUMERIC, Field, FieldKind
 from analyzer.records import Severity
 from analyzer.values import factor, near, quote
 
@@ -73,6 +73,10 @@ class Meaning:
         """Let it stand for a field of one more command."""
         self.words |= set(declared.choice_names.values())
         self.units[dialect, command] = declared.unit
+        if declared.kind is FieldKind.NUMBER:
+            # What its bits can hold is not known here.
+            self.low, self.high = -math.inf, math.inf
+            return
         ends = declared.physical(declared.wire_minimum), declared.physical(declared.wire_maximum)
         self.low = min(ends) if self.low is None else min(self.low, *ends)
         self.high = max(ends) if self.high is None else max(self.high, *ends)
@@ -106,7 +110,7 @@ def vocabulary(dialects: Iterable[Dialect]) -> dict[str, Meaning]:
         for command in (*dialect.commands, *dialect.fallbacks.values()):
             forms = (*command.request_forms, *command.reply_forms, *((dialect.exception,) if dialect.exception else ()))
             for name, declared in ((n, f) for form in forms for n, f in form.layout.named.items()):
-                kind = Kind.TEXT if declared.kind is FieldKind.BYTES else Kind.NUMBER
+                kind = Kind.TEXT if declared.kind in NOT_NUMERIC else Kind.NUMBER
                 known.setdefault(name, Meaning(kind)).add(dialect.name, command.name, declared)
                 if declared.choices is not None:
                     known.setdefault(name + "_name", Meaning(Kind.TEXT)).words |= set(declared.choice_names.values())

@@ -18,6 +18,7 @@ from analyzer.catalogue import Dialect
 from analyzer.cli.option_types import add_ids_argument, address, ids_of, milliseconds, positive
 from analyzer.cli.time_range import TimeRange, add_time_range_arguments
 from analyzer.detect import Choice, choose
+from analyzer.devices import load
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.events import SETUPS
 from analyzer.framer import SILENCE_NS
@@ -46,6 +47,16 @@ LATE_MS = 1000.0
 def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that reads captures."""
     parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or one of: see catalogue; D,D")
+    parser.add_argument(
+        "--dbc", action="append", default=[], metavar="FILE", help="messages of other CAN nodes; may be repeated"
+    )
+    parser.add_argument(
+        "--modbus-map",
+        action="append",
+        default=[],
+        metavar="FILE.csv",
+        help="registers of other Modbus slaves; may be repeated",
+    )
     parser.add_argument("--model", metavar="M", help="42D 57D 28D 35D 42E 57E MF MG MH MS: limits and units of a model")
     parser.add_argument("--baud", type=positive, metavar="N", help="line speed, for timestamps and bus load")
     parser.add_argument("--format", metavar="F", help="capture format, if detection by content fails")
@@ -72,6 +83,9 @@ class OpenCapture:
         since, until = getattr(arguments, "since", None), getattr(arguments, "until", None)
         self.time_range = TimeRange(source, since, until, utc=getattr(arguments, "utc", False))
         self._iterator = self.time_range.items(source)
+        #: Files that describe other devices.
+        self.device_files = tuple(load(arguments.dbc, arguments.modbus_map, source.note))
+        self._devices = tuple(d for file in self.device_files for d in file.dialects)
         brief = source.path == "-" or source.follow is not None
         sample = self._sample(PIPE_SAMPLE_BYTES if brief else SAMPLE_BYTES)
         self._items = chain(sample, self._iterator)
@@ -89,12 +103,12 @@ class OpenCapture:
             self.choice = self._choose_by_bus(traffic)
             self.dialects = self.choice.dialects
         else:
-            self.choice = Choice(self._given, (), "as given") if self._given else choose(registry.every(), traffic)
+            self.choice = self._choose(traffic)
             self.dialects = tuple(registry.for_model(self.choice.dialects, self.model or None))
             self.ports = {bus: PortSetup(self.dialects, listed=ids) for bus, ids in self._ids.by_bus.items()}
         #: Dialects of a bus of another kind, which may come up late.
         kinds = {d.bus for d in self.dialects}
-        every = self._known or registry.by_name(self.model)
+        every = self._known or self._by_name()
         self._others = tuple(d for d in every.values() if d.bus not in kinds)
         #: Characters that an address takes: on CAN it is shown in hexadecimal.
         self.who_width = 5 if any(isinstance(item, CanFrame) for item in traffic) else 4
@@ -114,6 +128,10 @@ class OpenCapture:
     def possible(self) -> tuple[Dialect, ...]:
         """All dialects that may come up: a recording can say later that another has joined, or have a bus of another kind."""
         return tuple(self._known.values()) or (*self.dialects, *self._others)
+
+    def _by_name(self) -> dict[str, Dialect]:
+        """Return every dialect that may come up, by its name."""
+        return {d.name: d for d in (*self._devices, *registry.by_name(self.model).values(), *registry.of_no_drive())}
 
     # --- the choice of dialects -----------------------------------------------------------------------------------
 
@@ -148,20 +166,27 @@ class OpenCapture:
             raise UsageError(f"{self.source.name} is of a {kind} bus, and {wrong[0].name} is a dialect of {wrong[0].bus}")
         return chosen
 
+    def _choose(self, traffic: Sequence[Chunk | CanFrame]) -> Choice:
+        """Choose for all buses alike: what the user named, else by the traffic."""
+        if self._given:
+            return Choice(self._with_devices(self._given, self._given[0].bus), (), "as given")
+        return choose([*registry.every(), *registry.of_no_drive()], traffic, self._devices)
+
     def _choose_by_bus(self, traffic: Sequence[Chunk | CanFrame]) -> Choice:
         """Choose for each bus by itself: as the user says, as the recording found it, or by its traffic."""
-        known = self._known = registry.by_name(self.model)
+        known = self._known = self._by_name()
         self._kinds = kinds = self._said.kinds | {item.port: _kind(item) for item in traffic}
         for bus, kind in kinds.items():
             given = [known.get(d.name, d) for d in self._given if d.bus == kind]
             said = self._spoken(bus, self._said.buses.get(bus, ()), kind)
             if given:
-                chosen, self._reasons[bus] = tuple(given), "as given"
+                chosen, self._reasons[bus] = self._with_devices(given, kind), "as given"
             elif said:
-                chosen, self._reasons[bus] = tuple(said), _RECORDED
+                chosen, self._reasons[bus] = self._with_devices(said, kind), _RECORDED
             else:
                 own = [item for item in traffic if item.port == bus]
-                choice = choose(list(known.values()), own) if own else Choice(_of_kind(known, kind), (), "no traffic yet")
+                every = [d for d in known.values() if d not in self._devices]
+                choice = choose(every, own, self._devices) if own else Choice(self._of_kind(kind), (), "no traffic yet")
                 chosen, self._reasons[bus] = choice.dialects, choice.reason
             values = self._said.values.get(bus, {})
             self.ports[bus] = PortSetup(chosen, self._byte_ns(values), listed=self._listed(bus, values))
@@ -190,8 +215,8 @@ class OpenCapture:
         said = Setups(self._known)(msgspec.structs.replace(event, values=event.values | {"dialects": names}))
         given = tuple(self._known.get(d.name, d) for d in self._given if d.bus == kind)
         before = self.ports.get(event.port)
-        dialects = given or (said.dialects if said is not None else ())
-        dialects = dialects or (before.dialects if before is not None else _of_kind(self._known, kind))
+        dialects = self._with_devices(given or (said.dialects if said is not None else ()), kind)
+        dialects = dialects or (before.dialects if before is not None else self._of_kind(kind))
         offset = event.values.get("offset", 0)
         listed = self._listed(event.port, event.values)
         setup = PortSetup(dialects, self._byte_ns(event.values), offset if isinstance(offset, int) else 0, listed)
@@ -201,6 +226,15 @@ class OpenCapture:
         self.choice = self._all_chosen()
         self.dialects = self.choice.dialects
         return setup
+
+    def _with_devices(self, chosen: Sequence[Dialect], kind: str) -> tuple[Dialect, ...]:
+        """Return dialects with those of the device files, which come first; none where none was chosen."""
+        devices = [d for d in self._devices if d.bus == kind and d not in chosen]
+        return (*devices, *chosen) if chosen else ()
+
+    def _of_kind(self, kind: str) -> tuple[Dialect, ...]:
+        every = [d for d in self._known.values() if d.bus == kind and (d.of_drives or d in self._devices)]
+        return tuple(every)
 
     def _listed(self, bus: str, values: dict[str, Any]) -> frozenset[int] | None:
         """Return who is a drive on a bus: as the user says, else as the recording does."""
@@ -267,10 +301,6 @@ class _Said:
 
 def _kind(item: Chunk | CanFrame) -> str:
     return "can" if isinstance(item, CanFrame) else "serial"
-
-
-def _of_kind(known: dict[str, Dialect], kind: str) -> tuple[Dialect, ...]:
-    return tuple(d for d in known.values() if d.bus == kind)
 
 
 def open_reading(path: str, arguments: argparse.Namespace, follow: Follow | None = None) -> OpenCapture:

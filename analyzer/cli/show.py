@@ -43,7 +43,7 @@ examples:
 
 #: Events that do not matter to a reader of the traffic.
 _UNSHOWN = frozenset(("part", "resumed", "clock_drift"))
-_COLORS = {"request": "36", "reply": "32", "unknown": "33", "foreign": "2"}
+_COLORS = {"request": "36", "reply": "32", "message": "34", "unknown": "33", "foreign": "2"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

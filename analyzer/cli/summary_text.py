@@ -64,7 +64,8 @@ def _commands(summary: Summary) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("bus", "address", "command"):
         table.add_column(name, no_wrap=True)
-    for name in ("requests", "replies", "median ms", "p99 ms", "max ms"):
+    told = any(row.messages for row in summary.rows.values())
+    for name in (*(("messages",) if told else ()), "requests", "replies", "median ms", "p99 ms", "max ms"):
         table.add_column(name, justify="right")
     ordered = sorted(summary.rows.items(), key=lambda i: (i[0][0], i[0][1].zfill(5), i[0][2], i[0][3]))
     for (bus, address, _dialect, name), row in ordered:
@@ -74,6 +75,7 @@ def _commands(summary: Summary) -> Table:
             Text(printable(bus)),
             who_text(summary, bus, address),
             name,
+            *((str(row.messages),) if told else ()),
             str(row.requests + row.unknown),
             str(row.replies),
             *(times if lat.count else ("", "", "")),

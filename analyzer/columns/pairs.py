@@ -389,6 +389,8 @@ class Pairing:
     def _kind(self, frame: Frame, asked: int | None) -> _Kind:
         """Return what frames like this one can be. `asked`: what a reply can answer; None: anything, or it is a request."""
         link = self._dialect.link
+        if frame.can is not None and self._port.describes(frame.can) is not None:
+            return _Kind()
         lanes: tuple[list[int], list[int]] = [], []
         start = stop = 0
         address = -1

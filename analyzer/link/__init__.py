@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from analyzer.link.can import CanLink
+from analyzer.link.can import EXTENDED_ID, CanLink, MessageLink
 from analyzer.link.guarded import guarded
 from analyzer.link.head import HeadLink, Package
 from analyzer.link.interface import (
@@ -22,9 +22,10 @@ from analyzer.link.interface import (
     sum8,
 )
 from analyzer.link.lk import LkLink
-from analyzer.link.modbus import FUNCTIONS, READS, WRITE_MANY, WRITE_ONE, ModbusLink, modbus_crc
+from analyzer.link.modbus import FUNCTIONS, READS, WRITE_MANY, WRITE_ONE, ModbusLink, ModbusSlaveLink, modbus_crc, read_bytes
 
 __all__ = [
+    "EXTENDED_ID",
     "FUNCTIONS",
     "MORE",
     "READS",
@@ -42,12 +43,15 @@ __all__ = [
     "HeadLink",
     "Link",
     "LkLink",
+    "MessageLink",
     "ModbusLink",
+    "ModbusSlaveLink",
     "Package",
     "Part",
     "Role",
     "Slicer",
     "guarded",
     "modbus_crc",
+    "read_bytes",
     "sum8",
 ]

@@ -38,10 +38,14 @@ def sum8(data: bytes) -> int:
 
 
 class Role(StrEnum):
-    """Who sent a frame. `foreign`: a node that is no drive, nor a host that speaks to one."""
+    """Who sent a frame, and what for.
+
+    `message`: a node that is no drive, told unasked, as a file describes it. `foreign`: such a node, and nothing describes it.
+    """
 
     REQUEST = "request"
     REPLY = "reply"
+    MESSAGE = "message"
     UNKNOWN = "unknown"
     FOREIGN = "foreign"
 
@@ -247,6 +251,8 @@ class Link(ABC):
     shortest = 0
     #: Whether a frame has a check. Bytes without one are no evidence of a drive that speaks so.
     checked = True
+    #: Whether the identifier alone says what a CAN frame is: these are messages that a file describes, of no drive.
+    by_identifier = False
     #: Whether a frame tells its length, or the bus does.
     tells_length = False
     #: Why it finds no frame any more: it is of another package, and failed.
@@ -290,6 +296,10 @@ class Link(ABC):
     @abstractmethod
     def checks(self, frame: bytes, can_id: int | None = None) -> tuple[Check, ...]:
         """Return the checks of a complete frame, in the order in which they stand."""
+
+    def claims(self, can_id: int) -> bool:
+        """Say whether frames of an identifier are of this dialect, whatever their data."""
+        return False
 
     def fits(self, frame: bytes, can_id: int | None = None) -> bool:
         """Say whether every check of a complete frame fits."""

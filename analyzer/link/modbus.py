@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 
 modbus_crc: Callable[[bytes], int] = _crc16.modbus
 
-READS = frozenset({0x01, 0x02, 0x03, 0x04})
+BIT_READS = frozenset({0x01, 0x02})
+READS = BIT_READS | {0x03, 0x04}
 WRITE_ONE = frozenset({0x05, 0x06})
 WRITE_MANY = frozenset({0x0F, 0x10})
 FUNCTIONS = READS | WRITE_ONE | WRITE_MANY
@@ -53,6 +54,11 @@ _SILENT_CHARACTERS = 3.5
 _FAST_BAUD, _FAST_SILENCE_NS = 19200, 1_750_000
 #: Longer frames are found one by one: bytes inside others begin some of every length, and each length is a search.
 _LONGEST_SCANNED = 40
+
+
+def read_bytes(function: int, quantity: int) -> int:
+    """Return the bytes of so many registers, or of so many coils, in a read reply."""
+    return (quantity + 7) // 8 if function in BIT_READS else 2 * quantity
 
 
 @dataclass(frozen=True)
@@ -143,23 +149,60 @@ class ModbusLink(Link):
         return tuple(parts)
 
 
+@dataclass(frozen=True)
+class ModbusSlaveLink(ModbusLink):
+    """Modbus-RTU of slaves without a list of commands: a command is a function, whatever its registers.
+
+    All that follows the function is its own data. `units`: the only addresses that there are; empty: any.
+    """
+
+    units: frozenset[int] = frozenset()
+
+    # A reply tells what it is only together with its request, of which there are too many kinds to keep.
+    deciding = Link.deciding
+
+    def slicer(self, commands: Sequence[CommandShape], expects: Callable[[int, int], int]) -> Slicer:
+        return _ModbusSlicer(self, expects, self.units)
+
+    def parse(self, frame: bytes, can_id: int | None = None) -> Head:
+        head = super().parse(frame, can_id)
+        known = head.exception is None and head.function in FUNCTIONS
+        return head._replace(code=0, start=2, quantity=None) if known else head
+
+    def build(self, command: CommandShape, form: FormShape, address: int, data: bytes, role: Role) -> bytes:
+        function = command.function or 0
+        # The data of a read reply begin with those of its request.
+        own = data[4:] if role is Role.REPLY and function in READS else data
+        return self.completed(bytes((address, function)) + own)
+
+    def parts(self, frame: bytes, can_id: int | None = None) -> tuple[Part, ...]:
+        return super().parts(frame, can_id)[: 2 if len(frame) > 1 and not frame[1] & 0x80 else 3]
+
+
 def _u16(data: bytes, at: int) -> int:
     return int.from_bytes(data[at : at + 2], "big")
+
+
+_ANY_UNIT = rb"[\x00-\xf7]"
+#: Address, then a function or an exception of one; a look-ahead keeps the search at the address.
+_STARTS = _ANY_UNIT + rb"(?=[\x01-\x06\x0f\x10\x81-\x86\x8f\x90]|\Z)"
 
 
 class _ModbusSlicer(Slicer):
     """Lengths by function: a read has 8 bytes, or 5 and its byte count; a write of several 8, or 9 and its count."""
 
     heads = bytes(range(_MODBUS_HIGHEST + 1))
-    # Address, then a function or an exception of one; a look-ahead keeps the search at the address.
-    starts = rb"[\x00-\xf7](?=[\x01-\x06\x0f\x10\x81-\x86\x8f\x90]|\Z)"
+    starts = _STARTS
     strong_head = False
     strong_check = True
     longest = 256
 
-    def __init__(self, link: ModbusLink, expects: Callable[[int, int], int]) -> None:
+    def __init__(self, link: ModbusLink, expects: Callable[[int, int], int], units: frozenset[int] = frozenset()) -> None:
         self._link = link
         self._expects = expects
+        if units:
+            self.heads = bytes(sorted(units))
+            self.starts = b"[" + b"".join(rb"\x%02x" % unit for unit in self.heads) + b"]" + _STARTS[len(_ANY_UNIT) :]
 
     def _sizes(self, buffer: bytes, at: int, end: int) -> tuple[int, ...]:
         """Return the lengths that a frame at `at` can have, ascending, or `MORE` while that cannot be told."""

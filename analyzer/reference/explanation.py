@@ -69,7 +69,10 @@ class Explanation:
     @property
     def data_start(self) -> int:
         """Where the command's own data begin."""
-        return self.head.stop - len(self.message.data)
+        form = self.message.form
+        # What is read behind the data of its request begins before the frame.
+        behind = form is not None and form.after_request
+        return self.head.start if behind else self.head.stop - len(self.message.data)
 
 
 class _Bytes(NamedTuple):

@@ -20,7 +20,7 @@ from analyzer.codec import codec
 from analyzer.decoder import slots_of
 from analyzer.dialects import code_text
 from analyzer.findings import RULES
-from analyzer.layout import Field, FieldKind
+from analyzer.layout import Field, FieldKind, ReadLayout
 from analyzer.records import Message, Severity
 from analyzer.reference.columns import columns, styled
 from analyzer.reference.explanation import Explanation
@@ -142,6 +142,8 @@ def rows(found: Explanation) -> Iterator[Row]:
 def _data_rows(found: Explanation, message: Message, start: int) -> Iterator[Row]:
     if message.command is not None and message.command.slots is not None and message.form is not None:
         yield from _slot_rows(found, message.command, start)
+    elif message.form is not None and isinstance(message.form.layout, ReadLayout):
+        yield from _read_rows(message, start, found.head.stop)
     elif message.form is not None:
         yield from field_rows(message.form, message.data, start)
     else:
@@ -190,6 +192,18 @@ def field_rows(form: Form, data: bytes, base: int) -> Iterator[Row]:
         block.append((offset, field))
     if block:
         yield from _block_rows(block, data, base)
+
+
+def _read_rows(message: Message, start: int, stop: int) -> Iterator[Row]:
+    """Yield the bytes of data whose reader alone knows where its values stand, and a line for each value."""
+    assert message.form is not None
+    layout = message.form.layout
+    yield from _raw_rows(message.frame.data[start:stop], start, "data")
+    shown = codec(layout).physical(message.data)
+    for name, value in shown.items():
+        if not (name.endswith(("_name", "_text")) and name[:-5] in shown):
+            named = f"{value} {shown[name + '_name']}" if name + "_name" in shown else f"{value} {layout.units.get(name, '')}"
+            yield Row("", "", "", f"{name} {named}".rstrip())
 
 
 def _block_rows(block: list[tuple[int, Field]], data: bytes, base: int) -> Iterator[Row]:

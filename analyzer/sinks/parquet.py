@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 HELD = 1 << 17
 _ALONE = 8
 _SECOND = 1_000_000_000
-#: Bits beyond which a number has a text twin, and beyond which it needs a sign's place.
-_WIDEST, _LONG = 53, 64
+#: Bits beyond which a number needs a sign's place.
+_LONG = 64
 
 
 class _Table:
@@ -294,7 +294,7 @@ class ParquetTables:
             own.append(pa.field(known, self._type(fields), metadata=words))
             if first.choices is not None:
                 own.append(pa.field(known + "_name", pa.dictionary(pa.int32(), pa.string()), metadata=about))
-            if any(field.bit_width > _WIDEST for field in fields):
+            if any(field.has_text_twin for field in fields):
                 own.append(pa.field(known + "_text", pa.string(), metadata=about))
         if command.slots is not None:
             own = [pa.field("slots", pa.string(), metadata=about)]
@@ -304,9 +304,11 @@ class ParquetTables:
 
     def _type(self, fields: Sequence[Field]) -> Any:
         pa = self._pa
-        if any(field.kind is FieldKind.BYTES for field in fields):
+        if any(field.kind in (FieldKind.BYTES, FieldKind.TEXT) for field in fields):
             return pa.string()
-        if any(field.scale != 1 for field in fields):
+        if any(field.kind is FieldKind.NUMBERS for field in fields):
+            return pa.list_(pa.int64())
+        if any(field.scale != 1 or field.kind is FieldKind.NUMBER for field in fields):
             return pa.float64()
         return pa.uint64() if any(f.kind is FieldKind.UINT and f.bit_width >= _LONG for f in fields) else pa.int64()
 
@@ -314,7 +316,7 @@ class ParquetTables:
         """Return what each frame has besides its fields."""
         pa = self._pa
         own = {"_raw": pa.binary(), "_checksum_ok": pa.bool_(), "_offset": pa.int64(), "_findings": pa.list_(pa.string())}
-        if role is not Role.REQUEST:
+        if role in (Role.REPLY, Role.UNKNOWN):
             own |= {"_latency": pa.float64(), "_request_sequence": pa.int64()}
         if bus == "can":
             own |= {"_can_id": pa.int64(), "_direction": pa.string()}

@@ -14,7 +14,7 @@ import msgspec
 from analyzer import events
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.codec import shown
-from analyzer.layout import STATE_UNITS, Field, FieldKind
+from analyzer.layout import NOT_NUMERIC, STATE_UNITS, Field, FieldKind
 
 _RESERVED: dict[str, dict[str, Any]] = {
     "_raw": {"type": "string", "description": "bytes of the frame, hex"},
@@ -39,29 +39,34 @@ def field_properties(field: Field, section: str) -> dict[str, dict[str, Any]]:
     if field.kind is FieldKind.BYTES:
         return {field.name: {"type": "string", "description": "bytes, hex"}}
     words = [field.note] if field.note else []
+    if field.kind in NOT_NUMERIC:
+        of_items = {"items": {"type": "integer"}} if field.kind is FieldKind.NUMBERS else {}
+        return {field.name: {"type": "array" if of_items else "string", **of_items, "description": "; ".join(words)}}
     if field.unit:
         words.append(f"unit {field.unit}")
-    if field.fixed is None and field.choices is None:
+    if field.fixed is None and field.choices is None and field.kind is not FieldKind.NUMBER:
         words.append(f"range {shown(field.physical(field.low))}..{shown(field.physical(field.high))}")
-    words.append(f"section {section}")
-    own: dict[str, Any] = {"type": "integer" if field.scale == 1 else "number", "description": "; ".join(words)}
+    if section:
+        words.append(f"section {section}")
+    whole = field.scale == 1 and field.kind is not FieldKind.NUMBER
+    own: dict[str, Any] = {"type": "integer" if whole else "number", "description": "; ".join(words)}
     if field.unit:
         own["unit"] = field.unit
     result = {field.name: own}
     if field.choices is not None:
         names = ", ".join(f"{v} {n}" for v, n in sorted(field.choice_names.items())[:24])
         result[field.name + "_name"] = {"type": "string", "description": names}
-    if field.bit_width > 53:
+    if field.has_text_twin:
         result[field.name + "_text"] = {"type": "string", "description": "the exact value, beyond 2**53"}
     return result
 
 
 def forms_of(dialect: Dialect, command: Command, role: Role) -> tuple[Form, ...]:
     """Return every form that a message of a command can have, those of the dialect as a whole included."""
-    forms = command.request_forms if role is Role.REQUEST else command.reply_forms
+    forms = command.reply_forms if role is Role.REPLY else command.request_forms
     fallback = dialect.fallbacks.get(command.function) if command.function is not None else None
     if fallback is not None and fallback is not command:
-        forms += fallback.request_forms if role is Role.REQUEST else fallback.reply_forms
+        forms += fallback.reply_forms if role is Role.REPLY else fallback.request_forms
     if dialect.exception is not None and role is Role.REPLY:
         forms += (dialect.exception,)
     return forms
@@ -77,7 +82,7 @@ def command_schema(dialect: Dialect, command: Command, role: Role) -> bytes:
     if command.slots is not None:
         properties = {"slots": slots_property(dialect)}
     return _object(
-        f"{dialect.title}: {command.summary} (section {command.section})",
+        f"{dialect.title}: {command.summary}" + (f" (section {command.section})" if command.section else ""),
         {**properties, **_RESERVED, **(_REPLY if role is Role.REPLY else {}), **(_CAN if dialect.bus == "can" else {})},
     )
 

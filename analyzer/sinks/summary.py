@@ -102,6 +102,7 @@ class Row:
     requests: int = 0
     replies: int = 0
     unknown: int = 0
+    messages: int = 0
     latencies: Latencies = field(default_factory=Latencies)
 
 
@@ -225,7 +226,7 @@ class Summary:
             counts[0] += 1
             counts[1] += len(frame.data)
             return
-        if frame.can is not None:
+        if frame.can is not None and role is not Role.MESSAGE:
             node = frame.port, message.who
             if frame.checksum_ok:
                 self._sound.add(node)
@@ -241,6 +242,8 @@ class Summary:
             row.replies += 1
             if entry.first_reply and entry.latency_ns is not None:
                 row.latencies.add(entry.latency_ns)
+        elif role is Role.MESSAGE:
+            row.messages += 1
         else:
             row.unknown += 1
 
@@ -303,6 +306,8 @@ class Summary:
             shown |= {"requests": row.requests, "replies": row.replies}
             if row.unknown:
                 shown["unknown"] = row.unknown
+            if row.messages:
+                shown["messages"] = row.messages
             if row.latencies.count:
                 shown["latency"] = {
                     "median": row.latencies.quantile(0.5) / 1e9,

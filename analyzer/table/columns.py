@@ -3,7 +3,7 @@
 A table of any kind takes the columns of decoded fields from `fields_of`, made from the layout of a form. What several forms
 have in common (`merged`) is one column where the unit is the same; a field with several units has a column for each.
 
-Choices are texts: the name, or the number where it has none. A field wider than 53 bits has a twin with the exact text.
+Choices are texts: the name, or the number where it has none. A field whose number may not be exact has a twin, the exact text.
 """
 
 from __future__ import annotations
@@ -17,10 +17,8 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Form
 from analyzer.codec import codec
-from analyzer.layout import STATE_UNITS, Field, FieldKind
+from analyzer.layout import NOT_NUMERIC, STATE_UNITS, Field, FieldKind
 
-#: Wider fields have a text twin: a double does not hold them.
-EXACT_BITS = 53
 TWIN = "_text"
 
 
@@ -119,17 +117,17 @@ def fields_of(dialect: Dialect, command: Command, form: Form) -> tuple[Column, .
     for field in form.layout.named.values():
         column = _column(dialect, command, field)
         columns.append(column)
-        if field.bit_width > EXACT_BITS:
+        if field.has_text_twin:
             note = "the exact value, where it is beyond 2**53"
             columns.append(replace(column, field=field.name + TWIN, name=field.name + TWIN, kind=Kind.TEXT, note=note))
     return tuple(columns)
 
 
 def _column(dialect: Dialect, command: Command, field: Field) -> Column:
-    if field.kind is FieldKind.BYTES or field.choices is not None:
+    if field.kind in NOT_NUMERIC or field.choices is not None:
         kind = Kind.TEXT
     else:
-        kind = Kind.INTEGER if field.scale == 1 else Kind.NUMBER
+        kind = Kind.INTEGER if field.scale == 1 and field.kind is not FieldKind.NUMBER else Kind.NUMBER
     return Column(
         field=field.name,
         name=field.name,
@@ -144,15 +142,18 @@ def _column(dialect: Dialect, command: Command, field: Field) -> Column:
 
 
 def reader_of(form: Form) -> Callable[[bytes], list[Any]]:
-    """Return what reads data of a form into the values of its columns; None where a text twin is not needed."""
+    """Return what reads data of a form into the values of its columns; None for a value or a text twin that is not there."""
     physical = codec(form.layout).physical
-    names = [(name, field.choices is not None, field.bit_width > EXACT_BITS) for name, field in form.layout.named.items()]
+    names = [(name, field.choices is not None, field.has_text_twin) for name, field in form.layout.named.items()]
 
     def read(data: bytes) -> list[Any]:
         got = physical(data)
         values: list[Any] = []
         for name, chosen, wide in names:
-            values.append(got.get(name + "_name", str(got[name])) if chosen else got[name])
+            value = got.get(name)
+            if chosen and value is not None:
+                value = got.get(name + "_name", str(value))
+            values.append(" ".join(map(str, value)) if isinstance(value, list) else value)
             if wide:
                 values.append(got.get(name + TWIN))
         return values

@@ -16,6 +16,7 @@ from analyzer.values import fields_text, printable
 ROLES = {
     "request": (">", "cyan"),
     "reply": ("<", "green"),
+    "message": ("-", "blue"),
     "unknown": ("?", "yellow"),
     "foreign": ("·", "dim"),
     JUNK: ("~", "magenta"),
