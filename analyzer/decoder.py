@@ -284,21 +284,20 @@ class Decoder:
     ) -> Message:
         """Return the message of a frame that fits no form: the length is wrong, or the code is not catalogued."""
         violations: tuple[Violation, ...]
+        # What a reply says only behind its request, it does not say alone.
+        alone = asked is None and any(form.after_request for _, form, _ in known)
+        known = [] if alone else known
         # If commands share a code, the one without fixed fields stands for the code.
         general = next((entry for entry in known if not entry[2].fixed), known[0] if known else None)
         command = general[0] if general else (asked.command if asked else None)
         if command is not None:
             forms = command.request_forms if request else command.reply_forms
-            before = asked.message.data if asked is not None else b""
-            misfits = [codec(f.layout).misfit(before + data if f.after_request else data) for f in forms]
             sizes = sorted({f.layout.byte_length for f in forms})
             text = f"{command.name} {role}: expected {_either(sizes)} bytes of data, got {len(data)}"
-            # What a reader says of data that are long enough is more than that no form fits.
-            misfit = next((m for m, f in zip(misfits, forms, strict=True) if m is not None and f.layout.fits(len(data))), None)
-            violations = (misfit or Violation("wrong_length", text),)
+            violations = (_misfit(forms, data, asked) or Violation("wrong_length", text),)
             if not forms:
                 violations = (Violation("wrong_length", f"{command.name} has no {role}, got {len(data)} bytes"),)
-        elif head.code is not None:
+        elif head.code is not None and not alone:
             shown = f"0x{head.code:04X}" if head.function is not None else f"0x{head.code:02X}"
             where = f" of function 0x{head.function:02X}" if head.function is not None else ""
             violations = (Violation("unknown_command", f"{shown}{where} is not in the catalogue"),)
@@ -406,6 +405,15 @@ def _chosen(lanes: tuple[Lane, Lane], data: bytes, context: Context) -> Lane | N
         return request if request.valid is None or request.valid(own) else None
     if len(waiting) == 1 and waiting[0].command is reply.command and (reply.valid is None or reply.valid(own)):
         return reply
+    return None
+
+
+def _misfit(forms: tuple[Form, ...], data: bytes, asked: Request | None) -> Violation | None:
+    """Return why a reader cannot read data that are long enough: that says more than that no form fits."""
+    for form in forms:
+        whole = asked.message.data + data if form.after_request and asked is not None else data
+        if form.layout.fits(len(whole)) and (misfit := codec(form.layout).misfit(whole)) is not None:
+            return misfit
     return None
 
 

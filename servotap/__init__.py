@@ -94,18 +94,22 @@ def open(
     format: str | None = None,
     groups: Collection[int] = (),
     ids: str = "",
+    dbc: Collection[str | PathLike[str]] = (),
+    modbus_map: Collection[str | PathLike[str]] = (),
     since: str | None = None,
     until: str | None = None,
 ) -> Capture:
     """Open a capture of any format, a log, or a folder of parts.
 
-    `dialect`, `model`, `ids`, `since` and `until` as for `servotap show`. Raises UnreadableError, UsageError.
+    `dialect`, `model`, `ids`, `since` and `until` as for `servotap show`; `dbc`, `modbus_map`: files that describe the other
+    devices of the bus. Raises UnreadableError, UsageError.
     """
     from servotap.captures import Capture
 
     return Capture(
-        path, dialect=dialect, model=model, baud=baud, format=format, groups=groups, ids=ids, since=since, until=until
-    )
+        path, dialect=dialect, model=model, baud=baud, format=format, groups=groups, ids=ids, dbc=dbc, modbus_map=modbus_map,
+        since=since, until=until,
+    )  # fmt: skip
 
 
 def explain(

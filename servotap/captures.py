@@ -191,6 +191,8 @@ class Capture:
         format: str | None = None,
         groups: Collection[int] = (),
         ids: str = "",
+        dbc: Collection[str | os.PathLike[str]] = (),
+        modbus_map: Collection[str | os.PathLike[str]] = (),
         since: str | None = None,
         until: str | None = None,
     ) -> None:
@@ -207,6 +209,8 @@ class Capture:
             format=format,
             group=list(groups),
             ids=[ids] if ids else [],
+            dbc=[os.fspath(each) for each in dbc],
+            modbus_map=[os.fspath(each) for each in modbus_map],
             since=None if since is None else parse_time(since),
             until=None if until is None else parse_time(until),
         )

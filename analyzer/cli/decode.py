@@ -51,6 +51,8 @@ examples:
   servotap decode week.mcap --since +10min --until +11min -o minute.mcap
   servotap decode week/ -o logs/                      all captures of a folder and its subfolders, several at once
   servotap decode long.blf --jobs 1                   with one core; the log is the same
+  servotap decode can.log --dbc battery.dbc --dbc charger.dbc
+  servotap decode bus.log --modbus-map meter.csv
   servotap decode can.log --to parquet                a folder can.log.parquet: a table for each command
 """
 
@@ -296,7 +298,7 @@ def _metadata(
     if source.sha256:
         values["source_sha256"] = source.sha256
     for file in reading.device_files:
-        values[f"device_file_{file.name}"] = f"{file.dialects[0].manual}, SHA-256 {file.sha256}"
+        values[f"device_file_{file.name}"] = f"{file.kind}, SHA-256 {file.sha256}"
     if reading.model:
         values["model"] = reading.model
     values |= reading.time_range.about()

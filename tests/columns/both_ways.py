@@ -54,11 +54,14 @@ def messages(log: bytes) -> list[tuple[object, ...]]:
     ]
 
 
-def outcome(items: Sequence[Item], dialect: Dialect, *, timed: bool = True) -> tuple[dict[str, object], Pipeline]:
+def outcome(
+    items: Sequence[Item], dialect: Dialect | Sequence[Dialect], *, timed: bool = True
+) -> tuple[dict[str, object], Pipeline]:
     """Return all that comes out of a pipeline that is fed these items."""
+    dialects = [dialect] if isinstance(dialect, Dialect) else list(dialect)
     stream, summary, watch = io.BytesIO(), Summary(), Watch()
     log = McapLog(stream, bit_ns=2000)
-    pipeline = Pipeline([dialect], [log, summary, watch], Options(timed=timed))
+    pipeline = Pipeline(dialects, [log, summary, watch], Options(timed=timed))
     for item in items:
         watch.take(item)
         pipeline.feed(item)
@@ -70,7 +73,7 @@ def outcome(items: Sequence[Item], dialect: Dialect, *, timed: bool = True) -> t
         before[name] = plain_values(state)
     pipeline.close()
     log.finish({})
-    shown = [repr((s.bus, s.pieces, s.reads, s.findings, s.frames, s.timed)) for s in watch.scenes([dialect])]
+    shown = [repr((s.bus, s.pieces, s.reads, s.findings, s.frames, s.timed)) for s in watch.scenes(dialects)]
     return {
         "messages": messages(stream.getvalue()),
         "summary": summary.settle().as_object(),

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from analyzer import dialects
 from analyzer.catalogue import Role
-from analyzer.columns.block import ByteBlock
+from analyzer.columns.block import DIRECTIONS, ByteBlock
 from analyzer.framer import SILENCE_NS
 from analyzer.records import Chunk
 from benchmarks.framing_noise import SentFrame
@@ -60,7 +60,7 @@ def chunks_of(
         if not steady and chance.random() < 0.002:
             t_ns -= chance.choice((1_000, 40_000_000, 3_000_000_000))
         if marked and chance.random() < 0.05:
-            direction = chance.choice(tuple(Role)[:3])
+            direction = chance.choice(DIRECTIONS)
         yield Chunk(t_ns, "line", data, direction, bursting and chance.random() < 0.9)
 
 
