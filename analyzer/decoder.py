@@ -241,6 +241,9 @@ class Decoder:
         command, form, coder = entry
         if form.after_request and request is not None:
             data = request.message.data + data
+        elif command is self.dialect.fallbacks.get(head.function or 0):
+            # Its own data begin after the function.
+            data = frame.data[2 : head.stop]
         message = Message(frame, Role.REPLY, head.address, command, form, data, coder.broken(data))
         return message, request
 

@@ -14,6 +14,7 @@ import os
 import pty
 import re
 import select
+import shutil
 import signal
 import struct
 import subprocess
@@ -66,10 +67,7 @@ def alike(output: str, old: str) -> bool:
 def run(command: str, folder: Path) -> str:
     """Run a command of the README in a folder that has the captures, and return what it prints."""
     if not (folder / "captures").exists():
-        (folder / "captures").mkdir()
-        for path in (ROOT / "captures").iterdir():
-            if path.is_file():
-                (folder / "captures" / path.name).write_bytes(path.read_bytes())
+        shutil.copytree(ROOT / "captures", folder / "captures", ignore=shutil.ignore_patterns("__pycache__"))
     search = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         command, shell=True, cwd=folder, capture_output=True, text=True, env={**os.environ, "PATH": search}, timeout=60
@@ -308,6 +306,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         makers = {
             ROOT / "README.md": lambda: played(filled((ROOT / "README.md").read_text(), Path(folder))),
+            ROOT / "docs" / "devices.md": lambda: filled((ROOT / "docs" / "devices.md").read_text(), Path(folder)),
             ROOT / "docs" / "first-hour.md": lambda: played((ROOT / "docs" / "first-hour.md").read_text()),
             ROOT / "docs" / "show.svg": picture,
             ROOT / "docs" / "findings.md": findings,

@@ -262,5 +262,5 @@ def test_another_format_of_cantools(tmp_path):
 def test_two_files_of_one_identifier(tmp_path):
     with pytest.raises(ServotapError, match=r"message 0x123 stands in d0.dbc and in d1.dbc"):
         devices(tmp_path, BATTERY, BATTERY)
-    with pytest.raises(ServotapError, match="none.dbc: No such file"):
+    with pytest.raises(ServotapError, match=r"none.dbc: No such file"):
         load([str(tmp_path / "none.dbc")], [], print)

@@ -71,7 +71,9 @@ EXCHANGES = {
     "05 0F 00 03 00 03 01 05 | 05 0F 00 03 00 03": {"register": 3, "quantity": 3},
     "05 10 00 30 00 01 02 00 09 | 05 10 00 30 00 01": {"register": 48, "quantity": 1},
     # A reply of eight bytes that could be a request.
-    "05 01 03 00 00 18 | 05 01 03 01 02 03": {"register": 768, "quantity": 24, "values": [1] + [0] * 8 + [1] + [0] * 6 + [1, 1] + [0] * 6},
+    "05 01 03 00 00 18 | 05 01 03 01 02 03": {
+        "register": 768, "quantity": 24, "values": [1] + [0] * 8 + [1] + [0] * 6 + [1, 1] + [0] * 6,
+    },
     "05 03 00 10 00 01 | 05 83 02": {"exception": 2, "exception_name": "illegal_data_address"},
 }  # fmt: skip
 
@@ -94,7 +96,7 @@ def test_a_reply_without_its_request_keeps_its_registers():
 
 def test_a_reply_of_another_length_is_told():
     sink = read([get("modbus")], "05 03 00 10 00 02", "05 03 02 00 07")
-    assert [f.text for f in sink.findings][0] == "2 registers from 0x0010: expected 4 bytes, got 2"
+    assert sink.findings[0].text == "2 registers from 0x0010: expected 4 bytes, got 2"
 
 
 def test_values_stand_under_their_names_and_the_others_under_their_addresses(tmp_path):

@@ -36,6 +36,7 @@ from unittest import mock
 from mcap.reader import make_reader
 
 from analyzer import dialects
+from analyzer.catalogue import Role
 from analyzer.cli import main
 from analyzer.context import Context
 from analyzer.decoder import Decoder
@@ -44,6 +45,7 @@ from analyzer.framer import Framer
 from analyzer.live import spool
 from analyzer.pipeline import Options, Pipeline
 from analyzer.records import CanFrame, Chunk, Frame
+from analyzer.reference.dbc import dbc
 from analyzer.sources import FORMATS, open_source
 from analyzer.transactions import Transactions
 from conformance.claim import RigFault
@@ -52,7 +54,7 @@ from tests.collect import Collect, sum8
 from tests.columns.both_ways import same_capture, same_line, short_runs
 from tests.columns.serial_traffic import chunks_of
 from tests.fuzz.corpus import CAPTURES, INPUT, Input, captures, lay_out, quick
-from tests.fuzz.mutators import TOKENS, VALUES, bytes_changed, kind_of, mutated, text_changed
+from tests.fuzz.mutators import SIZE_LIMIT, TOKENS, VALUES, bytes_changed, kind_of, mutated, text_changed
 from tests.fuzz.two_ends import beside, can_bus, datagrams, far_end, free_port, program, tcp_clients, viewed
 from tests.live.spooled import START, Spools, port
 from tests.sources.builders import SAMPLES
@@ -696,6 +698,45 @@ def _view(given: Input, place: Place) -> None:
         viewed(place.folder / INPUT, given["keys"])
 
 
+#: Files of devices, each with a capture of such devices and the option that takes it.
+_DEVICES = CAPTURES / "devices"
+_MAP, _DBC = ("in.csv", "--modbus-map", "meter.log"), ("in.dbc", "--dbc", "battery.log")
+
+
+def _device_files(given: Input, place: Place) -> None:
+    data = given[INPUT]
+    name, option, capture = _MAP if b"unit" in data[:300] else ("in.kcd", *_DBC[1:]) if data[:1] == b"<" else _DBC
+    lay_out({name: data, INPUT: (_DEVICES / capture).read_bytes()}, place.folder)
+    if run_words(("decode", INPUT, option, name, "-o", "out.mcap"), place) == 0:
+        check_log(place.folder / "out.mcap", fed(place.folder / INPUT))
+    elif (place.folder / "out.mcap").exists():
+        raise Fault("a log was written, and its device file was refused")
+
+
+def _device_seeds() -> list[Input]:
+    from cantools.database import load_file
+
+    own = [(_DEVICES / name).read_bytes() for name in ("battery.dbc", "meter.csv")]
+    kcd = load_file(_DEVICES / "battery.dbc").as_kcd_string().encode()
+    return [
+        *({INPUT: data} for data in (*own, kcd, dbc(dialects.get("mks-can"), [1], Role.REPLY).encode())),
+        *quick("device-files"),
+    ]
+
+
+def _text_changed(chance: random.Random, given: Input, others: Sequence[Input]) -> Input:
+    lines = given[INPUT].split(b"\n")
+    for _ in range(chance.choice((1, 1, 2, 5))):
+        at, act = chance.randrange(len(lines)), chance.random()
+        if act < 0.6:
+            lines[at] = text_changed(chance, lines[at])
+        elif act < 0.8:
+            lines.insert(at, chance.choice(chance.choice(others)[INPUT].split(b"\n")))
+        elif len(lines) > 1:
+            del lines[at]
+    return {INPUT: b"\n".join(lines)[:SIZE_LIMIT]}
+
+
 def _with(name: str, *targets: str) -> Callable[[], list[Input]]:
     """Return seeds that are captures with a further file, of bytes, and what targets found before."""
 
@@ -738,6 +779,7 @@ TARGETS: dict[str, Target] = {
     "tap": Target(_tap, _bytes_seeds, _bytes_changed, 0.5, 30.0),
     "replay-bus": Target(_replay, _with("far", "replay-bus"), _file_changed, 0.5, 30.0),
     "view": Target(_view, _with("keys", "view"), _file_changed, 0.5, 30.0),
+    "device-files": Target(_device_files, _device_seeds, _text_changed, 1.0, 30.0),
     "mf4": Target(command("show", INPUT), _mf4_seeds, _file_changed, 0.3),
     "cut": _on_files("cut", run=_copied("cut", INPUT, "--since", "+1ms"), kinds=_LOGS),
     "merge": Target(_copied("merge", INPUT, "other"), _two_logs, _file_changed),
