@@ -66,7 +66,9 @@ def _installed() -> bool:
 
 def _records(source: Source) -> Iterator[CanFrame]:
     with contextlib.ExitStack() as stack:
-        path = stack.enter_context(_as_file(source))
+        # asammdf leaves a file of its own there when it is ended.
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="servotap-"))
+        path = _as_file(source, folder)
         size = os.stat(path).st_size
         child = subprocess.Popen(
             [sys.executable, "-c", _CHILD, os.path.abspath(path), json.dumps(sys.path), *map(str, child_limits(size))],
@@ -74,7 +76,7 @@ def _records(source: Source) -> Iterator[CanFrame]:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             # Each thread of its libraries would take memory of its own on a machine with many processors.
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "TMPDIR": folder, "TEMP": folder},
         )
         stack.callback(_end, child)
         assert child.stdout is not None
@@ -118,20 +120,15 @@ def _end(child: subprocess.Popen[bytes]) -> None:
     child.wait()
 
 
-@contextlib.contextmanager
-def _as_file(source: Source) -> Iterator[str]:
-    """Give the path of a file with the unpacked bytes."""
+def _as_file(source: Source, folder: str) -> str:
+    """Return the path of a file with the unpacked bytes: the source itself, or a copy in this folder."""
     stream = source.stream
     if source.size is not None and not stream.compression and source.path.lower().endswith(_ENDINGS):
         stream.drain()
-        yield source.path
-        return
+        return source.path
     source.note("MF4 cannot be streamed: it was copied to a temporary file first")
-    handle, path = tempfile.mkstemp(suffix=".mf4")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            while block := stream.block():
-                file.write(block)
-        yield path
-    finally:
-        os.unlink(path)
+    path = os.path.join(folder, "copy.mf4")
+    with open(path, "wb") as file:
+        while block := stream.block():
+            file.write(block)
+    return path

@@ -352,6 +352,17 @@ def test_a_crash_of_the_mf4_reader_is_a_problem(tmp_path: Path, monkeypatch: pyt
         read_all(path)
 
 
+def test_an_mf4_leaves_no_file_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("asammdf", reason="MF4 needs asammdf, an extra")
+    path = builders.by_python_can(tmp_path / "capture.mf4", builders.messages())
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    monkeypatch.setenv("TMPDIR", str(folder))
+    assert read_all(path)
+    assert list(folder.iterdir()) == []
+
+
 def test_a_broken_mf4_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("asammdf", reason="MF4 needs asammdf, an extra")
     path = builders.by_python_can(tmp_path / "capture.mf4", builders.messages())
