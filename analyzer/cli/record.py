@@ -226,6 +226,9 @@ def target_of(arguments: argparse.Namespace) -> Path:
         target = target / name
     if target.suffix != ".mcap" and (target.is_file() or not target.exists()):
         raise UsageError(f"got {str(target)!r}, expected a name that ends in .mcap")
+    if target.is_symlink() and target.exists():
+        # The link stays: the file behind it is written.
+        target = target.resolve()
     arguments.replaces = _in_the_way(target, arguments.force, parts=bool(arguments.rotate or arguments.max_total))
     logs = [path for path in arguments.replaces if path.is_file()]
     arguments.mode = stat.S_IMODE(logs[-1].stat().st_mode) if logs else None
@@ -309,6 +312,8 @@ def configure(
     groups = dict.fromkeys((*arguments.group, *(group for each in named for group in each.bus.groups)))
     rotate_bytes, rotate_ns = _rotation(arguments)
     anchor = now()
+    if not 0 <= anchor.wall_ns < 1 << 63:
+        raise UsageError(f"this computer's clock is {anchor.wall_ns // 10**9} s from 1970: set it to a time before 2262")
     return RecordingConfig(
         log=str(target.absolute()),
         ports=tuple(_port(number, e, dialects[e.name], ids) for number, e in enumerate(endpoints, 1)),

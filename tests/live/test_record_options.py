@@ -264,6 +264,22 @@ def test_a_link_that_leads_nowhere_or_in_a_circle_is_no_log(tmp_path):
         assert link.is_symlink()
 
 
+def test_a_link_to_a_log_stays_and_the_log_behind_it_is_replaced(tmp_path):
+    log, link = tmp_path / "kept/behind.mcap", tmp_path / "link.mcap"
+    log.parent.mkdir()
+    log.write_bytes(b"old")
+    link.symlink_to(log)
+    config = configured(tmp_path, "serial:/dev/ttyUSB0,baud=9600", "-o", str(link), "--force")
+    assert config.log == str(log)
+
+
+@pytest.mark.parametrize("wall_ns", [-1, 1 << 63])
+def test_a_clock_that_no_log_can_hold_is_told(wall_ns, tmp_path, monkeypatch):
+    monkeypatch.setattr("time.time_ns", lambda: wall_ns)
+    with pytest.raises(UsageError, match="set it to a time before 2262"):
+        configured(tmp_path, "serial:/dev/ttyUSB0,baud=9600")
+
+
 def test_a_part_is_never_written_through_a_link(tmp_path):
     config = configured(tmp_path, "serial:/dev/ttyUSB0,baud=9600", "--rotate", "1MB")
     folder = spool_folder(tmp_path / "a.mcap")
