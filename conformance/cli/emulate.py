@@ -172,7 +172,7 @@ def _emulate(specifications: Sequence[Specification], arguments: argparse.Namesp
         stack.callback(log.finish, about)
         ticks.append(log.tick)
     if arguments.state:
-        state = StateFile(arguments.state, drives, kept)
+        state = StateFile(arguments.state, drives)
         state.save()
         stack.callback(state.save)
         ticks.append(lambda now_ns: state.save())

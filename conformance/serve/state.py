@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from analyzer.cli.output import Output
+from analyzer.cli.output import write_whole
 from analyzer.errors import UsageError
 from analyzer.whole_file import read_whole
 from conformance.drives.drive import Drive
@@ -52,31 +52,21 @@ def _drives(whole: Any) -> dict[str, Settings]:
 class StateFile:
     """Keeps the state of drives in a file, whenever it has changed. `drives`: by their names."""
 
-    def __init__(self, path: str, drives: Mapping[str, Drive], others: Mapping[str, Settings]) -> None:
+    def __init__(self, path: str, drives: Mapping[str, Drive]) -> None:
         self.path = Path(path)
         self._drives = dict(drives)
-        # Drives that the file knows and this run does not have stay in it.
-        self._others = {name: dict(kept) for name, kept in others.items() if name not in self._drives}
-        self._written = ""
+        self._written: dict[str, Settings] = {}
 
     def save(self) -> None:
         """Write the file if anything has changed.
 
-        Raises UsageError where it cannot be written.
+        Drives that the file knows and this run does not have stay in it, also as another run changed them meanwhile.
+        Raises UsageError where it cannot be written, or holds no state any more.
         """
-        text = self._text()
-        if text == self._written:
+        own = {name: dict(drive.settings) for name, drive in self._drives.items()}
+        if own == self._written:
             return
-        output = Output(self.path, replace=True)
-        try:
-            output.stream.write(text.encode())
-            output.keep()
-        except OSError as error:
-            output.drop()
-            raise UsageError(f"cannot write {self.path}: {error.strerror}") from None
-        self._written = text
-
-    def _text(self) -> str:
-        kept = self._others | {name: dict(drive.settings) for name, drive in self._drives.items()}
-        drives = {name: {"settings": settings} for name, settings in sorted(kept.items())}
-        return json.dumps({"servotap": _KIND, "version": _VERSION, "drives": drives}, indent=2) + "\n"
+        drives = {name: {"settings": settings} for name, settings in sorted({**load(str(self.path)), **own}.items())}
+        text = json.dumps({"servotap": _KIND, "version": _VERSION, "drives": drives}, indent=2) + "\n"
+        write_whole(self.path, text.encode())
+        self._written = dict(own)

@@ -18,6 +18,8 @@ from analyzer.encoder import build
 from analyzer.errors import UsageError
 from conformance.cli import HELP, emulate
 from conformance.drives import make
+from conformance.serve.state import StateFile
+from tests.conformance.drives.plain_drive import PlainDrive
 from tests.conformance.drives.served import Emulated, wait_for
 
 MKS = dialects.get("mks-rs485")
@@ -103,6 +105,23 @@ def test_settings_are_kept_over_runs(tmp_path: Path) -> None:
     for name, baud in (("mks-rs485@1", 6), ("mks-rs485@1#2", 1)):
         settings = kept[name]["settings"]
         assert (settings["work_mode"], settings["current"], settings["baud_rate"]) == (5, 1200, baud)
+
+
+def test_two_runs_with_one_state_keep_what_the_other_has_kept(tmp_path: Path) -> None:
+    path = tmp_path / "drives.json"
+    drives = {name: PlainDrive("mks-rs485", 1, current=0) for name in ("one", "two")}
+    runs = {name: StateFile(str(path), {name: drive}) for name, drive in drives.items()}
+    for current, name in enumerate(("one", "two", "one", "two"), 1):
+        drives[name].settings["current"] = current
+        runs[name].save()
+    assert {name: kept["settings"]["current"] for name, kept in json.loads(path.read_text())["drives"].items()} == {
+        "one": 3, "two": 4,
+    }  # fmt: skip
+    path.write_text("mine")
+    drives["one"].settings["current"] = 5
+    with pytest.raises(UsageError, match="does not hold the state of drives"):
+        runs["one"].save()
+    assert path.read_text() == "mine"
 
 
 def test_tcp_a_duration_and_a_noisy_wire(tmp_path: Path) -> None:
