@@ -29,6 +29,8 @@ HANDS_BACK = frozenset({"udp_multicast"})
 _RETURN_NS = 500_000_000
 #: Failures to receive in a row after which the interface is taken to be gone.
 _FAILURES = 20
+#: What is slept where an interface does not wait itself: looking again at once would take a whole core.
+_PAUSE_NS = 1_000_000
 
 
 class CanPort:
@@ -58,6 +60,7 @@ class CanPort:
 
         Raises ServotapError when the interface is gone.
         """
+        from_ns = time.monotonic_ns()
         try:
             message = self._bus.recv(timeout_ns / 1e9)
         # A line of garbage on an adapter's port raises from deep inside.
@@ -72,6 +75,9 @@ class CanPort:
             return None
         self._failures = 0
         if message is None:
+            pause_ns = min(timeout_ns, _PAUSE_NS)
+            if time.monotonic_ns() - from_ns < pause_ns:
+                time.sleep(pause_ns / 1e9)
             return None
         # CAN FD has lengths that python-can rounds; a remote frame has a length and no data.
         if not message.is_remote_frame and not message.is_fd and len(message.data or b"") != message.dlc:

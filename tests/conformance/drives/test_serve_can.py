@@ -9,11 +9,13 @@ from typing import Any
 
 import can
 import pytest
+from can.interfaces.virtual import VirtualBus
 
 from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.encoder import build
 from analyzer.errors import UsageError
+from conformance.bus import python_can
 from conformance.drives.can_bus import CanBus
 from conformance.serve.can import CanPort, parse_endpoint
 from conformance.serve.pty import PtyPort
@@ -86,6 +88,18 @@ def test_slcan_over_a_pair_of_terminals() -> None:
                 assert answers(host) == [(1, REPLY)]
     finally:
         bridge.close()
+
+
+def test_an_interface_that_does_not_wait_takes_no_whole_core(channel: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr(VirtualBus, "recv", lambda self, timeout=None: None)
+    monkeypatch.setattr(python_can.time, "sleep", slept.append)
+    port = CanPort("virtual", channel)
+    assert port.receive(50_000_000) is None
+    assert port.receive(200_000) is None
+    assert port.receive(0) is None
+    assert slept == [0.001, 0.0002]
+    port.close()
 
 
 def test_what_an_adapter_says_that_cannot_be_read_is_counted_and_told(capsys: pytest.CaptureFixture[str]) -> None:
