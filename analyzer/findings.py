@@ -67,7 +67,6 @@ RULES: dict[str, Rule] = {
         Rule("host_echo", _I, "an echo of the host's own bytes, by the adapter or the wiring"),
         Rule("can_error_frame", _E, "a CAN error frame"),
         Rule("foreign_can_frame", _W, "a CAN frame of a drive's identifier, of a type or length that the dialect does not use"),
-        Rule("claimed_twice", _I, "a message that a file describes, whose frames are a drive's by their bytes (see --ids)"),
         Rule("port_lost", _W, "a port was lost during recording: traffic from here on is missing"),
         Rule("port_back", _W, "a port reconnected after a gap"),
         Rule("overrun", _W, "the serial driver counted lost or damaged bytes"),

@@ -26,7 +26,7 @@ from analyzer.findings import Issue, finding, is_plain, of_junk, of_message
 from analyzer.foreign import CAN_ID_LIMIT
 from analyzer.framer import Framer
 from analyzer.port import Options, Port, PortSetup, topic_name, usual_setup
-from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Junk, JunkReason, Lane, Message, Silence
+from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Junk, JunkReason, Lane, Message, Severity, Silence
 from analyzer.transactions import Late
 from analyzer.values import counted
 
@@ -387,7 +387,7 @@ class Pipeline:
         drive = port.decoders[dialect.name].decode(replace(frame, dialect=dialect))[0] if good else None
         if port.nodes.claimed_twice(can.id, drive):
             text = f"{frame.dialect.title} describes it, and its frames check as {dialect.name}: read as {frame.dialect.name}"
-            issues.append(Issue("claimed_twice", f"{text}; --ids 0x{can.id:X} reads it as a drive"))
+            issues.append(Issue("foreign_can_frame", f"{text}; --ids 0x{can.id:X} reads it as a drive", Severity.INFO))
         self._write(port, message, issues)
 
     def _foreign(self, port: Port, frame: Frame, address: int) -> None:

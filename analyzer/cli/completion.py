@@ -81,7 +81,7 @@ def _listed(names: Callable[[], Iterable[str]]) -> Completer:
 def _dialects() -> list[str]:
     from analyzer import dialects
 
-    return dialects.names()
+    return dialects.readable()
 
 
 def _risks() -> list[str]:
@@ -98,9 +98,10 @@ def _models() -> list[str]:
 
 def _drives() -> list[str]:
     """Return what a drive may be: a name of a profile, or a dialect and address 1, which drives have at first."""
+    from analyzer import dialects
     from analyzer.live import profile
 
-    return [*profile.names(), *(f"{name}@1" for name in _dialects())]
+    return [*profile.names(), *(f"{name}@1" for name in dialects.names())]
 
 
 def _commands(parsed_args: argparse.Namespace, **_: Any) -> list[str]:

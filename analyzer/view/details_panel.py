@@ -44,6 +44,9 @@ class Details:
             text.append(f"! {', '.join(missing)}\n", SEVERITIES.get(line.severity, ("", ""))[1])
         if line.role == EVENT:
             text.append(f"{printable(line.command)}: {printable(line.text)}\n")
+        elif line.role == Role.MESSAGE:
+            # Where its signals stand, the reader of the file knows alone.
+            text.append(f"{printable(line.command)}\n{bytes_text(line)}\n{printable(fields_text(line.values, line.units))}\n")
         elif line.role in (JUNK, FOREIGN) or line.dialect not in self._dialects:
             self._bytes(text, line)
         else:

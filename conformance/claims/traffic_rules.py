@@ -186,8 +186,9 @@ class Judge:
         self.dialects = {d.name: d for d in dialects}
         self._groups = frozenset(groups)
         self.seen: dict[str, Counter[Seen]] = {name: Counter() for name in self.dialects}
-        #: Frames of nodes that are no drives.
+        #: Frames of nodes that are no drives, and those of such nodes that something describes: bus and address.
         self.foreign = 0
+        self._described: set[tuple[str, int | None]] = set()
         self._counts: dict[tuple[str, str], Count] = {}
         self._spoken: dict[tuple[str, int | None], str] = {}
         self._last: Entry | None = None
@@ -199,8 +200,10 @@ class Judge:
         """Count a frame."""
         message = entry.message
         frame = message.frame
-        if message.role is Role.FOREIGN:
+        if message.role is Role.FOREIGN or not frame.dialect.of_drives:
             self.foreign += 1
+            if not frame.dialect.of_drives:
+                self._described.add((frame.port, message.address))
             return
         name = frame.dialect.name
         self._spoken[frame.port, message.address] = self._spoken[frame.port, None] = name
@@ -239,7 +242,10 @@ class Judge:
             self._begun, self.first_ns = True, t_ns
 
     def finding(self, found: Finding) -> None:
-        """Count a finding."""
+        """Count a finding about drives."""
+        node = found.port, found.address
+        if node in self._described and node not in self._spoken:
+            return
         row = row_of(found)
         name = self._dialect_of(found)
         count = self._counts.setdefault((name, row.name), Count(row, name))

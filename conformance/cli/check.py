@@ -89,7 +89,9 @@ def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> 
 
     reading = open_reading(path, arguments)
     try:
-        judge = Judge(reading.possible, reading.options.groups, first_few=max(arguments.examples, 1))
+        judge = Judge(
+            [d for d in reading.possible if d.of_drives], reading.options.groups, first_few=max(arguments.examples, 1)
+        )
         pipeline = reading.pipeline((judge,))
         with progress(reading.source, f"checking {printable(path)}"):
             pipeline.run(reading)

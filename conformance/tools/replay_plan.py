@@ -114,10 +114,10 @@ class _Reader:
             self.plan.buses[frame.port] += 1
         if self._bus and frame.port != self._bus:
             return
-        if message.role is Role.REQUEST:
-            self._request(entry)
-        elif message.role is Role.FOREIGN:
+        if message.role is Role.FOREIGN or not frame.dialect.of_drives:
             self.plan.left_out["frames that are not of this dialect"] += 1
+        elif message.role is Role.REQUEST:
+            self._request(entry)
         elif message.role is Role.UNKNOWN:
             self.plan.left_out["frames of an unknown sender"] += 1
         elif entry.request_sequence is not None and entry.request_sequence in self._open:

@@ -116,7 +116,7 @@ def test_an_identifier_of_both_is_the_files_and_that_is_said_once(tmp_path):
     frames = [can_frame(n, 1, ask) for n in range(5)]
     sink = read(devices(tmp_path, text), frames)
     assert {e.message.role for e in sink.entries} == {Role.MESSAGE}
-    assert [f.rule for f in sink.findings] == ["claimed_twice"]
+    assert [(f.rule, f.severity) for f in sink.findings] == [("foreign_can_frame", "info")]
     assert "--ids 0x1 reads it as a drive" in sink.findings[0].text
     assert read(devices(tmp_path, text), frames, Options(listed=frozenset({1}))).entries[0].message.role is Role.REQUEST
 

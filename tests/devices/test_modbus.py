@@ -216,6 +216,18 @@ def test_the_log_and_the_filter_know_the_names(tmp_path, capsys):
     assert "read_input_registers" in capsys.readouterr().out
 
 
+def test_other_devices_are_not_judged_and_not_replayed(capsys):
+    given = ("captures/devices/meter.log", "--modbus-map", "captures/devices/meter.csv")
+    assert main(["check", *given]) == 0
+    out = capsys.readouterr().out
+    assert "3 requests, 6 Modbus frames, 3 replies, 10 not of this dialect" in out
+    assert "exception" not in out
+    assert main(["replay", *given, "--on", "serial:none", "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "3 x mks-modbus@1 read_speed" in out
+    assert "10 frames that are not of this dialect: left out" in out
+
+
 def row(text):
     return f"unit,address,name,type,scale,offset,table,word_order\n5,0,a,u32,,,,\n# c\n{text}\n"
 
