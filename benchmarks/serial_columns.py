@@ -35,7 +35,7 @@ from analyzer.framer import Framer
 from analyzer.pipeline import Item, Options, Pipeline
 from analyzer.records import Chunk, Frame
 from analyzer.sinks.mcap_log import McapLog
-from analyzer.sources.source import TOGETHER
+from analyzer.sources.source import JOINED
 from analyzer.sources.stream import BLOCK
 from benchmarks.framing_noise import BYTE_NS, SentFrame, damage, traffic
 from tests.columns.serial_traffic import POLLS, polls
@@ -52,7 +52,7 @@ def chunks_of(line: bytes) -> list[Chunk]:
 
 def blocks_of(chunks: Sequence[Chunk]) -> list[ByteBlock]:
     """Return chunks in blocks as `servotap decode` joins them."""
-    count = TOGETHER // BLOCK
+    count = JOINED // BLOCK
     return [ByteBlock.of(chunks[at : at + count]) for at in range(0, len(chunks), count)]
 
 

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 #: Who sent a frame, as the capture marks it, by its number in a block.
 DIRECTIONS = (Role.UNKNOWN, Role.REQUEST, Role.REPLY)
+_MARKS = {role: number for number, role in enumerate(DIRECTIONS)}
+#: Identifiers of 11 bits, and the data bytes that a frame of CAN 2.0 has at most.
+STANDARD_ID, WIDEST_DATA = 0x7FF, 8
 #: What tells frames of different kinds apart: identifier, length and some bytes at the beginning.
 Head = tuple[int, int, bytes]
 
@@ -36,6 +39,25 @@ class CanBlock:
     directions: Integers
     #: Whether times say anything: frames without times do not come in blocks.
     timed: ClassVar[bool] = True
+
+    @staticmethod
+    def takes(frame: CanFrame) -> bool:
+        """Say whether a frame can stand in a block."""
+        odd = frame.extended or frame.remote or frame.error or frame.fd
+        return not odd and frame.id <= STANDARD_ID and len(frame.data) <= WIDEST_DATA and frame.t_ns is not None
+
+    @classmethod
+    def of(cls, frames: Sequence[CanFrame]) -> CanBlock:
+        """Return frames of one bus as a block, which takes each, in order of time."""
+        import numpy as np
+
+        count = len(frames)
+        t_ns = np.fromiter((frame.t_ns for frame in frames), np.int64, count)
+        ids = np.fromiter((frame.id for frame in frames), np.int64, count)
+        sizes = np.fromiter((len(frame.data) for frame in frames), np.int64, count)
+        marks = np.fromiter((_MARKS[frame.direction] for frame in frames), np.int64, count)
+        data = np.frombuffer(b"".join([frame.data.ljust(WIDEST_DATA, b"\0") for frame in frames]), dtype=np.uint8)
+        return cls(frames[0].port, t_ns, ids, sizes, data.reshape(count, WIDEST_DATA), marks)
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -110,7 +132,7 @@ class ByteBlock:
 
         count, first = len(chunks), chunks[0]
         times = None if first.t_ns is None else np.fromiter((chunk.t_ns for chunk in chunks), np.int64, count)
-        marks = np.fromiter((DIRECTIONS.index(chunk.direction) for chunk in chunks), np.int64, count)
+        marks = np.fromiter((_MARKS[chunk.direction] for chunk in chunks), np.int64, count)
         stops = np.cumsum(np.fromiter((len(chunk.data) for chunk in chunks), np.int64, count))
         bursts = np.fromiter((chunk.burst for chunk in chunks), np.bool_, count)
         return cls(first.port, b"".join(chunk.data for chunk in chunks), stops, times, marks, bursts)

@@ -25,49 +25,39 @@ __all__ = ["FORMATS", "Format", "Problem", "Record", "Source", "open_source"]
 
 
 class Format(NamedTuple):
-    """A capture format. `endings` are for help only: what a file is called decides nothing.
-
-    `blocks`: long captures can be given in blocks.
-    """
+    """A capture format. `endings` are for help only: what a file is called decides nothing."""
 
     module: str
     title: str
     summary: str
     endings: tuple[str, ...]
     kind: str
-    blocks: bool = False
 
 
 #: Every format by name; the first of two that fit equally wins.
 FORMATS: dict[str, Format] = {
     "mcap": Format("mcap_log", "Servotap log", "a log of this program, to be decoded again", (".mcap",), "log"),
-    "pcapng": Format("pcapng", "pcapng", "SocketCAN, USER and RTAC serial links", (".pcapng",), "serial", blocks=True),
-    "pcap": Format("pcap", "pcap", "SocketCAN, USER and RTAC serial links", (".pcap",), "serial", blocks=True),
-    "blf": Format("blf", "BLF", "Vector binary log, CAN", (".blf",), "can", blocks=True),
+    "pcapng": Format("pcapng", "pcapng", "SocketCAN, USER and RTAC serial links", (".pcapng",), "serial"),
+    "pcap": Format("pcap", "pcap", "SocketCAN, USER and RTAC serial links", (".pcap",), "serial"),
+    "blf": Format("blf", "BLF", "Vector binary log, CAN", (".blf",), "can"),
     "mf4": Format("mf4", "MF4", "ASAM measurement data, CAN bus logging (needs asammdf)", (".mf4",), "can"),
     "asc": Format("asc", "ASC", "Vector text log, CAN", (".asc",), "can"),
     "trc": Format("trc", "TRC", "PEAK text trace, CAN", (".trc",), "can"),
-    "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can", blocks=True),
+    "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can"),
     "can-state": Format("can_state", "CAN state", "what ip and the kernel say of a CAN controller", (".txt", ".log"), "can"),
     "can-csv": Format("can_csv", "python-can CSV", "CAN frames as python-can's CSV writer puts them", (".csv",), "can"),
     "can-text": Format(
         "can_text", "CAN text", "frames as python-can, slcan, BUSMASTER and programs print them", (".txt",), "can"
     ),
-    "spy": Format("spy", "pyserial spy", "log of a spy:// port of pyserial", (".log", ".txt"), "serial", blocks=True),
-    "saleae": Format("saleae", "Saleae CSV", "decoded bytes of Logic 1 and Logic 2", (".csv", ".txt"), "serial", blocks=True),
-    "sigrok": Format(
-        "sigrok", "sigrok UART", "annotations of sigrok-cli and PulseView", (".txt", ".csv"), "serial", blocks=True
-    ),
+    "spy": Format("spy", "pyserial spy", "log of a spy:// port of pyserial", (".log", ".txt"), "serial"),
+    "saleae": Format("saleae", "Saleae CSV", "decoded bytes of Logic 1 and Logic 2", (".csv", ".txt"), "serial"),
+    "sigrok": Format("sigrok", "sigrok UART", "annotations of sigrok-cli and PulseView", (".txt", ".csv"), "serial"),
     "columns": Format(
         "columns", "table", "CSV with a heading (SavvyCAN, ...), JSON lines, Markdown", (".csv", ".json"), "serial"
     ),
-    "hexdump": Format(
-        "hexdump", "hex dump", "raw bytes as hexdump -C and xxd print them", (".txt", ".hex"), "serial", blocks=True
-    ),
-    "hex": Format(
-        "hextext", "hex text", "lines of hex bytes, with or without times and marks", (".log", ".txt"), "serial", blocks=True
-    ),
-    "raw": Format("raw", "raw bytes", "only the bytes of a serial line", (".bin", ".raw"), "serial", blocks=True),
+    "hexdump": Format("hexdump", "hex dump", "raw bytes as hexdump -C and xxd print them", (".txt", ".hex"), "serial"),
+    "hex": Format("hextext", "hex text", "lines of hex bytes, with or without times and marks", (".log", ".txt"), "serial"),
+    "raw": Format("raw", "raw bytes", "only the bytes of a serial line", (".bin", ".raw"), "serial"),
 }
 
 #: A format must be this sure to be chosen.
@@ -116,7 +106,7 @@ def open_source(path: str | Path, *, format: str | None = None, baud: int | None
     try:
         name = _find(source) if format is None else _forced(source, format)
         entry = FORMATS[name]
-        source.format, source.title, source.kind, source.gives_blocks = name, entry.title, entry.kind, entry.blocks
+        source.format, source.title, source.kind, source.gives_blocks = name, entry.title, entry.kind, entry.kind != "log"
         source.stream.unread(source.head)
         source.begin(_module(name).read(source))
     except BaseException:

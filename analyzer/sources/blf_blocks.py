@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from analyzer.catalogue import Role
-from analyzer.columns.block import DIRECTIONS, CanBlock
-from analyzer.sources.found import SHORTEST, STANDARD_ID, Found, without_rest
+from analyzer.columns.block import DIRECTIONS, STANDARD_ID, CanBlock
+from analyzer.sources.found import SHORTEST, Found, without_rest
 
 _OBJECT = np.dtype(
     [

@@ -13,11 +13,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer.columns.block import CanBlock
+from analyzer.columns.block import STANDARD_ID, CanBlock
 from analyzer.columns.codec import Bytes, Flags, Integers
 from analyzer.columns.groups import groups
 from analyzer.sources.candump import LOG
-from analyzer.sources.found import SHORTEST, STANDARD_ID, Found, windows
+from analyzer.sources.found import SHORTEST, Found, windows
 
 #: Kinds of lines of one length: of several buses, or with other digits.
 _MOST_KINDS = 8

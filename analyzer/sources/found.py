@@ -14,7 +14,6 @@ from analyzer.columns.codec import Bytes, Flags, Integers
 
 #: Fewer records than this in a row are read faster one by one.
 SHORTEST = 64
-STANDARD_ID = 0x7FF
 
 
 @dataclass

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from analyzer.columns.block import CanBlock
+from analyzer.columns.block import STANDARD_ID, CanBlock
 from analyzer.columns.codec import Bytes, Flags, Integers
-from analyzer.sources.found import STANDARD_ID, Found, windows, without_rest
+from analyzer.sources.found import Found, windows, without_rest
 from analyzer.sources.source import SECOND_NS
 
 _RECORD_SIZE = 16

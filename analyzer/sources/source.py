@@ -49,9 +49,9 @@ _HEAD_LIMIT = 1000
 
 SECOND_NS = 1_000_000_000
 #: Bytes that are read together where records become blocks.
-TOGETHER = 1 << 20
-#: Chunks that are read together, and the fewest bytes for which that is worth it.
-_CHUNKS, SHORTEST_BLOCK = 1 << 15, 512
+TOGETHER = 1 << 22
+#: Records that are joined to a block at most, their bytes, and the fewest bytes for which that is worth it.
+_RECORDS, JOINED, SHORTEST_BLOCK = 1 << 15, 1 << 20, 512
 #: 2100-01-01: what lies behind it is noted.
 FAR_NS = 4_102_444_800 * SECOND_NS
 #: The greatest time that every part of the program can hold.
@@ -100,7 +100,7 @@ class Source:
         self.time_source = "none"
         #: What the times are, for those who show them; known with the first record.
         self.clock = Clock.UTC
-        #: Give many frames as one block where the format can. It may be set at any time. `gives_blocks`: it can.
+        #: Give many records as one block. It may be set at any time. `gives_blocks`: the format can, as all but logs do.
         self.in_blocks = self.gives_blocks = False
         #: Of a decoded log: give each frame as one piece with the role it was found to have, and raw bytes only where
         #: they were never decoded. Set before the first record is taken.
@@ -301,17 +301,17 @@ class Source:
         self._last_ns = last_ns
 
     def _joined(self, records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock | ByteBlock]:
-        """Yield chunks that follow each other on one line as blocks, once those are wanted."""
-        held: list[Chunk] = []
+        """Yield chunks and CAN frames that follow each other on one line as blocks, once those are wanted."""
+        held: list[Chunk | CanFrame] = []
         size = 0
         try:
             for record in records:
-                joins = self.in_blocks and isinstance(record, Chunk) and bool(record.data)
-                if held and not (joins and size < TOGETHER and len(held) < _CHUNKS and _follows(held[-1], record)):
+                joins = self.in_blocks and _joins(record)
+                if held and not (joins and size < JOINED and len(held) < _RECORDS and _follows(held[-1], record)):
                     yield from _block_of(held)
                     held, size = [], 0
                 if joins:
-                    assert isinstance(record, Chunk)
+                    assert isinstance(record, (Chunk, CanFrame))
                     held.append(record)
                     size += len(record.data)
                 else:
@@ -355,18 +355,27 @@ class Source:
         yield f"{places}: {shown}" + (f"; and {left} more" if left > 0 else "")
 
 
-def _follows(chunk: Chunk, other: Record | CanBlock) -> bool:
-    """Say whether a record can stand in a block behind a chunk."""
-    if not isinstance(other, Chunk) or other.port != chunk.port or (chunk.t_ns is None) is not (other.t_ns is None):
+def _joins(record: Record | CanBlock) -> bool:
+    """Say whether a record can stand in a block."""
+    if isinstance(record, CanFrame):
+        return CanBlock.takes(record) and 0 <= (record.t_ns or 0) < FAR_NS
+    return isinstance(record, Chunk) and bool(record.data)
+
+
+def _follows(held: Chunk | CanFrame, other: Record | CanBlock) -> bool:
+    """Say whether a record can stand in a block behind another."""
+    if not isinstance(other, type(held)) or other.port != held.port or (held.t_ns is None) is not (other.t_ns is None):
         return False
-    return chunk.t_ns is None or other.t_ns is None or chunk.t_ns <= other.t_ns
+    return held.t_ns is None or other.t_ns is None or held.t_ns <= other.t_ns
 
 
-def _block_of(chunks: Sequence[Chunk]) -> Iterator[Chunk | ByteBlock]:
-    if sum(len(chunk.data) for chunk in chunks) < SHORTEST_BLOCK:
-        yield from chunks
+def _block_of(held: Sequence[Chunk | CanFrame]) -> Iterator[Record | CanBlock | ByteBlock]:
+    if sum(len(record.data) for record in held) < SHORTEST_BLOCK:
+        yield from held
+    elif isinstance(held[0], Chunk):
+        yield ByteBlock.of(cast("Sequence[Chunk]", held))
     else:
-        yield ByteBlock.of(chunks)
+        yield CanBlock.of(cast("Sequence[CanFrame]", held))
 
 
 def _with_times_of_heads(records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock]:
