@@ -89,8 +89,8 @@ class RunSink(Protocol):
     def begin(self, plain: Plain) -> None:
         """Take the next block; of its frames, only those of a run count."""
 
-    def run(self, start: int, stop: int) -> None:
-        """Take the plain exchanges in some rows of the block."""
+    def run(self, start: int, stop: int, sequence: int) -> None:
+        """Take the plain exchanges in some rows of the block, whose first frame has the number `sequence`."""
 
 
 @runtime_checkable
@@ -355,22 +355,22 @@ class Pipeline:
         pairing = self._pairings.get(port.name)
         if pairing is None or not pairing.is_of(port, dialect):
             pairing = self._pairings[port.name] = Pairing(port, dialect, self.options.late_ns)
-        # The first frame of the block has this number.
-        plain = pairing.look(block, self.sequence + 1 - at, offset)
+        plain = pairing.look(block, offset)
         if pairing.next_run(at)[0] < len(block):
             for sink in self._run_sinks:
                 sink.begin(plain)
         while at < len(block):
             start, stop = pairing.next_run(at)
             one_by_one(at, start)
-            at = pairing.take(start, stop) if start < stop else stop
+            sequence = self.sequence + 1
+            at = pairing.take(start, stop, sequence) if start < stop else stop
             if start < at:
                 self.sequence += at - start
                 self.in_runs += at - start
                 if isinstance(block, CanBlock):
                     port.bytes_in += int(block.sizes[start:at].sum())
                 for sink in self._run_sinks:
-                    sink.run(start, at)
+                    sink.run(start, at, sequence)
             if at < stop:
                 refused = min(at + AFTER_REFUSAL, stop)
                 one_by_one(at, refused)

@@ -51,8 +51,8 @@ class Plain:
     """The frames of a block that are part of plain exchanges.
 
     `lanes`: those that occur; `lane`: of each row, a place in `lanes`, -1 where a frame is not plain. `offsets`: bytes of the
-    bus before each frame. `first`: sequence number of the first row; the others count on from it. `asked`: of a reply, the
-    sequence number of its request; `latencies`: the time since then, not above 0 where it is not known.
+    bus before each frame. `behind`: of a reply, how many rows it stands behind its request; `latencies`: the time
+    between the two, not above 0 where it is not known.
     """
 
     dialect: Dialect
@@ -60,8 +60,7 @@ class Plain:
     lanes: tuple[Lane, ...]
     lane: Integers
     offsets: Integers
-    first: int
-    asked: Integers
+    behind: Integers
     latencies: Integers
 
     def frame(self, row: int) -> Frame:
@@ -91,9 +90,8 @@ class Plain:
         places = np.full(len(self.lanes) + 1, -1, dtype=np.int64)
         places[used] = np.arange(len(used))
         lanes = tuple(self.lanes[n] for n in used.tolist())
-        offsets, asked, latencies = (column[rows] for column in (self.offsets, self.asked, self.latencies))
-        block = self.block.part(rows)
-        return Plain(self.dialect, block, lanes, places[lane], offsets, self.first + first, asked, latencies), used
+        offsets, behind, latencies = (column[rows] for column in (self.offsets, self.behind, self.latencies))
+        return Plain(self.dialect, self.block.part(rows), lanes, places[lane], offsets, behind, latencies), used
 
 
 @dataclass(frozen=True)
@@ -175,20 +173,20 @@ class Pairing:
         """Say whether this was made for a bus as it is now."""
         return port is self._port and dialect is self._dialect and port.decoders[dialect.name] is self._decoder
 
-    def look(self, block: CanBlock | FrameBlock, first: int, offset: int) -> Plain:
-        """Return what is plain in the next block: its first frame has the number `first` and `offset` bytes before it."""
+    def look(self, block: CanBlock | FrameBlock, offset: int) -> Plain:
+        """Return what is plain in the next block, whose first frame has `offset` bytes before it."""
         count = len(block)
         requests, replies, lane = self._exchanges_of(block)
         used = np.flatnonzero(np.bincount(lane + 1, minlength=len(self._lanes) + 1)[1:])
         places = np.full(len(self._lanes) + 1, -1, dtype=np.int64)
         places[used] = np.arange(len(used))
-        asked, latencies = np.zeros((2, count), dtype=np.int64)
-        asked[replies] = first + requests
+        behind, latencies = np.zeros((2, count), dtype=np.int64)
+        behind[replies] = replies - requests
         if block.timed:
             latencies[replies] = block.first_ns[replies] - block.t_ns[requests]
         offsets = offset + np.cumsum(block.sizes) - block.sizes
         lanes = tuple(self._lanes[n] for n in used.tolist())
-        self._plain = Plain(self._dialect, block, lanes, places[lane], offsets, first, asked, latencies)
+        self._plain = Plain(self._dialect, block, lanes, places[lane], offsets, behind, latencies)
         # Between two rows may be cut where no exchange is open.
         self._asks = np.zeros(count, dtype=np.bool_)
         self._asks[requests] = True
@@ -215,8 +213,11 @@ class Pairing:
         start = int(self._cuts[self._cuts.searchsorted(start)])
         return (start, stop) if start < stop else self.next_run(stop)
 
-    def take(self, start: int, stop: int) -> int:
-        """Tell the bus of as many exchanges of a run as can be passed on whole. Return where they end."""
+    def take(self, start: int, stop: int, sequence: int) -> int:
+        """Tell the bus of as many exchanges of a run as can be passed on whole. Return where they end.
+
+        `sequence`: number of the first frame.
+        """
         context, transactions, plain = self._port.context, self._port.transactions, self._plain
         if context.borrowed or not transactions.may_follow(plain.data(start)):
             return start
@@ -232,15 +233,15 @@ class Pairing:
             frames = min(frames, int(plain.block.t_ns[start:stop].searchsorted(until_ns, side="right")))
         stop = int(self._cuts[self._cuts.searchsorted(start + frames, side="right") - 1])
         if stop > start:
-            self._tell(start, stop)
+            self._tell(start, stop, sequence)
         return stop
 
-    def _tell(self, start: int, stop: int) -> None:
+    def _tell(self, start: int, stop: int, sequence: int) -> None:
         plain = self._plain
         asks = self._asks[start:stop]
         row = stop - 1 - int(asks[::-1].argmax())
         lane = plain.lanes[plain.lane[row]]
-        request = Request(plain.frame(row), lane.address, lane.command, plain.first + row, lane.topic)
+        request = Request(plain.frame(row), lane.address, lane.command, sequence + row - start, lane.topic)
         request.lane, request.state, request.outcome = lane, State.DONE, RequestOutcome.ANSWERED
         rows = start + np.flatnonzero(~asks)
         addresses = np.array([lane.address for lane in plain.lanes])

@@ -49,49 +49,49 @@ class Messages:
 class Rows:
     """The messages of a block's plain frames, made once for all of them and given out by runs.
 
-    `channels`: of each lane that is used, that of its topic and that of its state, 0 where it has none.
+    `channels`: of each lane that is used, that of its topic and that of its state, 0 where it has none. `sequences`, `log_ns`:
+    of each row, the number and the time of its messages; the times rise.
     """
 
-    def __init__(self, plain: Plain, channels: Integers) -> None:
+    def __init__(self, plain: Plain, channels: Integers, sequences: Integers, log_ns: Integers) -> None:
         self.plain = plain
-        self._channels = channels
-        count = len(plain.lane)
         #: Of each row, the bytes of its message and of the state behind it.
-        sizes = np.zeros((count, 2), dtype=np.int64)
-        parts = [*_tails(plain), *_heads(plain)]
-        for place, rows, pieces in parts:
-            sizes[rows, place] += text.width(pieces)
-        self._has_state = sizes[:, 1] > 0
-        sizes[plain.lane >= 0, 0] += HEADER.itemsize
-        sizes[self._has_state, 1] += HEADER.itemsize
-        self._sizes = sizes
-        self._ends = np.cumsum(sizes).reshape(count, 2)
-        self._data = np.empty(int(self._ends[-1, 1]), dtype=np.uint8)
-        left = self._ends.copy()
-        for place, rows, pieces in parts:
-            ends = left[rows, place]
+        sizes = np.zeros((len(plain.lane), 2), dtype=np.int64)
+        parts = [
+            (place, rows, pieces, text.width(pieces)) for place, rows, pieces in (*_tails(plain, sequences), *_heads(plain))
+        ]
+        for place, rows, _, width in parts:
+            sizes[rows, place] += width
+        there = sizes > 0
+        rows, places = np.nonzero(there)
+        sizes[there] += HEADER.itemsize
+        #: Where the messages of each row begin among all.
+        self._firsts = np.concatenate(([0], np.cumsum(there.sum(axis=1))))
+        lengths = sizes[there]
+        self._ends = np.cumsum(lengths)
+        self._starts = self._ends - lengths
+        self._channels, self._log_ns = channels[plain.lane[rows], places], log_ns[rows]
+        self._data = np.empty(int(self._ends[-1]), dtype=np.uint8)
+        left = np.zeros_like(sizes)
+        left[there] = self._ends
+        for place, own, pieces, width in parts:
+            ends = left[own, place]
             text.place(self._data, ends, pieces)
-            left[rows, place] = ends - text.width(pieces)
-
-    def messages(self, start: int, stop: int, log_ns: Integers) -> Messages:
-        """Return the messages of some rows. `log_ns`: of each row, rising."""
-        plain = self.plain
-        sizes, ends, has_state = self._sizes[start:stop], self._ends[start:stop], self._has_state[start:stop]
-        channels = self._channels[plain.lane[start:stop]]
-        headers = np.empty(stop - start, dtype=HEADER)
+            left[own, place] = ends - width
+        headers = np.empty(len(lengths), dtype=HEADER)
         headers["opcode"] = _MESSAGE
-        headers["sequence"] = np.arange(plain.first + start, plain.first + stop) & 0xFFFFFFFF
-        headers["log_ns"] = log_ns
-        headers["publish_ns"] = np.maximum(plain.block.first_ns[start:stop], 0)
-        for place, rows in ((0, slice(None)), (1, np.flatnonzero(has_state))):
-            own = headers[rows]
-            own["length"] = sizes[rows, place] - _UNCOUNTED
-            own["channel"] = channels[rows, place]
-            begins = ends[rows, place] - sizes[rows, place]
-            text.put(self._data, begins + HEADER.itemsize, own.view(np.uint8).reshape(len(own), HEADER.itemsize))
-        there = np.stack((np.ones(stop - start, dtype=np.bool_), has_state), axis=1)
-        ends, sizes = ends[there], sizes[there]
-        return Messages(self._data, ends - sizes, ends, channels[there], np.repeat(log_ns[:, None], 2, axis=1)[there])
+        headers["length"] = lengths - _UNCOUNTED
+        headers["channel"] = self._channels
+        headers["sequence"] = sequences[rows] & 0xFFFFFFFF
+        headers["log_ns"] = self._log_ns
+        headers["publish_ns"] = np.maximum(plain.block.first_ns, 0)[rows]
+        codes = headers.view(np.uint8).reshape(len(headers), HEADER.itemsize)
+        text.put(self._data, self._starts + HEADER.itemsize, codes)
+
+    def messages(self, start: int, stop: int) -> Messages:
+        """Return the messages of some rows."""
+        own = slice(int(self._firsts[start]), int(self._firsts[stop]))
+        return Messages(self._data, self._starts[own], self._ends[own], self._channels[own], self._log_ns[own])
 
 
 def alike(plain: Plain, wanted: Flags | None = None) -> Iterator[tuple[Integers, Lane]]:
@@ -112,7 +112,7 @@ def alike(plain: Plain, wanted: Flags | None = None) -> Iterator[tuple[Integers,
 _Part = tuple[int, Integers, list[text.Piece]]
 
 
-def _tails(plain: Plain) -> Iterator[_Part]:
+def _tails(plain: Plain, sequences: Integers) -> Iterator[_Part]:
     """Yield the ends of all messages, which are the log's own keys: of requests and of replies."""
     block = plain.block
     is_request = np.array([*(lane.is_request for lane in plain.lanes), False])[plain.lane]
@@ -121,7 +121,7 @@ def _tails(plain: Plain) -> Iterator[_Part]:
             continue
         pieces: list[text.Piece] = [b'","_checksum_ok":true,"_offset":', text.naturals(plain.offsets[rows])]
         if reply:
-            pieces += _reply(plain, rows)
+            pieces += _reply(plain, rows, sequences)
         if isinstance(block, CanBlock):
             pieces += [b',"_can_id":', text.naturals(block.ids[rows])]
             marks = block.directions[rows]
@@ -130,13 +130,13 @@ def _tails(plain: Plain) -> Iterator[_Part]:
         yield 0, rows, [*pieces, b"}"]
 
 
-def _reply(plain: Plain, rows: Integers) -> list[text.Piece]:
+def _reply(plain: Plain, rows: Integers, sequences: Integers) -> list[text.Piece]:
     latencies = plain.latencies[rows]
     seconds, rest = np.divmod(np.maximum(latencies, 0), _SECOND)
     pieces: list[text.Piece] = [b',"_latency":', text.naturals(seconds), b".", text.fixed_digits(rest, 9)]
     if not (known := latencies > 0).all():
         pieces = [text.only(known, piece) for piece in pieces]
-    return [*pieces, b',"_request_sequence":', text.naturals(plain.asked[rows])]
+    return [*pieces, b',"_request_sequence":', text.naturals(sequences[rows] - plain.behind[rows])]
 
 
 def _heads(plain: Plain) -> Iterator[_Part]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from itertools import repeat
+from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
 
@@ -37,12 +38,19 @@ _ASKS = re.compile(
 _Kept = Entry | tuple[Lane | None, Frame | Junk, int, int | None]
 
 
+class _Rows(NamedTuple):
+    """Rows of a block. `more`: their sequence numbers are so much greater than they."""
+
+    rows: range
+    more: int
+
+
 class Watch:
     """Keeps what stands near trouble. Feed it the items of the source by `take`, before the pipeline gets them."""
 
     def __init__(self) -> None:
         #: What came last: frames, and rows of the present block.
-        self._near: deque[_Kept | range] = deque(maxlen=_NEAR)
+        self._near: deque[_Kept | _Rows] = deque(maxlen=_NEAR)
         self._kept: list[_Kept] = []
         self._reads_near: deque[tuple[Chunk, int]] = deque(maxlen=2 * _NEAR)
         self._reads: list[tuple[Chunk, int]] = []
@@ -98,9 +106,9 @@ class Watch:
         self._spread()
         self._plain = plain
 
-    def run(self, start: int, stop: int) -> None:
+    def run(self, start: int, stop: int, sequence: int) -> None:
         """Take plain exchanges: the last of them may stand near trouble."""
-        self._near.append(range(max(start, stop - _NEAR), stop))
+        self._near.append(_Rows(range(max(start, stop - _NEAR), stop), sequence - start))
         self.frames += stop - start
 
     def _spread(self) -> None:
@@ -108,13 +116,14 @@ class Watch:
         newest: list[_Kept] = []
         while self._near and len(newest) < _NEAR:
             each = self._near.pop()
-            newest.extend(map(self._row, reversed(each)) if isinstance(each, range) else (each,))
+            newest.extend(map(self._row, reversed(each.rows), repeat(each.more)) if isinstance(each, _Rows) else (each,))
         self._near = deque(reversed(newest[:_NEAR]), maxlen=_NEAR)
 
-    def _row(self, row: int) -> _Kept:
+    def _row(self, row: int, more: int) -> _Kept:
         plain = self._plain
         lane = plain.lanes[plain.lane[row]]
-        return lane, plain.frame(row), plain.first + row, None if lane.is_request else int(plain.asked[row])
+        sequence = row + more
+        return lane, plain.frame(row), sequence, None if lane.is_request else sequence - int(plain.behind[row])
 
     def entry(self, entry: Entry) -> None:
         """Take a decoded frame."""
@@ -155,7 +164,7 @@ class Watch:
             self._read_block(self._block.taken)
         if len(self._kept) < _MOST_KEPT:
             self._spread()
-            self._kept.extend(each for each in self._near if not isinstance(each, range))
+            self._kept.extend(each for each in self._near if not isinstance(each, _Rows))
             self._reads.extend(self._reads_near)
         self._near.clear()
         self._reads_near.clear()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 import zlib
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -155,19 +156,36 @@ def pack(chunk: Chunk) -> Packed:
 
 
 class Run(NamedTuple):
-    """Rows of a block that are messages. `part`: its number in the batch. `log_ns`: of each row."""
+    """Rows of a part that are messages. `part`: its number in the batch."""
 
     part: int
     start: int
     stop: int
-    log_ns: Integers
 
 
 class Part(NamedTuple):
-    """What is needed of a block. `channels`: of each lane, that of its topic and that of its state, 0 where it has none."""
+    """What is needed of a block. `sequences`, `log_ns`: of each row of a run.
+
+    `channels`: of each lane, that of its topic and that of its state, 0 where it has none.
+    """
 
     plain: Plain
     channels: Integers
+    sequences: Integers
+    log_ns: Integers
+
+    @classmethod
+    def of(cls, plain: Plain, channels: Integers, first: int, runs: Sequence[tuple[Run, int, Integers]]) -> Part:
+        """Return what some runs need of a block. `runs`: each with its first number and its times; rows count from `first`."""
+        import numpy as np
+
+        own, lanes = plain.part(first, [(run.start, run.stop) for run, _, _ in runs])
+        sequences, log_ns = np.zeros(len(own.lane), dtype=np.int64), own.block.t_ns.copy()
+        for run, sequence, times in runs:
+            sequences[run.start : run.stop] = np.arange(sequence, sequence + len(times))
+            log_ns[run.start : run.stop] = times
+        # Most often no time was changed: then one array passes to another process, not two.
+        return cls(own, channels[lanes], sequences, own.block.t_ns if (log_ns == own.block.t_ns).all() else log_ns)
 
 
 @dataclass
@@ -194,7 +212,7 @@ class Batch:
             part = self.parts[piece.part]
             if rows is None or rows.plain is not part.plain:
                 rows = _rows(part)
-            added, at = rows.messages(piece.start, piece.stop, piece.log_ns), 0
+            added, at = rows.messages(piece.start, piece.stop), 0
             while at < len(added.ends):
                 at = made[-1].fill(added, at, self.chunk_size)
                 if made[-1].size >= self.chunk_size:

@@ -158,10 +158,10 @@ class McapFile:
         self._pieces: list[Chunk | Run] = []
         self._parts: list[Part] = []
         self._rows = 0
-        #: The block of the last rows, where they begin in it, and the runs of them.
+        #: The block of the last rows, where they begin in it, and the runs of them with first number and times.
         self._plain: Plain | None = None
         self._first_row = 0
-        self._runs: list[tuple[int, int]] = []
+        self._runs: list[tuple[Run, int, Integers]] = []
         self._position = self._first_ns = self._last_ns = self._messages = 0
         self._chunks = self._metadata = self._schemas = self._channels = self._attachments = 0
         self._counts: dict[int, int] = {}
@@ -246,8 +246,8 @@ class McapFile:
         if building.size >= self._chunk_size:
             self._end_batch()
 
-    def add_rows(self, plain: Plain, channels: Integers, start: int, stop: int, log_ns: Integers) -> None:
-        """Add the messages of some rows of a block; `log_ns` of each, as for single messages.
+    def add_rows(self, plain: Plain, channels: Integers, start: int, stop: int, sequence: int, log_ns: Integers) -> None:
+        """Add the messages of some rows of a block; `sequence` of the first, `log_ns` of each, as for single messages.
 
         `channels`: of each lane of the block, that of its topic and that of its state, 0 where it has none.
         """
@@ -262,9 +262,11 @@ class McapFile:
                 self._plain, self._row_channels, self._first_row = plain, channels, start
             end = min(stop, start + left)
             self._end_piece()
-            self._runs.append((start - self._first_row, end - self._first_row))
-            self._pieces.append(Run(len(self._parts), *self._runs[-1], log_ns[: end - start]))
-            start, log_ns = end, log_ns[end - start :]
+            count = end - start
+            run = Run(len(self._parts), start - self._first_row, end - self._first_row)
+            self._runs.append((run, sequence, log_ns[:count]))
+            self._pieces.append(run)
+            start, sequence, log_ns = end, sequence + count, log_ns[count:]
 
     def flush(self) -> None:
         """Write everything so far to the stream and flush it."""
@@ -315,9 +317,8 @@ class McapFile:
     def _end_part(self) -> None:
         """Keep of the last block what the batch needs."""
         if self._plain is not None:
-            plain, lanes = self._plain.part(self._first_row, self._runs)
-            self._parts.append(Part(plain, self._row_channels[lanes]))
-            self._rows += self._runs[-1][1]
+            self._parts.append(Part.of(self._plain, self._row_channels, self._first_row, self._runs))
+            self._rows += self._runs[-1][0].stop
             self._plain, self._runs = None, []
 
     def _end_batch(self) -> None:

@@ -162,7 +162,7 @@ class McapLog:
 
         self._plain, self._channels_of = plain, np.zeros((len(plain.lanes), 2), dtype=np.int64)
 
-    def run(self, start: int, stop: int) -> None:
+    def run(self, start: int, stop: int, sequence: int) -> None:
         """Write plain exchanges, and the state that they carry."""
         assert isinstance(self._file, McapFile)  # only a capture that is read whole comes in blocks
         plain, block = self._plain, self._plain.block
@@ -170,9 +170,10 @@ class McapLog:
             # Its clock was set back: each message says how far.
             for row in range(start, stop):
                 lane, latency_ns = plain.lanes[plain.lane[row]], int(plain.latencies[row])
-                asked_by = None if lane.is_request else int(plain.asked[row])
+                number = sequence + row - start
+                asked_by = None if lane.is_request else number - int(plain.behind[row])
                 known_ns = latency_ns if asked_by is not None and latency_ns > 0 else None
-                self.plain(lane, plain.frame(row), plain.first + row, known_ns, asked_by)
+                self.plain(lane, plain.frame(row), number, known_ns, asked_by)
             return
         for row in plain.firsts(start, stop, self._channels_of[:, 0] == 0):
             number = plain.lane[row]
@@ -189,7 +190,8 @@ class McapLog:
                 _count(second, block, start + counted, start + behind)
             # The first frame of a second stands before the counts of the last second.
             end = min(behind + 1, len(log_ns))
-            self._file.add_rows(plain, self._channels_of, start + written, start + end, log_ns[written:end])
+            own = sequence + written, log_ns[written:end]
+            self._file.add_rows(plain, self._channels_of, start + written, start + end, *own)
             self._last_ns = int(log_ns[end - 1])
             if behind < len(log_ns):
                 second = self._second(block.port, int(log_ns[behind]))

@@ -100,7 +100,8 @@ class ParquetTables:
         self._time = pa.timestamp("ns", "UTC" if clock is Clock.UTC else None)
         self._tables: dict[str, _Table] = {}
         self._plain: Plain | None = None
-        self._taken: list[slice] = []
+        #: Runs that were taken of the block, and the sequence number of the first frame of each.
+        self._taken: list[tuple[int, int, int]] = []
         self._held = 0
 
     # --- frames by columns ----------------------------------------------------------------------------------------
@@ -110,27 +111,27 @@ class ParquetTables:
         self._settle()
         self._plain = plain
 
-    def run(self, start: int, stop: int) -> None:
+    def run(self, start: int, stop: int, sequence: int) -> None:
         """Take plain exchanges; they become columns when the block has ended."""
-        self._taken.append(slice(start, stop))
+        self._taken.append((start, stop, sequence))
 
     def _settle(self) -> None:
         plain = self._plain
         if plain is not None and self._taken:
-            taken = np.zeros(len(plain.lane), dtype=np.bool_)
-            for each in self._taken:
-                taken[each] = True
+            sequences = np.zeros(len(plain.lane), dtype=np.int64)
+            for start, stop, sequence in self._taken:
+                sequences[start:stop] = np.arange(sequence, sequence + stop - start)
             for group, lane in alike(plain):
-                rows = group[taken[group]]
+                rows = group[sequences[group] > 0]
                 if len(rows):
-                    self._columns(plain, rows, lane)
+                    self._columns(plain, rows, lane, sequences[rows])
         self._taken = []
         if self._held >= HELD:
             for table in self._tables.values():
                 table.write()
             self._held = 0
 
-    def _columns(self, plain: Plain, rows: Integers, lane: Lane) -> None:
+    def _columns(self, plain: Plain, rows: Integers, lane: Lane, sequences: Integers) -> None:
         pa, block, count = self._pa, plain.block, len(rows)
         table = self._command(plain.dialect, lane.command, lane.role)
         sizes = int(block.sizes[rows[0]])
@@ -143,7 +144,7 @@ class ParquetTables:
             "time": pa.array(block.t_ns[rows]).view(self._time),
             "bus": pa.repeat(topic_name(block.port), count),
             "address": pa.array(addresses, pa.int64()),
-            "sequence": pa.array(plain.first + rows),
+            "sequence": pa.array(sequences),
         }
         columns = {
             **common,
@@ -160,7 +161,7 @@ class ParquetTables:
         if not lane.is_request:
             latencies = plain.latencies[rows]
             columns["_latency"] = pa.array(latencies / _SECOND, mask=latencies <= 0)
-            columns["_request_sequence"] = pa.array(plain.asked[rows])
+            columns["_request_sequence"] = pa.array(sequences - plain.behind[rows])
         layout = lane.form.layout
         wire = ColumnCodec(layout).wire(block.data[rows, lane.start : lane.stop])
         for name, values in wire.items():

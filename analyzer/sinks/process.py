@@ -75,12 +75,12 @@ class SinkProcess:
         # Rows without a lane come first, under 0.
         firsts = [int(rows[0]) for number, rows in groups(plain.lane + 1) if number]
         lanes = tuple(self._number(lane, plain.frame(row)) for lane, row in zip(plain.lanes, firsts, strict=True))
-        columns = plain.lane, plain.offsets, plain.first, plain.asked, plain.latencies
+        columns = plain.lane, plain.offsets, plain.behind, plain.latencies
         self._other(("begin", (plain.dialect, plain.block, lanes, *columns)))
 
-    def run(self, start: int, stop: int) -> None:
+    def run(self, start: int, stop: int, sequence: int) -> None:
         """Pass a run on."""
-        self._other(("run", (start, stop)))
+        self._other(("run", (start, stop, sequence)))
 
     def entry(self, entry: Entry) -> None:
         """Pass an entry on."""

@@ -158,7 +158,7 @@ class Summary:
         self._plain = plain
         self._taken = []
 
-    def run(self, start: int, stop: int) -> None:
+    def run(self, start: int, stop: int, sequence: int) -> None:
         """Count plain exchanges; by commands they are counted when the block has ended."""
         assert self._plain is not None  # a run is of a block
         block = self._plain.block
