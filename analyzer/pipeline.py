@@ -31,7 +31,8 @@ from analyzer.transactions import Late
 from analyzer.values import counted
 
 if TYPE_CHECKING:
-    from analyzer.columns.framing import Framing
+    from analyzer.columns.codec import Integers
+    from analyzer.columns.framing import Framing, Row
     from analyzer.columns.pairs import Pairing, Plain
 
 __all__ = [
@@ -269,22 +270,23 @@ class Pipeline:
             elif isinstance(event, Junk):
                 self._junk(port, event)
             else:
-                self._feed_frames(port, block, event)
+                self._feed_row(port, block, event)
 
-    def _feed_frames(self, port: Port, block: ByteBlock, frames: FrameBlock) -> None:
+    def _feed_row(self, port: Port, block: ByteBlock, row: Row) -> None:
         """Pass plain exchanges of a row of frames on together, all other frames one by one."""
         from analyzer.columns.framing import SHORTEST_TOGETHER
 
+        frames, first, _, decided = row
+
         def one_by_one(start: int, stop: int) -> None:
-            own = frames.frames(framer.dialects[0], start, stop)
-            for block.taken, frame in zip(frames.decided[start:stop].tolist(), own, strict=True):
+            own = frames.frames(self._framer(port).dialects[0], start, stop)
+            for block.taken, frame in zip(decided[start - first : stop - first].tolist(), own, strict=True):
                 self._frame(port, frame)
 
-        framer = self._framer(port)
         if len(frames) < SHORTEST_TOGETHER:
-            one_by_one(0, len(frames))
+            one_by_one(first, row.stop)
         else:
-            self._feed_runs(port, frames, 0, int(frames.starts[0]) + frames.offset, one_by_one)
+            self._feed_runs(port, frames, first, row.stop, frames.offsets, one_by_one)
 
     def _take(self, port: Port, events: Iterator[Frame | Junk]) -> None:
         """Take the framer's events one at a time: each may change what it makes of the next."""
@@ -336,31 +338,39 @@ class Pipeline:
         one_by_one(0, 1)
         port = self.ports[block.port]
         if self.options.timed:
-            self._feed_runs(port, block, 1, port.bytes_in - int(block.sizes[0]), one_by_one)
+            offsets = port.bytes_in - int(block.sizes[0]) + block.sizes.cumsum() - block.sizes
+            self._feed_runs(port, block, 1, len(block), offsets, one_by_one)
         else:
             one_by_one(1, len(block))
 
     # --- by columns -----------------------------------------------------------------------------------------------
 
     def _feed_runs(
-        self, port: Port, block: CanBlock | FrameBlock, at: int, offset: int, one_by_one: Callable[[int, int], None]
+        self,
+        port: Port,
+        block: CanBlock | FrameBlock,
+        at: int,
+        end: int,
+        offsets: Integers,
+        one_by_one: Callable[[int, int], None],
     ) -> None:
-        """Pass frames on from a row to the end. `offset`: bytes of the bus before the block."""
+        """Pass frames on from one row to another. `offsets`: of each row, the bytes of the bus before it."""
         from analyzer.columns.pairs import AFTER_REFUSAL, SHORTEST_RUN, Pairing
 
         dialect = Pairing.dialect_of(port, block) if self._run_sinks and len(block) >= SHORTEST_RUN else None
         if dialect is None:
-            one_by_one(at, len(block))
+            one_by_one(at, end)
             return
         pairing = self._pairings.get(port.name)
         if pairing is None or not pairing.is_of(port, dialect):
             pairing = self._pairings[port.name] = Pairing(port, dialect, self.options.late_ns)
-        plain = pairing.look(block, offset)
-        if pairing.next_run(at)[0] < len(block):
-            for sink in self._run_sinks:
-                sink.begin(plain)
-        while at < len(block):
-            start, stop = pairing.next_run(at)
+        if pairing.block is not block:
+            plain = pairing.look(block, offsets)
+            if pairing.next_run(at, len(block))[0] < len(block):
+                for sink in self._run_sinks:
+                    sink.begin(plain)
+        while at < end:
+            start, stop = pairing.next_run(at, end)
             one_by_one(at, start)
             sequence = self.sequence + 1
             at = pairing.take(start, stop, sequence) if start < stop else stop

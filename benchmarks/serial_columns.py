@@ -6,8 +6,8 @@ Framing: exchanges of all commands of a dialect (`framing_noise.traffic`), repea
 that of `framing_noise.py`: 0.1 % of the bytes are flipped, dropped or have one inserted before them. What is found are frames
 with their places, times and junk. pymodbus gets each frame cut out, requests and replies apart: it has to search nothing.
 
-Whole decodes: polls with values that the manual allows, as raw bytes, from bytes to the messages of a log, by blocks and by
-chunks in the same process.
+Whole decodes: polls with values that the manual allows, as raw bytes, clean and damaged likewise, from bytes to the messages of a
+log, by blocks and by chunks in the same process.
 
 All figures are CPU seconds of one process, the least of some rounds, which take turns.
 """
@@ -28,8 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from analyzer import dialects
 from analyzer.catalogue import Role
-from analyzer.columns.block import ByteBlock, FrameBlock
-from analyzer.columns.framing import Framing
+from analyzer.columns.block import ByteBlock
+from analyzer.columns.framing import Framing, Row
 from analyzer.context import Context
 from analyzer.framer import Framer
 from analyzer.pipeline import Item, Options, Pipeline
@@ -68,7 +68,7 @@ def by_columns(name: str, blocks: Sequence[ByteBlock]) -> int:
     found = 0
     for block in blocks:
         for event in framing.feed(block):
-            found += len(event) if isinstance(event, FrameBlock) else isinstance(event, Frame)
+            found += event.stop - event.start if isinstance(event, Row) else isinstance(event, Frame)
     return found
 
 
@@ -131,14 +131,16 @@ def framing_rows(frames: int, rounds: int) -> None:
 
 def decode_rows(frames: int, rounds: int) -> None:
     """Print the figures of whole decodes."""
-    print("\n| decode | by columns, s | by chunks, s | times | messages |\n| --- | --- | --- | --- | --- |")
+    print("\n| decode | damage | by columns, s | by chunks, s | times | messages |\n| --- | --- | --- | --- | --- | --- |")
     for name in POLLS:
-        line = b"".join(frame.data for frame in polls(name, Random(1), min(MADE, frames))) * max(1, frames // MADE)
-        chunks = [Chunk(None, "line", chunk.data) for chunk in chunks_of(line)]
-        works = partial(by_blocks, name, chunks), partial(decoded, name, chunks)
-        (ours, found), (theirs, wanted) = least(rounds, *works)
-        same = f"{found}" if found == wanted else f"NO: {found} and {wanted}"
-        print(f"| {name} | {ours:.2f} | {theirs:.2f} | {theirs / ours:.1f} x | {same} |")
+        for share in DAMAGES:
+            chance = Random(1)
+            made = damage(list(polls(name, chance, min(MADE, frames))), share, chance)[0] * max(1, frames // MADE)
+            chunks = [Chunk(None, "line", chunk.data) for chunk in chunks_of(made)]
+            works = partial(by_blocks, name, chunks), partial(decoded, name, chunks)
+            (ours, found), (theirs, wanted) = least(rounds, *works)
+            same = f"{found}" if found == wanted else f"NO: {found} and {wanted}"
+            print(f"| {name} | {share:.1%} | {ours:.2f} | {theirs:.2f} | {theirs / ours:.1f} x | {same} |")
 
 
 def main() -> None:

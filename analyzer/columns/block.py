@@ -158,10 +158,10 @@ WIDEST_ROW = 40
 
 @dataclass
 class FrameBlock:
-    """Frames of a serial line whose checks fit, one right behind the other. Arrays have one entry a frame.
+    """Frames of a serial line whose checks fit, in order; something else may stand between them. Arrays have one entry a frame.
 
     `whole`: the bytes that they stand in, and `starts` where each begins. `offset`: bytes of the line before `whole`. `t_ns`:
-    when the last byte of each came. `timed`: whether times say anything. `decided`: chunks that were needed to tell each.
+    when the last byte of each came. `timed`: whether times say anything.
     """
 
     port: str
@@ -172,7 +172,6 @@ class FrameBlock:
     first_ns: Integers
     t_ns: Integers
     directions: Integers
-    decided: Integers
     timed: bool
 
     def __len__(self) -> int:
@@ -182,7 +181,7 @@ class FrameBlock:
         """Return some frames as a block, with their bytes alone."""
         starts, sizes = self.starts[rows], self.sizes[rows]
         first, end = int(starts[0]), int(starts[-1] + sizes[-1])
-        about = self.first_ns[rows], self.t_ns[rows], self.directions[rows], self.decided[rows]
+        about = self.first_ns[rows], self.t_ns[rows], self.directions[rows]
         return FrameBlock(self.port, self.whole[first:end], self.offset + first, starts - first, sizes, *about, self.timed)
 
     @cached_property
@@ -196,6 +195,11 @@ class FrameBlock:
         rows = np.lib.stride_tricks.sliding_window_view(codes, width)[self.starts - first]
         result: Bytes = np.ascontiguousarray(rows * (np.arange(width) < self.sizes[:, None]))
         return result
+
+    @cached_property
+    def offsets(self) -> Integers:
+        """Bytes of the line before each frame."""
+        return self.offset + self.starts
 
     @property
     def bytes(self) -> int:

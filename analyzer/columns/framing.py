@@ -16,6 +16,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +30,15 @@ from analyzer.records import Frame, Junk
 SHORTEST_ROW = 8
 #: Fewer frames than this are decoded faster one by one: columns cost about as much for few frames as for many.
 SHORTEST_TOGETHER = 512
-#: A row of more frames is given away in parts, for the columns of one stand in memory together.
-LONGEST_PART = 1 << 15
+
+
+class Row(NamedTuple):
+    """Frames that follow each other: those of a block from one to another. `decided`: of each, how many chunks tell it."""
+
+    frames: FrameBlock
+    start: int
+    stop: int
+    decided: Integers
 
 
 class Framing:
@@ -40,8 +48,11 @@ class Framing:
         self.framer = framer
         self._timed = timed
 
-    def feed(self, block: ByteBlock) -> Iterator[Frame | Junk | FrameBlock]:
-        """Take a block, all of whose chunks have times; yield what is certain by now, in order. Use each up before the next."""
+    def feed(self, block: ByteBlock) -> Iterator[Frame | Junk | Row]:
+        """Take a block, all of whose chunks have times; yield what is certain by now, in order. Use each up before the next.
+
+        The rows of a block are all of one block of frames.
+        """
         framer, rows = self.framer, self._rows(block)
         chunks = len(block)
         if rows is None:
@@ -54,10 +65,9 @@ class Framing:
         span = rows.at(framer.standing)
         while True:
             if span is not None:
-                for first in range(*span, LONGEST_PART):
-                    frames = rows.frames(first, min(first + LONGEST_PART, span[1]), block.taken)
-                    yield frames
-                    block.taken = int(frames.decided[-1])
+                row = rows.row(*span, block.taken)
+                yield row
+                block.taken = int(row.decided[-1])
                 fed, events = rows.go_on(framer, span[1])
             for event in events:
                 yield event
@@ -170,8 +180,8 @@ class _Rows:
     # --- what is given away -------------------------------------------------------------------------------------------
 
     @cached_property
-    def _about(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """Of each frame: when it began and ended, who sent it, and how many chunks tell it."""
+    def _frames(self) -> tuple[FrameBlock, Integers]:
+        """All frames, and how many chunks tell each."""
         line, block = self._line, self._block
         assert block.t_ns is not None
         held = np.array([(m.stop - line.offset, m.t_ns, m.before_ns) for m in line.marks], dtype=np.int64).reshape(-1, 3)
@@ -198,15 +208,12 @@ class _Rows:
             decided = np.where(self._is_in(places, self._ends), np.minimum(decided, told), decided)
         decided = np.maximum(decided, looked)
         decided = np.where(self._is_in(self._silences, self._ends), np.minimum(decided, ended + 1), decided)
-        return first_ns, last_ns, marks[chunks], np.maximum(decided + 1 - len(held), 0)
+        sizes = self._ends - self._starts
+        about = self._starts, sizes, first_ns, last_ns, marks[chunks]
+        frames = FrameBlock(self._port, self._whole, line.offset, *about, self._timed)
+        return frames, np.maximum(decided + 1 - len(held), 0)
 
-    def frames(self, first: int, stop: int, taken: int) -> FrameBlock:
-        """Return some frames as columns. `taken`: chunks that were needed to come to them."""
-        own = slice(first, stop)
-        first_ns, last_ns, marks, decided = (each[own] for each in self._about)
-        if decided[0] < taken:
-            decided = np.maximum(decided, taken)
-        starts, sizes = self._starts[own], self._ends[own] - self._starts[own]
-        return FrameBlock(
-            self._port, self._whole, self._line.offset, starts, sizes, first_ns, last_ns, marks, decided, self._timed
-        )
+    def row(self, first: int, stop: int, taken: int) -> Row:
+        """Return some frames. `taken`: chunks that were needed to come to them."""
+        frames, decided = self._frames
+        return Row(frames, first, stop, np.maximum(decided[first:stop], taken))

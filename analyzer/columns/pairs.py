@@ -32,7 +32,7 @@ from analyzer.records import Frame, Lane, Message
 from analyzer.transactions import meaning_of
 
 #: Fewer frames than this are passed on faster one by one.
-SHORTEST_RUN = 64
+SHORTEST_RUN = 24
 #: A block of which less than this is in runs goes one by one: runs cost the columns of the whole block.
 LEAST_SHARE = 0.25
 #: Frames that are passed on one by one after a run that what is known of the drives forbids.
@@ -144,6 +144,8 @@ class Pairing:
     """Finds the plain exchanges in the blocks of one bus."""
 
     def __init__(self, port: Port, dialect: Dialect, late_ns: int) -> None:
+        #: What was looked at last.
+        self.block: CanBlock | FrameBlock | None = None
         self._port = port
         self._late_ns = late_ns
         self._dialect = dialect
@@ -173,9 +175,9 @@ class Pairing:
         """Say whether this was made for a bus as it is now."""
         return port is self._port and dialect is self._dialect and port.decoders[dialect.name] is self._decoder
 
-    def look(self, block: CanBlock | FrameBlock, offset: int) -> Plain:
-        """Return what is plain in the next block, whose first frame has `offset` bytes before it."""
-        count = len(block)
+    def look(self, block: CanBlock | FrameBlock, offsets: Integers) -> Plain:
+        """Return what is plain in the next block. `offsets`: bytes of the bus before each frame."""
+        self.block, count = block, len(block)
         requests, replies, lane = self._exchanges_of(block)
         used = np.flatnonzero(np.bincount(lane + 1, minlength=len(self._lanes) + 1)[1:])
         places = np.full(len(self._lanes) + 1, -1, dtype=np.int64)
@@ -184,7 +186,6 @@ class Pairing:
         behind[replies] = replies - requests
         if block.timed:
             latencies[replies] = block.first_ns[replies] - block.t_ns[requests]
-        offsets = offset + np.cumsum(block.sizes) - block.sizes
         lanes = tuple(self._lanes[n] for n in used.tolist())
         self._plain = Plain(self._dialect, block, lanes, places[lane], offsets, behind, latencies)
         # Between two rows may be cut where no exchange is open.
@@ -202,16 +203,17 @@ class Pairing:
             self._starts = self._stops = starts[:0]
         return self._plain
 
-    def next_run(self, at: int) -> tuple[int, int]:
-        """Return where the next run at or behind a row begins and ends; the end of the block twice where there is none."""
-        count = len(self._plain.lane)
-        place = int(np.searchsorted(self._stops, at, side="right"))
-        if place == len(self._stops):
-            return count, count
-        # A run that was begun one by one goes on where no exchange is open.
-        start, stop = max(at, int(self._starts[place])), int(self._stops[place])
-        start = int(self._cuts[self._cuts.searchsorted(start)])
-        return (start, stop) if start < stop else self.next_run(stop)
+    def next_run(self, at: int, end: int) -> tuple[int, int]:
+        """Return where the next run from a row on begins and ends, as far as `end`; `end` twice where there is none."""
+        for place in range(int(self._stops.searchsorted(at, side="right")), len(self._stops)):
+            # A run that was begun one by one, or is cut short, begins and ends where no exchange is open.
+            start = int(self._cuts[self._cuts.searchsorted(max(at, int(self._starts[place])))])
+            stop = int(self._cuts[self._cuts.searchsorted(min(end, int(self._stops[place])), side="right") - 1])
+            if start >= end:
+                break
+            if stop - start >= SHORTEST_RUN:
+                return start, stop
+        return end, end
 
     def take(self, start: int, stop: int, sequence: int) -> int:
         """Tell the bus of as many exchanges of a run as can be passed on whole. Return where they end.
@@ -293,7 +295,10 @@ class Pairing:
             order = np.arange(len(block))
         before, after = order[:-1], order[1:]
         exchanges = np.array([*self._exchanges, -1])
-        asked = np.where(repeated[before], -1, exchanges[requests[before]])
+        apart = repeated[before]
+        if isinstance(block, FrameBlock):
+            apart = apart | (block.starts[after] != block.starts[before] + block.sizes[before])
+        asked = np.where(apart, -1, exchanges[requests[before]])
         if not self._dialect.link.deciding_bytes:
             asked_before = np.full(len(block), -1, dtype=np.int64)
             asked_before[after] = asked

@@ -38,7 +38,6 @@ def short_runs() -> Iterator[None]:
         patch.setattr(pairs, "AFTER_REFUSAL", 2)
         patch.setattr(framing, "SHORTEST_ROW", 1)
         patch.setattr(framing, "SHORTEST_TOGETHER", 2)
-        patch.setattr(framing, "LONGEST_PART", 70)
         patch.setattr(source, "SHORTEST_BLOCK", 1)
         for module in (found, blf_blocks, candump_blocks):
             patch.setattr(module, "SHORTEST", 2)

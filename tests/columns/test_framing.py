@@ -8,8 +8,7 @@ import pytest
 
 from analyzer import dialects
 from analyzer.columns import framing
-from analyzer.columns.block import FrameBlock
-from analyzer.columns.framing import Framing
+from analyzer.columns.framing import Framing, Row
 from analyzer.context import Context
 from analyzer.framer import Framer
 from benchmarks.framing_noise import damage, traffic
@@ -32,10 +31,10 @@ def by_arrays(chunks, framer, most):
     found = Framing(framer)
     for block in byte_blocks(chunks, most):
         for event in found.feed(block):
-            if isinstance(event, FrameBlock):
-                frames = [event.frame_of(row, framer.dialects[0]) for row in range(len(event))]
+            if isinstance(event, Row):
+                frames = list(event.frames.frames(framer.dialects[0], event.start, event.stop))
                 events += zip(frames, (event.decided + before).tolist(), strict=True)
-                in_rows += len(event)
+                in_rows += len(frames)
             else:
                 events.append((event, before + block.taken))
         before += len(block)

@@ -42,6 +42,14 @@ def test_short_rows_go_one_by_one(count, together):
     assert bool(same_line([Chunk(9_000_000_000, "line", line)], dialects.get("mks-rs485"), 1)) is together
 
 
+@pytest.mark.parametrize("name", SERIAL)
+def test_damage_costs_the_frames_near_it_alone(name):
+    chance = random.Random(name)
+    frames = polls(name, chance, 4000)
+    line, _ = damage(frames, 0.001, chance)
+    assert same_line([Chunk(9_000_000_000, "line", line)], dialects.get(name), 1) > 0.7 * len(frames)
+
+
 SERIAL_CAPTURES = [
     (path, dialect)
     for dialect in SERIAL
