@@ -10,13 +10,15 @@ plausible sessions (`captures/make.py`: polls, settings, motion). Each work is d
 - reading alone, to frames: python-can's readers
 - a filter over a log: a loop over the messages by `mcap` and `json`
 
-CPU seconds count all processes of a command, and its start. A second table has what `--jobs` gains: seconds of the clock by
-turns, for which the machine should have nothing else to do.
+CPU seconds count all processes of a command, and its start; Python finds modules compiled, as where they are installed, for all
+programs alike. A second table has what `--jobs` gains: seconds of the clock by turns, for which the machine should have nothing
+else to do.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import random
 import resource
 import shutil
@@ -90,6 +92,8 @@ def main() -> None:
     arguments = parser.parse_args()
     print("| capture | work | by | CPU s | times ours |\n| --- | --- | --- | --- | --- |")
     jobs = []
+    # Where Python keeps no compiled modules, each start would compile all of them anew.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     with tempfile.TemporaryDirectory() as folder:
         session = Path(folder, "made.log")
         make = [sys.executable, str(ROOT / "captures" / "make.py"), "--frames", str(arguments.frames)]
@@ -102,7 +106,7 @@ def main() -> None:
             files = [Path(folder, f"{name}.{end}") for end in ("log", "pcap", "blf", "mcap")]
             write(rows, *files[:3])
             commands_of = works(*map(str, files))
-            subprocess.run(commands_of["decode"]["servotap, pcap"], check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
+            cpu(commands_of["decode"]["servotap, pcap"])
             unpack(str(files[3]), f"{files[3]}.raw")
             for work, commands in commands_of.items():
                 spent: dict[str, list[float]] = {by: [] for by in commands}
