@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from rich.cells import cell_len
 from rich.table import Table
 from rich.text import Text
 
@@ -16,6 +17,8 @@ from analyzer.values import counted, identifier, printable
 
 #: Nodes that are named of those that are no drives.
 _OTHERS_NAMED = 12
+#: Columns of the commands: names, which stand at the left, and numbers.
+_NAMES, _COUNTS = ("bus", "address", "command"), ("requests", "replies", "median ms", "p99 ms", "max ms")
 _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
 
 
@@ -60,27 +63,24 @@ def print_summary(reading: OpenCapture, summary: Summary, target: Path, stopped:
     line(f"wrote {target}")
 
 
-def _commands(summary: Summary) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("bus", "address", "command"):
-        table.add_column(name, no_wrap=True)
+def _commands(summary: Summary) -> Text:
+    """Return a line for each command of each drive. There may be hundreds, for which a table of rich takes long."""
     told = any(row.messages for row in summary.rows.values())
-    for name in (*(("messages",) if told else ()), "requests", "replies", "median ms", "p99 ms", "max ms"):
-        table.add_column(name, justify="right")
+    rows = [(*_NAMES, *(("messages",) if told else ()), *_COUNTS)]
     ordered = sorted(summary.rows.items(), key=lambda i: (i[0][0], i[0][1].zfill(5), i[0][2], i[0][3]))
     for (bus, address, _dialect, name), row in ordered:
         lat = row.latencies
         times = [milliseconds(lat.quantile(0.5)), milliseconds(lat.quantile(0.99)), milliseconds(lat.greatest)]
-        table.add_row(
-            Text(printable(bus)),
-            who_text(summary, bus, address),
-            name,
-            *((str(row.messages),) if told else ()),
-            str(row.requests + row.unknown),
-            str(row.replies),
-            *(times if lat.count else ("", "", "")),
-        )
-    return table
+        counts = [str(row.messages)] * told + [str(row.requests + row.unknown), str(row.replies)]
+        rows.append((printable(bus), who_text(summary, bus, address), name, *counts, *(times if lat.count else ("", "", ""))))
+    widths = [max(map(cell_len, column)) for column in zip(*rows, strict=True)]
+    text = Text()
+    for place, cells in enumerate(rows):
+        blanks = [" " * (width - cell_len(cell)) for width, cell in zip(widths, cells, strict=True)]
+        pairs = enumerate(zip(cells, blanks, strict=True))
+        shown = [cell + blank if n < len(_NAMES) else blank + cell for n, (cell, blank) in pairs]
+        text.append("  ".join(shown) + "\n" * (place < len(rows) - 1), style="" if place else "bold")
+    return text
 
 
 def who_text(summary: Summary, bus: str, address: str) -> str:
