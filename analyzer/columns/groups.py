@@ -39,6 +39,12 @@ def groups(values: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
         start += count
 
 
+def words(data: Bytes) -> NDArray[np.uint64]:
+    """Return rows of bytes, whose number is a multiple of eight, as words."""
+    result: NDArray[np.uint64] = np.ascontiguousarray(data).view(np.uint64)
+    return result
+
+
 def numbered(data: Bytes, numbers: Integers | None = None) -> Integers:
     """Return numbers that are the same where rows of bytes are, and given numbers are, too."""
     if numbers is None:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, CanBlock, FrameBlock, Head
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
-from analyzer.columns.groups import groups, numbered, ranks
+from analyzer.columns.groups import groups, numbered, ranks, words
 from analyzer.context import Request, RequestOutcome, State
 from analyzer.link import Link
 from analyzer.link.can import CanLink
@@ -41,6 +41,8 @@ AFTER_REFUSAL = 32
 _ROUNDS = 4
 #: Bytes by which a link says how many tell what a frame is.
 _FEW = 3
+#: Every second byte of a word; and by what four numbers in its pairs of bytes are multiplied to have their sum in the highest.
+_EVEN, _EACH_PAIR = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
 _UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
 #: All that one byte can be.
 _BYTES: Bytes = np.arange(256, dtype=np.uint8)[:, None]
@@ -286,7 +288,9 @@ class Pairing:
         good = (chosen > 0) & (chosen % 2 == 0) & sound & (block.directions != _REPLY)
         requests = np.where(good, tables.asking[kinds, (chosen - 1) >> 1], -1)
         self._repeated = repeated = np.zeros(len(block), dtype=np.bool_)
-        repeated[1:] = (block.sizes[1:] == block.sizes[:-1]) & (block.data[1:] == block.data[:-1]).all(axis=1)
+        repeated[1:] = block.sizes[1:] == block.sizes[:-1]
+        for word in words(block.data).T:
+            repeated[1:] &= word[1:] == word[:-1]
         if isinstance(block, CanBlock):
             repeated[1:] &= (block.ids[1:] == block.ids[:-1]) | (tables.addresses[kinds[1:]] == block.ids[:-1])
             # Frames of one drive follow each other here; of those that are of none, it does not matter.
@@ -453,7 +457,9 @@ class Pairing:
         elif unwrap(type(link).fits) is CanLink.fits and not link.left_out:
             last = block.data.reshape(-1)[np.arange(0, 8 * len(block), 8) + np.maximum(block.sizes - 1, 0)]
             # All bytes and the identifier, of which the low byte counts, without the check itself.
-            total = np.add.reduce(block.data, axis=1, dtype=np.uint8) + block.ids.astype(np.uint8) - last
+            word = words(block.data)[:, 0]
+            pairs = (word & _EVEN) + (word >> np.uint64(8) & _EVEN)
+            total = (pairs * _EACH_PAIR >> np.uint64(48)).astype(np.uint8) + block.ids.astype(np.uint8) - last
             fits = total == last
         else:
             fits = np.array([link.fits(frame.data, frame.id) for frame in block.frames()], dtype=np.bool_)

@@ -20,7 +20,7 @@ from analyzer.catalogue import Role
 from analyzer.columns import text
 from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
-from analyzer.columns.groups import groups, ranks
+from analyzer.columns.groups import groups, ranks, words
 from analyzer.columns.pairs import Plain
 from analyzer.layout import Field
 from analyzer.records import Lane
@@ -66,7 +66,7 @@ class Rows:
         rows, places = np.nonzero(there)
         sizes[there] += HEADER.itemsize
         #: Where the messages of each row begin among all.
-        self._firsts = np.concatenate(([0], np.cumsum(there.sum(axis=1))))
+        self._firsts = np.concatenate(([0], np.cumsum(there[:, 0] + there[:, 1].astype(np.int64))))
         lengths = sizes[there]
         self._ends = np.cumsum(lengths)
         self._starts = self._ends - lengths
@@ -177,8 +177,9 @@ def _few(plain: Plain) -> Iterator[tuple[Integers, Integers, list[bytes]]]:
     examples = np.empty(len(known), dtype=np.int64)
     examples[places] = rows
     # Without a checksum, two frames of a lane and a value can still differ.
-    words = np.ascontiguousarray(block.data).view(np.uint64)
-    same = (words[rows] == words[examples][places]).all(axis=1)
+    same = np.ones(len(rows), dtype=np.bool_)
+    for word in words(block.data).T:
+        same &= word[rows] == word[examples][places]
     texts = []
     for row, number in zip(examples.tolist(), (known >> 8).tolist(), strict=True):
         data, lane = block.data[row, : block.sizes[row]].tobytes(), lanes[number]
