@@ -44,6 +44,10 @@ def alike(buffer: bytearray, at: int) -> int:
 def pieces(data: bytes, start_ns: int) -> Iterator[tuple[int, int, str, CanBlock | None]]:
     """Yield objects in stretches: from which to which, on which bus, and their frames; None: read them singly."""
     rows = np.frombuffer(data, dtype=_OBJECT)
+    if abs(start_ns) >= _LAST_NS:
+        # The calendar of a damaged header goes beyond what columns hold.
+        yield 0, len(rows), "", None
+        return
     found = Found.of(len(rows))
     units = np.where(rows["unit"] == _TEN_MICROSECONDS, 10_000, 1).astype(np.uint64)
     plain = (rows["id"] <= STANDARD_ID) & (rows["length"] <= 8) & (rows["flags"] & _REMOTE == 0)
