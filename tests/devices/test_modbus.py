@@ -19,7 +19,8 @@ from analyzer.records import Chunk
 from analyzer.sources import open_source
 from tests.bytestreams import SERIAL
 from tests.collect import Collect
-from tests.columns.both_ways import messages
+from tests.columns.both_ways import messages, same_line, short_runs
+from tests.columns.serial_traffic import chunks_of
 
 METER = """\
 # a meter
@@ -280,3 +281,14 @@ def test_two_lists_of_one_slave(tmp_path):
 
 def test_bytes_of_bits_and_registers():
     assert [read_bytes(function, 9) for function in (1, 2, 3, 4)] == [2, 2, 18, 18]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_however_a_line_is_cut_and_damaged_the_same_comes_out(seed):
+    """By rows and chunk by chunk, with frames of all functions, junk and lost bytes."""
+    chance = random.Random(seed)
+    line = bytearray(b"".join(frame(chance.choice(text.split(" | "))) for text in chance.choices(list(EXCHANGES), k=150)))
+    for _ in range(seed * 4):
+        line[chance.randrange(len(line))] = chance.randrange(256)
+    with short_runs():
+        same_line(list(chunks_of(bytes(line), chance, longest=chance.choice((3, 40, 5000)))), get("modbus"), 50)
