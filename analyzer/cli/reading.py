@@ -249,8 +249,8 @@ class OpenCapture:
 
     def _options(self) -> Options:
         arguments = self._arguments
-        first = self.dialects[0]
-        speed = arguments.baud or (first.baud_rates[0] if first.baud_rates else 115200)
+        usual = next((d.baud_rates[0] for d in self.dialects if d.baud_rates), 115200)
+        speed = arguments.baud or usual
         made_up = BITS_PER_BYTE * 1_000_000_000 // speed
         late_ms = arguments.late if arguments.late is not None else self._said.late_ms
         return Options(

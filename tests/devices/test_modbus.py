@@ -229,6 +229,15 @@ def test_other_devices_are_not_judged_and_not_replayed(capsys):
     assert "10 frames that are not of this dialect: left out" in out
 
 
+def test_a_capture_without_times_has_those_of_the_drives_line(tmp_path, capsys):
+    path = tmp_path / "wire.bin"
+    path.write_bytes(b"".join(frame(t) for t in ["01 04 00 32 00 01", "01 04 02 01 40", "05 04 00 00 00 01"] * 2))
+    main(["show", str(path), "--json", "--dialect", "mks-modbus"])
+    alone = [json.loads(line)["time"] for line in capsys.readouterr().out.splitlines()]
+    main(["show", str(path), "--json", "--dialect", "mks-modbus", "--modbus-map", meter(tmp_path)])
+    assert [json.loads(line)["time"] for line in capsys.readouterr().out.splitlines()] == alone
+
+
 def row(text):
     return f"unit,address,name,type,scale,offset,table,word_order\n5,0,a,u32,,,,\n# c\n{text}\n"
 
