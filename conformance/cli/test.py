@@ -168,6 +168,7 @@ def _test(plan: Plan, arguments: argparse.Namespace, known: list[Deviation] | No
     records: list[VerdictRecord] = []
     trouble: ServotapError | None = None
     stopped = False
+    unprinted: OSError | None = None
     total = sum(len(plan.selected(each)) for each in plan.targets)
     began = now_text()
     # A run that is left is closed at once: what moves is stopped, and what that reports must not get lost.
@@ -181,18 +182,24 @@ def _test(plan: Plan, arguments: argparse.Namespace, known: list[Deviation] | No
                         _print_json(each)
         except KeyboardInterrupt:
             stopped = True
+        except BrokenPipeError as error:
+            stopped, unprinted = True, error
         except ServotapError as error:
             if not records and not isinstance(error, (NotStopped, RigFault)):
                 raise
             trouble = error
-            stopped = isinstance(error.__context__, KeyboardInterrupt)
+            stopped = isinstance(error.__context__, (KeyboardInterrupt, BrokenPipeError))
     run_record = _run_record(plan, began, time.monotonic() - started, stopped, trouble)
     status = _status(records, arguments, trouble)
     refused = write_reports(records, run_record, vars(arguments))
-    if arguments.json:
-        _print_json(run_record)
-    else:
-        _show(records, run_record, total)
+    try:
+        if arguments.json:
+            _print_json(run_record)
+        else:
+            _show(records, run_record, total)
+    except OSError as error:
+        # What was judged, and whether a motor stands, counts more than that it could not be printed.
+        unprinted = error
     if known is not None:
         status = worst(status, _baseline(records, known, arguments.baseline))
     if arguments.write_baseline and "write_baseline" not in refused:
@@ -204,7 +211,10 @@ def _test(plan: Plan, arguments: argparse.Namespace, known: list[Deviation] | No
         print(f"servotap test: {trouble}", file=sys.stderr)
     if stopped:
         print(f"servotap test: stopped after {len(records)} of {total} claims", file=sys.stderr)
-        return status if trouble is not None or status == REFUTED else INTERRUPTED
+        if trouble is None and status != REFUTED and unprinted is None:
+            return INTERRUPTED
+    if unprinted is not None and not status:
+        raise unprinted
     return status
 
 

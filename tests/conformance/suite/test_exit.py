@@ -8,6 +8,7 @@ from mcap.writer import Writer
 from benchmarks.gate import READS, sound
 from conformance.claim import NotStopped, Outcome, RigFault, Verdict, worst
 from conformance.suite.record import doubt_about, most_inconclusive
+from tests.conformance.cli.test_stop import GoneReader
 from tests.conformance.drives.served import on_logged_pty, on_pty
 from tests.conformance.suite.test_suite import main
 
@@ -85,6 +86,15 @@ def test_the_help_names_the_limit(capsys):
     with pytest.raises(SystemExit):
         main(["test", "--help"])
     assert "--max-inconclusive LIMIT" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(("fault", "form", "status"), [("", (), 141), ("", ("--json",), 141), (",fault=checksum-wrong", (), 1)])
+def test_a_reader_that_leaves_takes_neither_the_verdict_nor_the_log(fault, form, status, tmp_path, monkeypatch):
+    log = tmp_path / "run.mcap"
+    monkeypatch.setattr("sys.stdout", GoneReader())
+    words = ("--claim", "*/shape/read_speed/checksum", "--jobs", "1", "--log", str(log))
+    assert main(["test", f"mks-rs485@1{fault}", *words, *form]) == status
+    assert log.stat().st_size > 500
 
 
 WRONG_SUM = "mks-rs485@1,fault=checksum-wrong"
