@@ -75,6 +75,8 @@ def _found(word: str, arguments: argparse.Namespace) -> Iterator[tuple[str, Path
         raise UsageError(f"{folder} is a folder of captures: name the folder for their logs with -o")
     target = target_of(Path(arguments.output))
     known = {_identity(target)} if target.exists() else set()
+    if _identity(folder) in known:
+        raise UsageError(f"-o {target} is the folder of the captures itself: name another one for their logs")
     found = list(_below(folder, known))
     if not found:
         raise UnreadableError(f"{folder} is a directory without files, expected captures, or the parts of a recording (*.mcap)")

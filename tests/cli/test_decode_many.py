@@ -186,6 +186,8 @@ def test_an_order_that_is_wrong_ends_before_anything_is_made(week, tmp_path, cap
     assert main(["decode", str(week), "-o", str(tmp_path / "logs")]) == 2
     assert "exists; --force replaces it" in capsys.readouterr().err
     assert tree(tmp_path / "logs") == ["mon/mks_can.asc.mcap"]
+    assert main(["decode", str(week), "-o", str(week)]) == 2
+    assert "is the folder of the captures itself" in capsys.readouterr().err
 
 
 def test_how_far_all_are_is_shown(monkeypatch):
