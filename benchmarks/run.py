@@ -21,6 +21,7 @@ RUNS = (
     ("decode_peers.py", ("--frames", "300000"), ("--frames", "30000", "--rounds", "1")),
     ("columns.py", ("--rounds", "1"), ("--frames", "30000", "--rounds", "1")),
     ("serial_columns.py", (), ("--frames", "20000", "--rounds", "1")),
+    ("logic_levels.py", (), ("--samples", "4000000")),
     ("framing_noise.py", ("--frames", "100000"), ("--frames", "5000")),
     ("report.py", (), ("--frames", "20000")),
     ("diagnosis.py", (), ("--frames", "20000", "--rounds", "1")),

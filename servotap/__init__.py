@@ -16,7 +16,7 @@ What stands in `__all__` is public; `analyzer` and `conformance` below it may ch
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from importlib import import_module
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -92,6 +92,8 @@ def open(
     model: str | None = None,
     baud: int | None = None,
     format: str | None = None,
+    channels: Sequence[str] = (),
+    inverted: bool = False,
     groups: Collection[int] = (),
     ids: str = "",
     dbc: Collection[str | PathLike[str]] = (),
@@ -101,14 +103,14 @@ def open(
 ) -> Capture:
     """Open a capture of any format, a log, or a folder of parts.
 
-    `dialect`, `model`, `ids`, `since` and `until` as for `servotap show`; `dbc`, `modbus_map`: files that describe the other
-    devices of the bus. Raises UnreadableError, UsageError.
+    `dialect`, `model`, `ids`, `since` and `until` as for `servotap show`; `channels` and `inverted` of a logic analyzer; `dbc`,
+    `modbus_map`: files that describe the other devices of the bus. Raises UnreadableError, UsageError.
     """
     from servotap.captures import Capture
 
     return Capture(
-        path, dialect=dialect, model=model, baud=baud, format=format, groups=groups, ids=ids, dbc=dbc, modbus_map=modbus_map,
-        since=since, until=until,
+        path, dialect=dialect, model=model, baud=baud, format=format, channels=channels, inverted=inverted, groups=groups,
+        ids=ids, dbc=dbc, modbus_map=modbus_map, since=since, until=until,
     )  # fmt: skip
 
 

@@ -28,6 +28,7 @@ LAYERS = (
     ("analyzer.columns",),
     ("analyzer.pipeline",),
     ("analyzer.detect",),
+    ("analyzer.logic",),
     ("analyzer.diagnosis",),
     ("analyzer.sources", "analyzer.sinks", "analyzer.reference", "analyzer.export", "analyzer.page", "analyzer.table"),
     ("analyzer.report",),

@@ -47,6 +47,7 @@ examples:
   servotap decode wire.bin --dialect mks-rs485 --baud 38400
   servotap decode a.log b.pcapng -o logs/             a folder that exists
   candump -L can0 | servotap decode - -o can.mcap
+  servotap decode scope.sr --channel RX               levels of a logic analyzer; by itself it finds channel and rate
   servotap decode old.mcap -o new.mcap --dialect mks-modbus
   servotap decode week.mcap --since +10min --until +11min -o minute.mcap
   servotap decode week/ -o logs/                      all captures of a folder and its subfolders, several at once

@@ -18,7 +18,7 @@ from typing import IO
 
 from analyzer.cli.export_table import export_table
 from analyzer.cli.output import Output, target_of
-from analyzer.cli.reading import add_reading_arguments, progress
+from analyzer.cli.reading import add_reading_arguments, progress, source_options
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import TimeRange
 from analyzer.errors import UnreadableError, UsageError
@@ -172,7 +172,7 @@ def _target(arguments: argparse.Namespace) -> Path | None:
 
 def _export_raw(arguments: argparse.Namespace, stream: IO[bytes], interrupt: Interrupt, target: Path | None) -> list[str]:
     """Export all bytes; return the lines that tell of it."""
-    opening = partial(open_source, arguments.file, format=arguments.format, baud=arguments.baud)
+    opening = partial(open_source, arguments.file, **source_options(arguments))
     with contextlib.closing(interrupt.opened(opening)) as source:
         source.framed = not arguments.chunks
         outcome, broken = _write(source, stream, arguments, interrupt)

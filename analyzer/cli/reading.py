@@ -32,7 +32,16 @@ if TYPE_CHECKING:
     from analyzer.sources import Source
     from analyzer.sources.tail import Follow
 
-__all__ = ["Item", "OpenCapture", "add_reading_arguments", "now_text", "open_reading", "progress", "require_file"]
+__all__ = [
+    "Item",
+    "OpenCapture",
+    "add_reading_arguments",
+    "now_text",
+    "open_reading",
+    "progress",
+    "require_file",
+    "source_options",
+]
 
 #: How much of a capture the choice of dialects looks at; of standard input less, so that a live pipe shows at once.
 SAMPLE_BYTES = 256 * 1024
@@ -58,7 +67,12 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         help="registers of other Modbus slaves; may be repeated",
     )
     parser.add_argument("--model", metavar="M", help="42D 57D 28D 35D 42E 57E MF MG MH MS: limits and units of a model")
-    parser.add_argument("--baud", type=positive, metavar="N", help="line speed, for timestamps and bus load")
+    parser.add_argument("--baud", type=positive, metavar="N", help="line speed: for timestamps, bus load, logic analyzers")
+    parser.add_argument(
+        "--channel", action="append", default=[], metavar="NAME",
+        help="the channel of a logic analyzer that is read (default: found); may be repeated",
+    )  # fmt: skip
+    parser.add_argument("--inverted", action="store_true", help="the channels are low when idle (default: found)")
     parser.add_argument("--format", metavar="F", help="capture format, if detection by content fails")
     parser.add_argument(
         "--group", action="append", type=address, default=[], metavar="ADDRESS",
@@ -303,6 +317,11 @@ def _kind(item: Chunk | CanFrame) -> str:
     return "can" if isinstance(item, CanFrame) else "serial"
 
 
+def source_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what the user says of the capture itself, for `open_source`."""
+    return {"format": arguments.format, "baud": arguments.baud, "channels": arguments.channel, "inverted": arguments.inverted}
+
+
 def open_reading(path: str, arguments: argparse.Namespace, follow: Follow | None = None) -> OpenCapture:
     """Open a capture and choose its dialects. `follow`: the capture is a log that is still being written.
 
@@ -310,7 +329,7 @@ def open_reading(path: str, arguments: argparse.Namespace, follow: Follow | None
     """
     from analyzer.sources import open_source
 
-    source = open_source(path, format=arguments.format, baud=arguments.baud)
+    source = open_source(path, **source_options(arguments))
     try:
         if follow is not None and source.kind != "log":
             raise UsageError(f"--follow: {source.name} is {source.title}, and only a log (MCAP) can be followed")

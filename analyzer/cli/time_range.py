@@ -176,7 +176,9 @@ def _bounds(source: Source) -> tuple[int, int] | None:
         raise UsageError("a time before the end needs a file: the end of standard input is unknown")
     first: int | None = None
     last = 0
-    with open_source(Path(source.path), format=source.format, baud=source.baud) as before:
+    with open_source(
+        Path(source.path), format=source.format, baud=source.baud, channels=source.channels, inverted=source.inverted
+    ) as before:
         for record in before:
             if isinstance(record, (Chunk, CanFrame)) and record.t_ns is not None:
                 first = record.t_ns if first is None else first

@@ -10,6 +10,7 @@ only when it is asked; libraries that a format needs are imported only when it i
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -25,13 +26,17 @@ __all__ = ["FORMATS", "Format", "Problem", "Record", "Source", "open_source"]
 
 
 class Format(NamedTuple):
-    """A capture format. `endings` are for help only: what a file is called decides nothing."""
+    """A capture format. `endings` are for help only: what a file is called decides nothing.
+
+    `levels`: what lies in it are the levels of channels, not bytes.
+    """
 
     module: str
     title: str
     summary: str
     endings: tuple[str, ...]
     kind: str
+    levels: bool = False
 
 
 #: Every format by name; the first of two that fit equally wins.
@@ -50,6 +55,21 @@ FORMATS: dict[str, Format] = {
         "can_text", "CAN text", "frames as python-can, slcan, BUSMASTER and programs print them", (".txt",), "can"
     ),
     "spy": Format("spy", "pyserial spy", "log of a spy:// port of pyserial", (".log", ".txt"), "serial"),
+    "sigrok-session": Format(
+        "logic.sigrok_session",
+        "sigrok session",
+        "levels, as PulseView and sigrok-cli save them",
+        (".sr",),
+        "serial",
+        levels=True,
+    ),
+    "vcd": Format("logic.vcd", "VCD", "levels, as logic analyzers and simulators dump them", (".vcd",), "serial", levels=True),
+    "saleae-binary": Format(
+        "logic.saleae_binary", "Saleae binary", "levels of Logic 1 and Logic 2", (".bin",), "serial", levels=True
+    ),
+    "saleae-levels": Format(
+        "logic.saleae_csv", "Saleae digital CSV", "levels of Logic 1 and Logic 2", (".csv",), "serial", levels=True
+    ),
     "saleae": Format("saleae", "Saleae CSV", "decoded bytes of Logic 1 and Logic 2", (".csv", ".txt"), "serial"),
     "sigrok": Format("sigrok", "sigrok UART", "annotations of sigrok-cli and PulseView", (".txt", ".csv"), "serial"),
     "columns": Format(
@@ -69,7 +89,7 @@ _SURE_SCORE = 0.5
 
 #: Files that people give by mistake, and what to do about it.
 _OTHERS: tuple[tuple[bytes, str], ...] = (
-    (b"PK\x03\x04", "a zip archive (also .sr of sigrok and .sal of Saleae): unpack it, or export the decoded bytes"),
+    (b"22 serialization::archive", "a capture of Saleae Logic 1 (.logicdata): there choose Export Data, as CSV"),
     (b"\x1f\x8b\x08", "compressed twice: unpack it once"),
     (b"\x28\xb5\x2f\xfd", "compressed twice: unpack it once"),
     (b"BZh", "bzip2 data: unpack it first"),
@@ -83,11 +103,20 @@ _OTHERS: tuple[tuple[bytes, str], ...] = (
 )
 
 
-def open_source(path: str | Path, *, format: str | None = None, baud: int | None = None, bus: str | None = None) -> Source:
+def open_source(
+    path: str | Path,
+    *,
+    format: str | None = None,
+    baud: int | None = None,
+    bus: str | None = None,
+    channels: Sequence[str] = (),
+    inverted: bool = False,
+) -> Source:
     """Open a capture; `-` is standard input. A folder, or the name that has none but numbered parts, is a log in parts.
 
     `format`: a name in `FORMATS`, found by content if None. `baud`: the line speed, for formats that count samples.
-    `bus`: the name of the capture's (first) line. Raises UsageError for wrong arguments and UnreadableError, which says
+    `bus`: the name of the capture's (first) line. `channels`: those of a logic analyzer that are read, found by themselves if
+    none is given; `inverted`: they are low when idle. Raises UsageError for wrong arguments and UnreadableError, which says
     why, for what cannot be read or understood.
     """
     if format is not None and format not in FORMATS:
@@ -97,7 +126,7 @@ def open_source(path: str | Path, *, format: str | None = None, baud: int | None
     if baud is not None and baud <= 0:
         raise UsageError(f"baud: expected a number above 0, got {baud}")
     files, notes = _files(str(path))
-    source = Source(files[0], baud=baud, bus=bus)
+    source = Source(files[0], baud=baud, bus=bus, channels=channels, inverted=inverted)
     for note in notes:
         source.note(note)
     if len(files) > 1 or files[0] != str(path):
@@ -107,6 +136,10 @@ def open_source(path: str | Path, *, format: str | None = None, baud: int | None
         name = _find(source) if format is None else _forced(source, format)
         entry = FORMATS[name]
         source.format, source.title, source.kind, source.gives_blocks = name, entry.title, entry.kind, entry.kind != "log"
+        if (channels or inverted) and not entry.levels:
+            raise UsageError(
+                f"{source.name} is {entry.title}, without levels: --channel and --inverted are for logic analyzers"
+            )
         source.stream.unread(source.head)
         source.begin(_module(name).read(source))
     except BaseException:

@@ -1,6 +1,7 @@
 """What a small file may grow to: bytes and records for each of its bytes, for every format and every compression.
 
     gzip, zstd    MCAP chunks    BLF containers    the lines, blocks and messages inside    the process that reads MF4
+    samples of a logic analyzer in zip
 
 A file pays for what it unpacks to from one budget, which grows with the bytes that were read of it. Real captures stay below:
 a log of one poll over and over, which compresses best, has 300 bytes and 10 records for each byte. What is not compressed is
@@ -15,6 +16,8 @@ from analyzer.values import counted
 #: What every file may unpack to, and how much more for each of its bytes.
 FREE_BYTES, BYTES_PER_BYTE = 4 << 20, 400
 FREE_RECORDS, RECORDS_PER_BYTE = 1 << 15, 12
+#: What samples of an idle line may unpack to: they compress best, and only their edges are kept.
+FREE_SAMPLES = 1 << 30
 #: Bytes of one record in the file, and of one container or chunk unpacked; writers stay at 1 MiB.
 RECORD_LIMIT = 64 << 20
 CONTAINER_LIMIT = 64 << 20
@@ -56,6 +59,14 @@ class Budget:
             )
         self.unpacked(size)
 
+    def samples(self, size: int, packed: int) -> None:
+        """Pay for samples of a logic analyzer that `packed` bytes claim to hold. Raises UnreadableError for too many."""
+        if size > FREE_SAMPLES + BYTES_PER_BYTE * packed:
+            raise UnreadableError(
+                f"{self.name}: {counted(packed, 'byte')} claim to hold {size} bytes of samples, expected at most "
+                f"{FREE_SAMPLES + BYTES_PER_BYTE * packed}: taken for a decompression bomb; {_ADVICE}"
+            )
+
     def record(self, count: int = 1) -> None:
         """Pay for lines, blocks, objects or messages. Raises UnreadableError where they are too many."""
         self._records += count
@@ -76,4 +87,4 @@ class Budget:
         )
 
 
-_ADVICE = "if it is harmless, unpack it first (gunzip, unzstd), or write it again without compression"
+_ADVICE = "if it is harmless, unpack it first (gunzip, unzstd, unzip), or write it again without compression"

@@ -125,7 +125,7 @@ def _records(source: Source) -> Iterator[Chunk]:
                     source.note(f"rows of the type {quote(kind)} are left out")
                 continue
             value = _value(table, table.cell(row, "data"))
-            t_ns = _time(table.cell(row, "time"))
+            t_ns = time_of(table.cell(row, "time"))
             duration = table.cell(row, "duration")
             t_ns += number_ns(duration) if duration else byte_ns
         except (ValueError, csv.Error) as error:
@@ -147,7 +147,8 @@ def _records(source: Source) -> Iterator[Chunk]:
         source.note(f"{counted(errors, 'byte')} with a parity or framing error")
 
 
-def _time(text: str) -> int:
+def time_of(text: str) -> int:
+    """Return the time of a row, in seconds or as a date, in ns. Raises ValueError for a text that is none."""
     found = _ISO.match(text)
     if found is None:
         return number_ns(text)

@@ -80,14 +80,25 @@ class Source:
     """A capture open for reading. Iterate it once for its records; it closes its file at `close`.
 
     `path` as given, `name` to show, `format` by its name in the table of formats. `kind`: "serial", "can", or "log"
-    for a log of this program, which can hold both. `time_source`: what the times are and how exact, in words, or
+    for a log of this program, which can hold both. `channels`, `inverted`: of a logic analyzer, as the user says; empty: they
+    are found. `time_source`: what the times are and how exact, in words, or
     "none". `size`: bytes on disk, None for a pipe.
     """
 
-    def __init__(self, path: str, *, baud: int | None = None, bus: str | None = None) -> None:
+    def __init__(
+        self,
+        path: str,
+        *,
+        baud: int | None = None,
+        bus: str | None = None,
+        channels: Sequence[str] = (),
+        inverted: bool = False,
+    ) -> None:
         self.path = path
         self.baud = baud
         self.bus = bus
+        self.channels = channels
+        self.inverted = inverted
         self.problems: list[Problem] = []
         self.problem_count = 0
         self._notes: list[str] = []

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from analyzer.catalogue import Role
 from analyzer.errors import ServotapError
-from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.records import CanFrame, Chunk, Comment, Event
 from analyzer.sources import Record, Source, open_source
 
 #: A capture is cut at each of this many parts of its length.
@@ -52,12 +52,12 @@ def check_source(path: Path, *, format: str, kind: str, baud: int | None = None,
 
 def check_record(record: Record) -> None:
     """Check the types of a record's parts."""
-    assert isinstance(record, Chunk | CanFrame | Comment)
+    assert isinstance(record, Chunk | CanFrame | Comment | Event)
     assert record.t_ns is None or type(record.t_ns) is int
     assert record.port
     assert type(record.port) is str
-    if isinstance(record, Comment):
-        assert record.text
+    if isinstance(record, Comment | Event):
+        assert record.text if isinstance(record, Comment) else record.values
         return
     assert type(record.data) is bytes
     assert type(record.direction) is Role
@@ -85,7 +85,7 @@ def _check_cuts(path: Path, format: str, baud: int | None, whole: list[Record], 
             except ServotapError:
                 pass
             if forced is not None and given:
-                # The record that the cut goes through may be shorter, or of another kind.
-                same = len(given) - 1
-                assert given[:same] == whole[:same]
+                # The record that the cut goes through may be shorter, or of another kind, and an event may tell of it.
+                traffic = [record for record in given if not isinstance(record, Event)][:-1]
+                assert traffic == [record for record in whole if not isinstance(record, Event)][: len(traffic)]
     cut.unlink()

@@ -11,6 +11,8 @@ from pathlib import Path
 import can
 from mcap.writer import CompressionType, Writer
 
+from tests.logic import waves
+
 START_NS = 1_682_894_455_899_123_000
 #: (identifier, data, sent by the host) of an exchange with a CAN drive.
 CAN_TRAFFIC = (
@@ -282,6 +284,31 @@ def log(path: Path) -> Path:
     return mcap_log(path, given)
 
 
+def _wave() -> waves.Wave:
+    rows = [(1e6 + n * 4e6, bytes.fromhex(data)) for n, (data, _) in enumerate(SERIAL_TRAFFIC * 4)]
+    return waves.uart(rows, 115200)[0]
+
+
+def sigrok_session(path: Path) -> Path:
+    """Samples of two channels, as PulseView saves them."""
+    return waves.write_sr(path, [_wave(), waves.Wave("idle")], 1_000_000)
+
+
+def vcd(path: Path) -> Path:
+    """The same as a value change dump."""
+    return waves.write_vcd(path, [_wave(), waves.Wave("idle")], 1_000_000)
+
+
+def saleae_levels(path: Path) -> Path:
+    """The same as Logic 2 exports it as CSV."""
+    return waves.write_saleae_csv(path, [_wave(), waves.Wave("idle")], 1_000_000)
+
+
+def saleae_binary(path: Path) -> Path:
+    """One channel as Logic 2 exports it in binary."""
+    return waves.write_saleae_binary(path, _wave(), 1_000_000)
+
+
 @dataclass(frozen=True)
 class Sample:
     """A capture that every source test can make. `ending`: of its file name."""
@@ -319,6 +346,12 @@ SAMPLES: dict[str, Sample] = {
     "spy": Sample(spy, "spy", "serial"),
     "saleae": Sample(saleae, "saleae", "serial"),
     "sigrok": Sample(sigrok, "sigrok", "serial", baud=115200),
+    "sigrok-session": Sample(sigrok_session, "sigrok-session", "serial"),
+    "vcd": Sample(vcd, "vcd", "serial"),
+    "saleae-levels": Sample(saleae_levels, "saleae-levels", "serial"),
+    "saleae-binary": Sample(saleae_binary, "saleae-binary", "serial"),
     "hexdump": Sample(hexdump, "hexdump", "serial"),
     "mcap": Sample(log, "mcap", "log"),
 }
+#: Samples that are no text.
+BINARY = ("blf", "pcap", "pcapng", "raw", "mcap", "sigrok-session", "saleae-binary")

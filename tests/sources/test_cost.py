@@ -25,7 +25,7 @@ from tests.sources import builders
 
 COUNT = 150
 ALLOWED = 3
-TEXTS = [name for name in builders.SAMPLES if name not in ("blf", "pcap", "pcapng", "raw", "mcap")]
+TEXTS = [name for name in builders.SAMPLES if name not in builders.BINARY]
 
 
 def calls(path: Path, format: str) -> int:
