@@ -23,7 +23,7 @@ def talk(baud: float, rounds: int = 6, seven: bool = False) -> list[tuple[float,
     """Return requests and replies of a drive, with pauses, as (start in ns, bytes)."""
     chance, at, said = random.Random(5), 30 * SECOND_NS / baud, []
     for number in range(rounds):
-        for data in (REQUEST, bytes((0xFB, 1, 0x30, 0, 0, 0, number, 7 * number & 255, 31 * number & 255))):
+        for data in (REQUEST, bytes((0xFB, 1, 0x30, 0, 0, 0, number & 255, 7 * number & 255, 31 * number & 255))):
             data = bytes(value & 0x7F for value in data) if seven else data
             said.append((at, data))
             at += (13 * len(data) + chance.uniform(4, 40)) * SECOND_NS / baud
