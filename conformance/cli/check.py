@@ -1,7 +1,7 @@
 """Judge recordings by the claims that need only traffic: about frames, replies and statuses.
 
-Each claim is about the drive, the host or the wire. Exit status: 0 nothing refuted, 1 a claim is refuted, 2 wrong use or a
-file that cannot be read.
+Each claim is about the drive, the host or the wire. Exit status: 0 nothing refuted, 1 a claim is refuted, 2 wrong use, a
+file that cannot be read, or one without a frame of a drive.
 """
 
 from __future__ import annotations
@@ -61,15 +61,12 @@ def run(arguments: argparse.Namespace) -> int:
     status = 0
     for path in arguments.files:
         try:
-            refuted = _check(path, arguments, about)
+            status = max(status, _check(path, arguments, about))
         except UnreadableError as error:
             if len(arguments.files) == 1:
                 raise
             print(f"servotap check: {printable(str(error))}", file=sys.stderr)
             status = 2
-            continue
-        if refuted:
-            status = max(status, REFUTED)
     return status
 
 
@@ -81,8 +78,8 @@ def _about(text: str) -> tuple[str, ...]:
     return chosen or _PARTIES
 
 
-def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> bool:
-    """Judge one file and print the result; return whether a claim is refuted."""
+def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> int:
+    """Judge one file, print the result and return the exit status."""
     from conformance.claims import traffic_rules
     from conformance.claims.traffic import verdicts
     from conformance.claims.traffic_rules import Judge, Party
@@ -101,7 +98,13 @@ def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> 
     found = [(v, c) for v, c in verdicts(judge, [Party(w) for w in about]) if not spoken or c.dialect in spoken or c.found]
     show = _show_json if arguments.json else _show
     show(path, reading, judge, found, arguments)
-    return any(v.outcome.value == "refuted" for v, _ in found)
+    if any(v.outcome is Outcome.REFUTED for v, _ in found):
+        return REFUTED
+    if not spoken:
+        # What holds for no frame at all holds for any drive.
+        print(f"servotap check: {printable(path)}: no frame of a drive is there to judge", file=sys.stderr)
+        return 2
+    return 0
 
 
 # --- for people -------------------------------------------------------------------------------------------------------

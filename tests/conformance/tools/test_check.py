@@ -175,6 +175,13 @@ def test_captures_of_other_formats_and_buses(capsys):
         assert "passed" in output.out
 
 
+def test_where_no_frame_is_there_nothing_is_confirmed(capsys):
+    status, output = check(capsys, "captures/mks_rs485.log", "--since", "+10h")
+    assert status == 2
+    assert "no frames" in output.out
+    assert "mks_rs485.log: no frame of a drive is there to judge" in output.err
+
+
 def test_several_files_one_of_which_cannot_be_read(tmp_path, capsys):
     good = recording(tmp_path / "good.log", "mks-rs485@1")
     status, output = check(capsys, good, str(tmp_path / "none.log"))
