@@ -47,12 +47,8 @@ class AsLog:
 @contextmanager
 def as_log(path: str, arguments: argparse.Namespace) -> Iterator[AsLog]:
     """Open a capture as a log. Raises UnreadableError, and UsageError for options that do not fit it."""
-    if (
-        path != "-"
-        and arguments.dialect == "auto"
-        and not any(getattr(arguments, name) for name in _DECODING)
-        and _is_decoded(path)
-    ):
+    otherwise = arguments.dialect != "auto" or any(getattr(arguments, name) for name in _DECODING)
+    if path != "-" and not otherwise and _is_decoded(path):
         with open_source(path) as source:
             wanted = TimeRange(source, arguments.since, arguments.until, utc=arguments.utc)
             with progress(source, f"reading {source.name}"):

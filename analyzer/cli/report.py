@@ -109,7 +109,10 @@ def _diagnosis(path: str, arguments: argparse.Namespace, traffic: Traffic) -> tu
     if long and since_ns is not None:
         given.since = TimeOption(Anchor.CLOCK, since_ns, "")
     watch = Watch()
-    reading = open_reading(path, given)
+    try:
+        reading = open_reading(path, given)
+    except UnreadableError as error:
+        return Diagnosis("none", (), 0), f"There is no diagnosis, for the log cannot be decoded again: {error}"
     with contextlib.closing(reading.source):
         pipeline = reading.pipeline([watch])
         for item in reading:

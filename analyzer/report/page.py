@@ -37,7 +37,11 @@ _LOOKS = {Severity.ERROR: "bad", Severity.WARNING: "doubt", Severity.INFO: "seen
 
 @dataclass
 class Log:
-    """A log that was read, and what its diagnosis says. `looked`: of what part of it; `notes`: what a reader should know."""
+    """A log that was read, and what its diagnosis says.
+
+    The verdict is `none` where it could not be made. `looked`: of what part of the log it is. `notes`: what a reader should
+    know.
+    """
 
     name: str
     traffic: Traffic
@@ -59,6 +63,8 @@ class Log:
             return found.causes[0].suspicion.say
         if found.verdict == "ok":
             return "Nothing wrong was found"
+        if found.verdict == "none":
+            return "No diagnosis was made"
         if not found.troubles:
             return "No frame of a known dialect came"
         return f"{_counted(found.troubles, 'thing')} went wrong, and no cause shows in the bytes"

@@ -6,6 +6,7 @@ the states where they have it, since its unit is the same there for every drive.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -15,7 +16,7 @@ import msgspec
 
 from analyzer.errors import UsageError
 from analyzer.findings import RULES
-from analyzer.report.traffic import LATEST_NS
+from analyzer.report.traffic import LATEST_NS, number_of
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Source, describe
 from analyzer.values import identifier, near, quote
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 #: Series of one plot; more would not be told apart.
 MOST = 40
 _STATE = "state"
+#: What every value is below, by far.
+_HIGHEST = 1e300
 
 
 @dataclass
@@ -34,9 +37,9 @@ class Series:
 
     label: str
     unit: str
-    t_ns: list[int] = field(default_factory=list)
-    sequence: list[int] = field(default_factory=list)
-    values: list[float] = field(default_factory=list)
+    t_ns: array[int] = field(default_factory=lambda: array("q"))
+    sequence: array[int] = field(default_factory=lambda: array("q"))
+    values: array[float] = field(default_factory=lambda: array("d"))
 
 
 class _Topic:
@@ -112,7 +115,7 @@ def series(
                 continue
             for _, key, factor, kept in topic.wanted:
                 value = values.get(key)
-                if isinstance(value, (int, float)) and not isinstance(value, bool):
+                if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < _HIGHEST:
                     kept.t_ns.append(record.log_ns)
                     kept.sequence.append(record.sequence)
                     kept.values.append(value * factor)
@@ -169,14 +172,15 @@ def _listed(words: Sequence[str]) -> str:
 
 def _names(topic: _Topic, record: LogMessage, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a filter can name of a message, as for `servotap show`."""
-    found = values.get("_findings", [])
+    logged = values.get("_findings")
+    found = [rule for rule in logged if isinstance(rule, str)] if isinstance(logged, list) else []
     can_id = values.get("_can_id")
     head = f"{identifier(can_id)[2:].lstrip('0') or '0'} " if isinstance(can_id, int) else ""
     names = {key: value for key, value in values.items() if not key.startswith("_")} | {
         "time": record.log_ns / 1e9,
         "bus": topic.bus,
         "dialect": topic.metadata.get("dialect", ""),
-        "address": int(topic.address) if topic.address.isdecimal() else 0,
+        "address": number_of(topic.address),
         "role": topic.role,
         "command": topic.command,
         "checksum_ok": values.get("_checksum_ok", True),
@@ -186,6 +190,7 @@ def _names(topic: _Topic, record: LogMessage, values: Mapping[str, Any]) -> dict
         "sequence": record.sequence,
         "section": topic.metadata.get("section", ""),
     }
-    if isinstance(values.get("_latency"), (int, float)):
-        names["latency"] = values["_latency"] * 1e3
+    latency = values.get("_latency")
+    if isinstance(latency, (int, float)) and abs(latency) < _HIGHEST:
+        names["latency"] = latency * 1e3
     return names

@@ -209,7 +209,7 @@ class Drive:
     @property
     def order(self) -> tuple[str, int, str]:
         """Its place in a list: by bus and by address as a number."""
-        return self.bus, int(self.address) if self.address.isdecimal() else -1, self.address
+        return self.bus, number_of(self.address), self.address
 
 
 @dataclass
@@ -448,9 +448,11 @@ class Traffic:
         if not full:
             return
         self._recent.append({topic.name: (topic.sequences, topic.data) for topic in full})
-        first_ns = min(topic.times[0] for topic in full)
-        self.first_ns = min(self.first_ns, first_ns) if self.first_ns else first_ns
-        self.last_ns = max(self.last_ns, *(topic.times[-1] for topic in full))
+        # A comment at the head of a capture may have no time.
+        if traffic := [topic for topic in full if topic.take != self._take_comments]:
+            first_ns = min(topic.times[0] for topic in traffic)
+            self.first_ns = min(self.first_ns, first_ns) if self.first_ns else first_ns
+            self.last_ns = max(self.last_ns, *(topic.times[-1] for topic in traffic))
         self.last_sequence = max(self.last_sequence, *(topic.sequences[-1] for topic in full))
         for topic in sorted(full, key=lambda each: each.take == self._take_findings):
             topic.take(topic)
@@ -469,8 +471,8 @@ class Traffic:
         if key not in self.drives and len(self.drives) >= _DRIVES:
             key = bus, "further"
         drive = self.drives.setdefault(key, Drive(*key))
-        if can and key[1].isdecimal():
-            drive.who = identifier(int(key[1]))
+        if can and number_of(key[1]) >= 0:
+            drive.who = identifier(number_of(key[1]))
         drive.who = drive.who or key[1]
         return drive
 
@@ -614,8 +616,15 @@ def _fields(data: bytes) -> dict[str, Any]:
 
 
 def _own(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of the command alone."""
-    return {name: value for name, value in fields.items() if not name.startswith("_")}
+    """Return the fields of the command alone; slots only as a package has them."""
+    slots = fields.get("slots")
+    odd = not isinstance(slots, list) or not all(isinstance(slot, dict) and "slots" not in slot for slot in slots)
+    return {name: value for name, value in fields.items() if not (name.startswith("_") or (name == "slots" and odd))}
+
+
+def number_of(address: str) -> int:
+    """Return an address of a topic as a number, -1 for any other text."""
+    return int(address) if address.isdecimal() and len(address) < 12 else -1
 
 
 def busiest(drives: Sequence[Drive]) -> list[Drive]:

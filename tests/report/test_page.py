@@ -103,6 +103,10 @@ def test_a_capture_with_nothing_to_decode_is_a_page_that_says_so(tmp_path, data,
     assert says in told((tmp_path / "x.bin.html").read_text())
 
 
+def test_a_comment_without_a_time_does_not_move_the_beginning(tmp_path):
+    assert "Times are of 2026-03-02 UTC" in told(made(CAPTURES / "mks_rs485.mcap", tmp_path / "x.html"))
+
+
 def test_several_captures_stand_on_one_page(tmp_path):
     page = made(CAPTURES / "mks_rs485.log", CAPTURES / "mks_can.asc", CAPTURES / "lk_rs485.log", tmp_path / "x.html")
     assert "3 captures" in told(page)
@@ -110,6 +114,41 @@ def test_several_captures_stand_on_one_page(tmp_path):
     ids = re.findall(r'\bid="([^"]+)"', page)
     assert len(ids) == len(set(ids))
     assert set(re.findall(r'href="#([^"]+)"', page)) <= set(ids)
+
+
+def test_a_file_that_cannot_be_read_stands_beside_the_others(tmp_path, capsys):
+    out = tmp_path / "x.html"
+    assert main(["report", str(CAPTURES / "mks_rs485.log"), str(tmp_path / "none.log"), "-o", str(out)]) == 2
+    text = told(out.read_text())
+    assert "2 captures" in text
+    assert "none.log: No such file or directory" in text
+    assert main(["report", str(tmp_path / "none.log"), "-o", str(tmp_path / "none.html")]) == 2
+    assert not (tmp_path / "none.html").exists()
+
+
+def test_a_log_is_decoded_again_where_that_is_asked_for(tmp_path):
+    log = tmp_path / "x.mcap"
+    assert main(["decode", str(CAPTURES / "mks_rs485.log"), "-o", str(log)]) == 0
+    assert "expected 0..3000 mA" in told(made(log, "--model", "42D", tmp_path / "x.html"))
+    part = told(made(log, "--since", "+9.85s", "--until", "+9.95s", tmp_path / "part.html"))
+    assert "frames 2 on 1 bus" in part
+    assert "bad_checksum" in part
+    assert "out_of_range" not in part
+
+
+def test_a_page_is_replaced_only_by_force_and_never_the_capture(tmp_path, capsys):
+    capture = tmp_path / "x.html"
+    capture.write_text((CAPTURES / "mks_rs485.log").read_text())
+    for words, says in (
+        (["-o", str(capture)], "is the capture itself"),
+        (["-o", str(tmp_path)], "is a folder: name a file"),
+        ([str(capture)], "name the page with -o OUT.html"),
+    ):
+        assert main(["report", str(capture), *words]) == 2
+        assert says in capsys.readouterr().err
+    made(capture, tmp_path / "y.html")
+    assert main(["report", str(capture), "-o", str(tmp_path / "y.html")]) == 2
+    assert "--force replaces it" in capsys.readouterr().err
 
 
 def test_long_pauses_part_a_capture_and_break_its_lines(tmp_path):

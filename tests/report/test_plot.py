@@ -28,7 +28,7 @@ def log(tmp_path_factory):
 def values(log, name, **more):
     with open_source(log) as source:
         found, _ = series(source, [name], since_ns=0, until_ns=1 << 63, **more)
-    return {each.label: (each.values, each.unit) for each in found[name]}
+    return {each.label: (each.values.tolist(), each.unit) for each in found[name]}
 
 
 def test_a_quantity_comes_from_the_states_in_one_unit(log):
