@@ -151,8 +151,14 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     whole = {p.data for p in scene.pieces if p.sound}
     missing = [
         each for each in failing
-        if each.size == 0 and each.trouble.offset not in bare and each.right not in whole and not _answered(scene, each)
+        if each.size == 0 and each.trouble.offset not in bare and each.right not in whole
     ]  # fmt: skip
+    # A drive answers no request without its check: one that is answered shows that the log leaves the checks out.
+    if any(_answered(scene, each) for each in missing):
+        replied = any(p.is_reply and p.sound for p in scene.pieces)
+        scene.explained.update(t for t in scene.damaged if t.stretch is not None and not replied and scene.reader.bare(t.stretch.data))
+        scene.explained.update(each.trouble for each in missing)
+        missing = []
     wrong = [each for each in failing if each.size]
     # A write of any register could be anything by itself: two of one unit are no chance.
     writes = {each.right for each in wrong if _is_write(each.right)}
@@ -258,13 +264,16 @@ def _data(failing: Failing) -> bytes:
 
 
 def _answered(scene: Scene, failing: Failing) -> bool:
-    """Say whether the right reply comes behind a request without its check: then a library leaves it out of its log."""
+    """Say whether the drive answers a request without its check: by the right reply, also without its check, or otherwise."""
     reading, stretch = scene.reader.best(failing.right), failing.trouble.stretch
     at = bisect_left(scene.bursts, stretch.stop, key=lambda burst: burst.offset) if stretch is not None else len(scene.bursts)
     behind = scene.bursts[at] if at < len(scene.bursts) else None
     if reading is None or behind is None or behind.direction is Role.REQUEST:
         return False
-    return any(reply.stands(behind.data, 0) for reply in awaited(reading.message))
+    if any(reply.stands(each, 0) for reply in awaited(reading.message) for each in (behind.data, reply.link.completed(behind.data))):
+        return True
+    came = scene.reader.best(behind.data, role=Role.REPLY)
+    return came is not None and came.message.address == reading.message.address
 
 
 def _deliberate(failing: list[Failing], sound: list[Piece]) -> list[Failing]:

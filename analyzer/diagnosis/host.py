@@ -27,6 +27,8 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
         stretch = trouble.stretch
         if stretch is None or stretch.direction is Role.REQUEST or not stretch.ends or not stretch.opens:
             continue
+        if trouble in scene.explained:
+            continue
         asked = asked_before(scene, stretch)
         wanted = (_wanted(asked, stretch.data) if asked is not None else _promised(stretch, heads)) or _refusal(asked, stretch)
         # What the capture ends in may have gone on; what goes on in the reads behind it was not cut.

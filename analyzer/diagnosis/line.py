@@ -158,9 +158,10 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             continue
         asked = scene.asked_before(stretch.offset) if stretch.direction is not Role.REQUEST else None
         sides[stretch.direction].append(_Garbled(trouble, stretch.data[:_READ], replies_to(asked)))
-    for side, garbled in sides.items():
+    for side, came in sides.items():
+        garbled = came if _all_of_seven(scene.reader, came) else [each for each in came if each.trouble in scene.spoiled]
         # A line that is set up wrongly lets nothing through: of each sender if the capture does not tell them apart.
-        if _sound(scene, side) <= len(garbled):
+        if garbled and _sound(scene, side) <= len(garbled):
             yield from _side(scene, side, garbled[:_MOST_STRETCHES])
 
 
@@ -308,6 +309,12 @@ def _of_seven(reader: Reader, garbled: Sequence[_Garbled]) -> Iterator[_Fit]:
             at += len(whole or b"?")
         if frames:
             yield _Fit(trouble, data, frames[0], taken)
+
+
+def _all_of_seven(reader: Reader, garbled: Sequence[_Garbled]) -> bool:
+    """Say whether all that came, of several frames, lost its bits 7: alone of what a line does a right sum can outlast that."""
+    fits = list(_of_seven(reader, garbled))
+    return len(fits) == len(garbled) and len({fit.frame for fit in fits}) > 1
 
 
 def _with_high_bits(reader: Reader, seven: bytes, at: int) -> Iterator[bytes]:

@@ -79,6 +79,10 @@ class Reader:
                 yield at, found
             at += len(found.message.frame.data) if found is not None else 1
 
+    def bare(self, data: bytes) -> bool:
+        """Say whether bytes are a frame, listed or not, that lacks its check."""
+        return any(True for d in self.dialects if len(data) > 2 for _ in self.readings(d.link.completed(data)))
+
     def closed(self, data: bytes) -> bool:
         """Say whether bytes are a frame of the catalogue that lacks its check."""
         return any(reading.listed for d in self.dialects if len(data) > 2 for reading in self.readings(d.link.completed(data)))

@@ -32,8 +32,9 @@ EXCEPTIONS = {
 _FEW = 4
 #: Zeros behind a frame that are no glitch.
 _PADDING = 4
-#: Where functions that are answered by a length have their count of bytes, in a request or in a reply.
+#: Where functions have their count of bytes, in a request or in a reply; and the size of their frames that have none.
 _COUNTS = {**dict.fromkeys((0x0F, 0x10), (6,)), 0x11: (2,), 0x0C: (2,), 0x17: (2, 10)}
+_UNCOUNTED = {**dict.fromkeys((0x0F, 0x10), 8), **dict.fromkeys((0x0C, 0x11), 4)}
 #: What answers a write, a request of nothing but its function, the shortest frame and the longest, and the last address.
 _ANSWER, _BARE, _SHORTEST, _LONGEST, _LAST_UNIT = 8, 4, 5, 256, 247
 #: First registers of each kind in the numbering of old controllers.
@@ -263,7 +264,7 @@ def _other_count(scene: Scene, burst: Stretch) -> str:
         return f"a request to read has {_ANSWER} bytes, and this {len(data)}"
     if modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0 and data[0] <= _LAST_UNIT:
         places = _COUNTS.get(function)
-        if not places or len(data) == _ANSWER or any(n < len(data) and data[n] + n + 3 == len(data) for n in places):
+        if not places or len(data) == _UNCOUNTED.get(function) or any(n < len(data) and data[n] + n + 3 == len(data) for n in places):
             return ""
         at = places[-1]
         return f"{data[at]} bytes by its count, and {len(data) - at - 3} follow" if at < len(data) - 2 else "it has no count"

@@ -103,6 +103,11 @@ class Stretch:
         return self.offset + len(self.data)
 
     @property
+    def checked(self) -> bool:
+        """Whether it is frames whose checks fit: then no line and no second sender has changed their bytes."""
+        return all(piece.message is not None and piece.message.frame.checksum_ok for piece in self.pieces)
+
+    @property
     def can_id(self) -> int | None:
         """The identifier of the CAN frame that it is."""
         can = self.pieces[0].can
@@ -345,6 +350,12 @@ class Scene:
         """The troubles that are damaged bytes, as far as they can be one frame; of very many the first."""
         found = [trouble for trouble in self.of("damaged") if len(trouble.stretch.data if trouble.stretch else b"") <= _LONG]
         return found[:_MOST_DAMAGED]
+
+
+    @cached_property
+    def spoiled(self) -> list[Trouble]:
+        """The damaged bytes of a serial line that are no frames whose checks fit: what a line or a sender can have changed."""
+        return [t for t in self.damaged if t.stretch is not None and t.stretch.can_id is None and not t.stretch.checked]
 
 
 #: No frame of any dialect is longer, and more stretches show nothing new.

@@ -47,8 +47,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the senders."""
     spoiled = [
         _Spoiled(t, t.stretch, _asked(scene, t.stretch))
-        for t in scene.damaged
-        if t.stretch is not None and t.stretch.can_id is None
+        for t in scene.spoiled
+        if t.stretch is not None
     ]
     found = list(_two_masters(scene, spoiled))
     spoiled = [each for each in spoiled if each.trouble not in scene.explained]

@@ -293,3 +293,37 @@ def test_another_device_answers_from_its_new_address(mark):
     asked = Chunk(0, "bus", rtu("01 06 00 10 00 17"), Role.REQUEST if mark else Role.UNKNOWN, True)
     answer = Chunk(9 * MS, "bus", rtu("17 06 00 10 00 17"), Role.REPLY if mark else Role.UNKNOWN, True)
     assert diagnosed([asked, answer]).causes[0].suspicion.cause == "address_changed"
+
+
+# --- sound frames that nobody is to blame for -------------------------------------------------------------------------------
+
+LK_POLL = ["> 3E 9A 01 00 D9", "< 3E 9A 01 07 E0 1E 00 00 00 00 00 00 1E"]
+#: A request without its CRC, as some libraries log it, and its sound reply.
+BARE = [(">", bytes.fromhex("11 03 00 6D 00 01")), ("<", rtu("11 03 02 00 1A"))]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        # A right check bars each story of the line, such as that of a bit 7 that is turned.
+        [*LK_POLL, "> 3E 12 01 00 51", "< 3E 12 01 02 53 01 02 03"],
+        # A function without fields, and its reply.
+        [(">", rtu("01 11")), ("<", rtu("01 11 03 0A FF 00"))],
+        # Who is answered has sent a check, whatever the log shows; also where others are not answered.
+        BARE,
+        [*BARE, (">", bytes.fromhex("12 03 00 6D 00 01")), *BARE],
+        [*BARE[:1], ("<", rtu("11 83 02")), (">", bytes.fromhex("11 03 00 6E 00 01")), (">", bytes.fromhex("11 03 00 6F 00 01"))],
+        [(mark, data[:5]) if mark == "<" else (mark, data) for mark, data in BARE * 2],
+    ],
+)  # fmt: skip
+def test_sound_frames_are_not_accused(rows):
+    assert {each.cause for each in told(*rows)} <= {"wrong_register", "unknown_command"}
+
+
+def test_bare_requests_that_are_not_answered_lack_their_check():
+    assert first(BARE[0], BARE[0]) == "missing_checksum"
+
+
+@pytest.mark.parametrize("frame", ["01 11 05 0A FF 00", "01 11 02 0A FF 00"])
+def test_a_count_that_is_not_that_of_the_bytes(frame):
+    assert first((">", rtu("01 11")), ("<", rtu(frame))) == "wrong_length"
