@@ -199,6 +199,11 @@ def test_a_modbus_exception_ends_the_request():
     assert "illegal_data_address" in sink.findings[0].text
 
 
+def test_a_reply_to_a_register_that_is_not_listed_begins_with_its_byte_count():
+    sink = serial("mks-modbus", (0, crc("01 03 00 6D 00 01")), (5, crc("01 03 02 00 1A")))
+    assert sink.shown[1] == ("1/unknown_read/reply", {"byte_count": 2, "registers": "00 1A"})
+
+
 def test_a_modbus_read_reply_without_its_request_keeps_its_registers():
     sink = serial("mks-modbus", (0, crc("01 04 02 01 2C")), (90, crc("01 04 00 32 00 01")), (95, crc("01 04 02 01 2C")))
     assert sink.shown[0] == ("1/unknown_read/reply", {"byte_count": 2, "registers": "01 2C"})

@@ -156,7 +156,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     # A drive answers no request without its check: one that is answered shows that the log leaves the checks out.
     if any(_answered(scene, each) for each in missing):
         replied = any(p.is_reply and p.sound for p in scene.pieces)
-        scene.explained.update(t for t in scene.damaged if t.stretch is not None and not replied and scene.reader.bare(t.stretch.data))
+        scene.explained.update(
+            t for t in scene.damaged if t.stretch is not None and not replied and scene.reader.bare(t.stretch.data)
+        )
         scene.explained.update(each.trouble for each in missing)
         missing = []
     wrong = [each for each in failing if each.size]
@@ -270,7 +272,9 @@ def _answered(scene: Scene, failing: Failing) -> bool:
     behind = scene.bursts[at] if at < len(scene.bursts) else None
     if reading is None or behind is None or behind.direction is Role.REQUEST:
         return False
-    if any(reply.stands(each, 0) for reply in awaited(reading.message) for each in (behind.data, reply.link.completed(behind.data))):
+    if any(
+        reply.stands(each, 0) for reply in awaited(reading.message) for each in (behind.data, reply.link.completed(behind.data))
+    ):
         return True
     came = scene.reader.best(behind.data, role=Role.REPLY)
     return came is not None and came.message.address == reading.message.address

@@ -34,6 +34,9 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
         # What the capture ends in may have gone on; what goes on in the reads behind it was not cut.
         if wanted and not _goes_on(scene, stretch, wanted) and (scene.directed or stretch.stop != scene.pieces[-1].stop):
             cut.append((trouble, stretch.data, wanted))
+    # A single byte can be anything, unless it is all that comes of each reply.
+    if any(len(data) == 1 for _, data, _ in cut) and len(cut) < _SINGLE:
+        cut = [row for row in cut if len(row[1]) > 1]
     if not scene.often(len(cut), Role.REPLY):
         return
     first, data, wanted = cut[0]
@@ -97,13 +100,12 @@ def _refusal(asked: Message | None, stretch: Stretch) -> int:
 
 #: The size of an exception, and the greatest code of one.
 _SHORTEST, _LAST_CODE = 5, 0x0B
-#: Unit, function and count of a reply.
-_HEAD = 3
+#: Unit, function and count of a reply; and replies of which one byte alone came.
+_HEAD, _SINGLE = 3, 3
 #: Functions that read registers, the last address, bytes of a beginning that tell, of a CRC, and of the longest reply.
 _REGISTERS, _LAST_UNIT, _LEAST, _CHECK, _LONGEST = (0x03, 0x04), 247, 4, 2, 255
 
 
 def _wanted(asked: Message, data: bytes) -> int:
     """Return how many bytes the reply to a request has, if these are its beginning; else 0."""
-    replies = awaited(asked) if len(data) > 1 else []
-    return next((reply.size for reply in replies if len(data) < reply.size and reply.begins(data)), 0)
+    return next((reply.size for reply in awaited(asked) if len(data) < reply.size and reply.begins(data)), 0)

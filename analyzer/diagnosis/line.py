@@ -12,7 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from difflib import SequenceMatcher
 from functools import cache, reduce
-from itertools import pairwise, takewhile
+from itertools import pairwise, product, takewhile
 from typing import NamedTuple
 
 from analyzer import dialects as registry
@@ -21,7 +21,7 @@ from analyzer.codec import codec
 from analyzer.diagnosis.bits import BEGUN, Line, Rows, levels, read, unread
 from analyzer.diagnosis.exchanges import Awaited, replies_to
 from analyzer.diagnosis.reader import Reader
-from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link.modbus import modbus_crc
 from analyzer.values import counted
 
@@ -61,6 +61,10 @@ _GAPS = (0, 10)
 #: The share of a sender's damaged bytes that a way has to explain.
 _ENOUGH = 0.4
 _BIT_7 = 0x80
+#: Different bytes of which all have one parity by no chance.
+_ONE_PARITY = 14
+#: Bytes of a reply whose bits 7 are tried both ways.
+_HIGH_BITS = 8
 #: Where frames repeat, so many of what is read begin with the same byte; and so many checks fit where it is a protocol.
 _BEGIN_ALIKE, _CHECKED = 0.6, 0.5
 _PRINTED = frozenset(b"\t\n\r") | frozenset(range(0x20, 0x7F))
@@ -108,6 +112,7 @@ _LINES = (
     *(("lost_start", Line(missed=cell)) for cell in range(1, 10)),
     ("wrong_parity", Line(parity=1)),
     ("wrong_baud", Line(0.5)),
+    ("wrong_baud", Line(0.25)),
     *(("wrong_baud", Line(2 / 3, late=late)) for late in (-0.05, 0.05)),
 )
 
@@ -147,6 +152,7 @@ class _Garbled(NamedTuple):
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the line, where no frame explains the bytes."""
+    yield from _of_one_parity(scene)
     sides: dict[Role, list[_Garbled]] = defaultdict(list)
     for trouble in scene.of("damaged"):
         stretch = trouble.stretch
@@ -159,10 +165,33 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         asked = scene.asked_before(stretch.offset) if stretch.direction is not Role.REQUEST else None
         sides[stretch.direction].append(_Garbled(trouble, stretch.data[:_READ], replies_to(asked)))
     for side, came in sides.items():
-        garbled = came if _all_of_seven(scene.reader, came) else [each for each in came if each.trouble in scene.spoiled]
+        garbled = came if _all_of_seven(came) else [each for each in came if each.trouble in scene.spoiled]
         # A line that is set up wrongly lets nothing through: of each sender if the capture does not tell them apart.
         if garbled and _sound(scene, side) <= len(garbled):
-            yield from _side(scene, side, garbled[:_MOST_STRETCHES])
+            yield from _side(scene, side, garbled)
+
+
+def _of_one_parity(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a sender of seven bits and a parity where every byte of it has one parity: of many bytes that is no chance."""
+    sides: dict[Role, list[Stretch]] = defaultdict(list)
+    for burst in scene.bursts:
+        if burst.can_id is None:
+            sides[burst.direction].append(burst)
+    for side, bursts in sides.items():
+        garbled = [t for t in scene.damaged if t.stretch is not None and t.stretch.direction is side]
+        different = {byte for burst in bursts for byte in burst.data}
+        if not garbled or len(different) < _ONE_PARITY or len({byte.bit_count() & 1 for byte in different}) > 1:
+            continue
+        first = garbled[0].stretch
+        assert first is not None  # chosen so
+        yield Suspicion(
+            "wrong_parity", Confidence.CERTAIN, [t for t in scene.troubles if scene.direction(t.offset) is side],
+            _WORDS["wrong_parity"].say,
+            f"{shown(first.data)} at byte {first.offset}, and all that comes, has bytes of one parity alone: "
+            f"{len(different)} different ones",
+            _WORDS["wrong_parity"].next,
+            tuple(Shown(t.offset, shown(t.stretch.data)) for t in garbled if t.stretch is not None),
+        )  # fmt: skip
 
 
 def _sound(scene: Scene, side: Role) -> int:
@@ -173,26 +202,36 @@ def _sound(scene: Scene, side: Role) -> int:
     return sum(p.sound and scene.direction(p.offset) is side for p in scene.pieces)
 
 
-def _side(scene: Scene, side: Role, garbled: list[_Garbled]) -> Iterator[Suspicion]:
+def _side(scene: Scene, side: Role, all_garbled: list[_Garbled]) -> Iterator[Suspicion]:
+    garbled = _most_met(all_garbled) if side is Role.UNKNOWN else all_garbled[:_MOST_STRETCHES]
     ways = [
+        _Way("wrong_parity", 1.0, list(_of_seven(garbled))),
         *_of_what_was_sent(scene, garbled),
         *(_back(scene.reader, garbled, cause, line) for cause, line in _LINES),
-        _Way("wrong_parity", 1.0, list(_of_seven(scene.reader, garbled))),
     ]
     best = max(ways, key=lambda way: way.taken)
     if best.taken < _ENOUGH * sum(len(each.data) for each in garbled):
         best = max((best, *_at_other_speeds(garbled), *_of_replies(garbled)), key=lambda way: way.taken)
     if best.fits:
-        yield _said(best, [each.trouble for each in garbled])
+        yield _said(best, [each.trouble for each in all_garbled])
     elif not _sound(scene, side) and _same_line_noise(garbled):
         yield _unknown(garbled)
+
+
+def _most_met(garbled: list[_Garbled]) -> list[_Garbled]:
+    """Return stretches that are met most often: to a listener those are requests, which say the same each time."""
+    different = {each.data: each for each in reversed(garbled)}
+    counts = Counter(each.data for each in garbled)
+    chosen = [different[data] for data, _ in counts.most_common(_MOST_STRETCHES)]
+    return sorted(chosen, key=lambda each: each.trouble.offset)
 
 
 def _said(way: _Way, garbled: Sequence[Trouble]) -> Suspicion:
     words, fits = _WORDS[way.cause], way.fits
     first = max(fits, key=lambda fit: fit.taken)
     pairs = [(s, r) for s in _RATES for r in _RATES if abs(s / r - way.ratio) < 0.001 * way.ratio]
-    sure = way.different > 1 or first.taken > 2 * _LEAST
+    short = max(len(fit.data) for fit in fits) < _LEAST
+    sure = (way.different > 1 and not short) or first.taken > 2 * _LEAST
     return Suspicion(
         way.cause, Confidence.CERTAIN if sure else Confidence.LIKELY,
         # What spoils different frames spoils the others too, whether or not the way back is found.
@@ -291,18 +330,21 @@ def _sent(reader: Reader, heard: bytes, line: Line, replies: Sequence[Awaited]) 
     return unread(heard, line, lambda data: reader.begins(data, most), whole)
 
 
-def _of_seven(reader: Reader, garbled: Sequence[_Garbled]) -> Iterator[_Fit]:
+def _of_seven(garbled: Sequence[_Garbled]) -> Iterator[_Fit]:
     """Yield stretches of frames that lost their bits 7, to a receiver of seven bits or to a sender's parity."""
     read_all = b"".join(each.data for each in garbled)
     lost = all(byte < _BIT_7 for byte in read_all)
-    even = not any(byte.bit_count() & 1 for byte in read_all)
-    if not (lost or even) or len(set(read_all)) < _DIFFERENT:
+    parities = {byte.bit_count() & 1 for byte in read_all}
+    if not (lost or len(parities) == 1) or len(set(read_all)) < _DIFFERENT:
         return
-    for trouble, data, _ in garbled:
+    for trouble, data, replies in garbled:
         seven = bytes(byte & 0x7F for byte in data)
+        if (reply := _of_lower(seven, replies)) is not None and reply != data:
+            yield _Fit(trouble, data, reply, len(data))
+            continue
         frames, taken, at = [], 0, 0
         while at < len(seven):
-            whole = next((w for w in _with_high_bits(reader, seven, at) if w != data[at : at + len(w)]), None)
+            whole = next((w for w in _with_high_bits(seven, at) if w != data[at : at + len(w)]), None)
             if whole is not None:
                 frames.append(whole)
                 taken += len(whole)
@@ -311,27 +353,63 @@ def _of_seven(reader: Reader, garbled: Sequence[_Garbled]) -> Iterator[_Fit]:
             yield _Fit(trouble, data, frames[0], taken)
 
 
-def _all_of_seven(reader: Reader, garbled: Sequence[_Garbled]) -> bool:
+def _of_lower(seven: bytes, replies: Sequence[Awaited]) -> bytes | None:
+    """Return a reply that was asked for and has these lower bits, if its check can fit."""
+    for reply in replies:
+        size = len(reply.head)
+        if len(seven) != reply.size or not seven.startswith(_lower(reply.head)):
+            continue
+        body = reply.head + seven[size : -len(reply.link.checks(seven)[-1].expected)]
+        # A sum fits or not whatever the high bits are; of a CRC these are tried, as long as they are few.
+        for high in range(1 << min(len(body) - size, _HIGH_BITS)):
+            bits = bytes((high >> at & 1) << 7 for at in range(min(len(body) - size, _HIGH_BITS))).ljust(
+                len(body) - size, b"\0"
+            )
+            whole = reply.link.completed(reply.head + bytes(a | b for a, b in zip(body[size:], bits, strict=True)))
+            if _lower(whole) == seven:
+                return whole
+    return None
+
+
+def _all_of_seven(garbled: Sequence[_Garbled]) -> bool:
     """Say whether all that came, of several frames, lost its bits 7: alone of what a line does a right sum can outlast that."""
-    fits = list(_of_seven(reader, garbled))
+    fits = list(_of_seven(garbled))
     return len(fits) == len(garbled) and len({fit.frame for fit in fits}) > 1
 
 
-def _with_high_bits(reader: Reader, seven: bytes, at: int) -> Iterator[bytes]:
+def _with_high_bits(seven: bytes, at: int) -> Iterator[bytes]:
     """Yield the frames at a place that have these lower bits."""
     for sent in _likely():
         if seven.startswith(_lower(sent), at) and any(b & _BIT_7 for b in sent):
             yield sent
-    for dialect in reader.dialects:
-        for first in dialect.link.first_bytes:
-            if first & 0x7F != seven[at]:
-                continue
-            for stop in range(at + _LEAST, min(at + 16, len(seven)) + 1):
-                body = bytes((first,)) + seven[at + 1 : stop - 1]
-                for whole in (body, body[:2] + bytes((body[2] | _BIT_7,)) + body[3:]):
-                    whole = dialect.link.completed(whole)
-                    if whole[-1] & 0x7F == seven[stop - 1] and any(r.listed for r in reader.readings(whole)):
-                        yield whole
+    for frame in _by_lower_head().get(seven[at : at + _KEY], ()):
+        if (whole := _of_lower(seven[at : at + frame.size], (frame,))) is not None:
+            yield whole
+
+
+#: First bytes by which frames are looked up.
+_KEY = 2
+
+
+@cache
+def _by_lower_head() -> dict[bytes, list[Awaited]]:
+    """Return how the frames of the catalogue begin, by the lower bits of their first bytes."""
+    found: dict[bytes, list[Awaited]] = defaultdict(list)
+    for dialect in registry.every():
+        if dialect.bus == "can":
+            continue
+        link = dialect.link
+        forms = [
+            (command, form, role)
+            for command in dialect.commands
+            for role, own in ((Role.REQUEST, command.request_forms), (Role.REPLY, command.reply_forms))
+            for form in own
+            if not form.layout.open_ended
+        ]
+        for (command, form, role), address in product(forms, _ADDRESSES):
+            whole = link.build(command, form, address, bytes(form.layout.byte_length), role)
+            found[_lower(whole[:_KEY])].append(Awaited(whole[: link.parse(whole).start], len(whole), link))
+    return found
 
 
 @cache
@@ -449,26 +527,26 @@ def _lates(ratio: float) -> tuple[tuple[float, float], ...]:
 
 
 def _of_replies(garbled: Sequence[_Garbled]) -> Iterator[_Way]:
-    """Yield the speeds at which all that came begins as the replies do that were asked for."""
+    """Yield the settings with which all that came begins as the replies do that were asked for."""
     asked = [each for each in garbled if each.replies]
-    for ratio in _ratios():
+    for cause, line in (("inverted_lines", Line(inverted=True)), *(("wrong_baud", Line(ratio)) for ratio in _ratios())):
         fits, different = [], set()
         for trouble, data, replies in asked:
             begun = max(
-                ((start, r.head) for r in replies for start in _starts(r.head, ratio) if data.startswith(start)), default=None
+                ((start, r.head) for r in replies for start in _starts(r.head, line) if data.startswith(start)), default=None
             )
             if begun is not None:
                 fits.append(_Fit(trouble, data, begun[1], len(begun[0])))
                 different.add(begun[0])
         if len(fits) >= max(_FEWEST, _ALMOST_ALL * len(asked)) and len(different) >= _DISTINCT:
-            yield _Way("wrong_baud", ratio, fits)
+            yield _Way(cause, line.ratio, fits)
 
 
 @cache
-def _starts(head: bytes, ratio: float) -> frozenset[bytes]:
+def _starts(head: bytes, line: Line) -> frozenset[bytes]:
     """Return what is read of the beginning of a frame, as far as what follows has no part in it."""
     found = set()
-    for late in _lates(ratio):
-        some, other = (read(levels(head + tail), Line(ratio), late) for tail in (bytes(8), b"\xff" * 8))
+    for late in _lates(line.ratio):
+        some, other = (read(levels(head + tail, line), line, late) for tail in (bytes(8), b"\xff" * 8))
         found.add(bytes(a for a, b in takewhile(lambda pair: pair[0] == pair[1], zip(some, other, strict=False))))
     return frozenset(found - {b""})

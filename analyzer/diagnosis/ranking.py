@@ -36,6 +36,7 @@ def ranked(suspicions: Iterable[Suspicion], troubles: Sequence[Trouble]) -> list
         key=lambda r: (
             not r.share,
             r.suspicion.cause in _SYMPTOMS,
+            r.suspicion.by_words,
             -_WEIGHT[r.suspicion.confidence] * r.share,
             -_WEIGHT[r.suspicion.confidence],
         ),

@@ -190,6 +190,12 @@ def _promised(scene: Scene) -> Iterator[Suspicion]:
                       for f in c.request_forms]  # fmt: skip
             start = head.start
             listed = any(len(r) - 1 <= len(data) <= len(r) and data[:start] == r[:start] for r in rights)
+            if stretch.direction is Role.UNKNOWN:
+                # It may be a reply, damaged behind its head.
+                listed |= any(
+                    link.build(c, f, head.address, bytes(f.layout.byte_length), Role.REPLY)[:start] == data[:start]
+                    for c in commands for f in c.reply_forms
+                )  # fmt: skip
             if rights and link.checks(data)[0].ok and not listed:
                 found.append((trouble, data, rights[0], commands[0].name))
     if not found:
@@ -219,9 +225,10 @@ def _miscounted(scene: Scene) -> Iterator[Suspicion]:
         return
     first, data, said = found[0]
     # Without a CRC that fits it may be damaged.
-    one = Confidence.LIKELY if modbus_crc(data) == 0 else Confidence.POSSIBLE
+    checked = [row for row in found if modbus_crc(row[1]) == 0]
+    one = Confidence.CERTAIN if len(checked) > 1 else Confidence.LIKELY if checked else Confidence.POSSIBLE
     yield Suspicion(
-        "wrong_length", Confidence.CERTAIN if len(found) > 1 else one, [t for t, _, _ in found],
+        "wrong_length", one, [t for t, _, _ in found],
         f"A Modbus frame has not the length that it tells: {said}.",
         f"{shown(data)} at byte {first.offset}; {counted(len(found), 'time')}",
         "Let the sender count its data in bytes, put that count where the function has it, and compute the CRC over all of it",
@@ -264,7 +271,11 @@ def _other_count(scene: Scene, burst: Stretch) -> str:
         return f"a request to read has {_ANSWER} bytes, and this {len(data)}"
     if modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0 and data[0] <= _LAST_UNIT:
         places = _COUNTS.get(function)
-        if not places or len(data) == _UNCOUNTED.get(function) or any(n < len(data) and data[n] + n + 3 == len(data) for n in places):
+        if (
+            not places
+            or len(data) == _UNCOUNTED.get(function)
+            or any(n < len(data) and data[n] + n + 3 == len(data) for n in places)
+        ):
             return ""
         at = places[-1]
         return f"{data[at]} bytes by its count, and {len(data) - at - 3} follow" if at < len(data) - 2 else "it has no count"
@@ -272,10 +283,10 @@ def _other_count(scene: Scene, burst: Stretch) -> str:
     if burst.direction is not Role.REPLY or asked is None or asked.stop != burst.offset or asked.data[:2] != data[:2]:
         return ""
     wanted = [r for r in replies_to(asked) if function in READS]
-    # One of the right length is damaged among others; one that begins so is cut, or has more behind it.
+    # One of the right length is damaged, among others or in its head alone; one that begins so is cut, or has more behind it.
     among = len(scene.damaged) > 1
-    whole = any(r.begins(data[: r.size]) or (among and r.size == len(data)) for r in wanted) or any(
-        p.sound for p in burst.pieces
+    whole = any(p.sound for p in burst.pieces) or any(
+        r.begins(data[: r.size]) or (among and r.size == len(data)) or r.stands(r.head + data[len(r.head) :], 0) for r in wanted
     )
     if not wanted or whole or asked.data.startswith(data[:_ANSWER]):
         return ""

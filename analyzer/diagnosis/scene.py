@@ -135,7 +135,7 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Suspicion:
-    """A cause, with what it explains. `clue` True: it rests on no trouble of its own, for it says why there is too little."""
+    """A cause, with what it explains. `by_words`: words say it, where the bytes show causes, which come first."""
 
     cause: str
     confidence: Confidence
@@ -144,6 +144,7 @@ class Suspicion:
     evidence: str
     next: str
     frames: tuple[Shown, ...] = ()
+    by_words: bool = False
 
 
 #: Rules of findings that say that the bytes of a frame are not as the manual has them.
@@ -350,7 +351,6 @@ class Scene:
         """The troubles that are damaged bytes, as far as they can be one frame; of very many the first."""
         found = [trouble for trouble in self.of("damaged") if len(trouble.stretch.data if trouble.stretch else b"") <= _LONG]
         return found[:_MOST_DAMAGED]
-
 
     @cached_property
     def spoiled(self) -> list[Trouble]:

@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher
+from functools import cache
 from itertools import takewhile
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
+from analyzer.diagnosis.bits import CELLS, Line, levels, read
 from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link import modbus_crc
@@ -22,11 +24,13 @@ from analyzer.values import counted
 #: Damaged replies of one address, and good exchanges of others, that are no chance; the share of its replies.
 _REPLIES, _OTHERS, _SHARE = 2, 2, 0.3
 #: Damaged replies with sound heads that speak for two drives where no other address is on the bus.
-_HEADS, _MOST_OF = 4, 0.5
+_HEADS, _MOST_OF, _ALMOST_ALL = 4, 0.5, 0.8
 #: Bytes at the end of a reply that are right where its start was spoiled.
 _TAIL, _LENGTHS = 4, 2
 #: Damaged stretches that make noise likely, and how alike they must be to a frame of the bus.
 _NOISE, _ALIKE, _MOST_ALIKE = 3, 0.6, 200
+#: The share of the bits by which damaged bytes differ from a frame at most, and bytes that noise adds or takes away.
+_FLIPPED, _GAINED = 1 / 10, 2
 #: Bytes of a request that has fields.
 _FORM = 8
 #: Frames of a capture in which one damaged reply is what it is about.
@@ -45,11 +49,7 @@ class _Spoiled(NamedTuple):
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the senders."""
-    spoiled = [
-        _Spoiled(t, t.stretch, _asked(scene, t.stretch))
-        for t in scene.spoiled
-        if t.stretch is not None
-    ]
+    spoiled = [_Spoiled(t, t.stretch, _asked(scene, t.stretch)) for t in scene.spoiled if t.stretch is not None]
     found = list(_two_masters(scene, spoiled))
     spoiled = [each for each in spoiled if each.trouble not in scene.explained]
     if not found and spoiled:
@@ -133,6 +133,7 @@ def _two_drives(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion
             return
         damaged[each.asked.message.address].append(each)
     if len(damaged) != 1:
+        yield from _all_doubled(scene, spoiled)
         return
     address, own = damaged.popitem()
     replies = [p.message.address for p in scene.pieces if p.is_reply and p.sound and p.message is not None]
@@ -157,9 +158,45 @@ def _two_drives(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion
     )  # fmt: skip
 
 
+def _all_doubled(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect two drives of each address: all heads are right, for both send them, and what differs is damaged."""
+    good = sum(piece.is_reply and piece.sound for piece in scene.pieces)
+    right = sum(map(_head_is_right, spoiled))
+    if right < _HEADS or right < _ALMOST_ALL * len(spoiled) or len(spoiled) < _MOST_OF * (len(spoiled) + good):
+        return
+    troubles, frames = _of(spoiled)
+    addresses = sorted({s.asked.message.address for s in spoiled if s.asked is not None and s.asked.message is not None})
+    yield Suspicion(
+        "duplicate_address", Confidence.POSSIBLE, troubles,
+        f"Two drives answer at each of the addresses {', '.join(map(str, addresses))} at once.",
+        f"{frames[0].data} at byte {frames[0].offset}; {len(spoiled)} of {len(spoiled) + good} replies damaged, {right} with "
+        "sound heads",
+        "Disconnect half of the drives, and ask again; give each drive its own address",
+        frames,
+    )  # fmt: skip
+
+
 def _head_is_right(spoiled: _Spoiled) -> bool:
+    """Say whether a reply begins as it should, or as two do that begin a little apart."""
     assert spoiled.asked is not None  # of one address
-    return any(spoiled.stretch.data.startswith(reply.head) for reply in replies_to(spoiled.asked))
+    begun = spoiled.stretch.data[:_BEGUN]
+    return any(begun == reply.head[:_BEGUN] or begun in _overlaid(reply.head) for reply in replies_to(spoiled.asked))
+
+
+@cache
+def _overlaid(head: bytes) -> frozenset[bytes]:
+    """Return what is read of the beginning of two frames with one head at once, up to a byte apart: a low level wins."""
+    one = "".join(cell * _STEPS for cell in levels(head))
+    idle = "1" * len(one)
+    found = set()
+    for late in range(_STEPS * CELLS):
+        both = "".join(min(pair) for pair in zip(one + idle, idle[:late] + one + idle[late:], strict=True))
+        found.add(read(both, Line(_STEPS))[:_BEGUN])
+    return frozenset(found)
+
+
+#: Bytes of a beginning that are compared, and steps of a cell by which two senders are apart.
+_BEGUN, _STEPS = 2, 4
 
 
 def _too_early(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
@@ -199,6 +236,9 @@ def _late_driver(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
                 break
     if not own or len(own) < len(spoiled) / 2 or any(_same(e.stretch.data, r) for e, r in own):
         return
+    # One among many is noise.
+    if len(own) < _REPLIES and len(replies) > _FEW:
+        return
     troubles, frames = _of([each for each, _ in own])
     first, reply = own[0]
     yield Suspicion(
@@ -223,8 +263,11 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     if not spoiled or len(sound) < len(spoiled) or len(spoiled) * _RARE < scene.frames:
         return
     known = list(dict.fromkeys(sound))[:_MOST_ALIKE]
-    few = len(sound) <= _FEW
-    alike = [(each, frame) for each in spoiled if (frame := (_meant(each) if few else None) or _alike(each, known)) is not None]
+    # One damaged frame in long traffic must resemble a whole one.
+    told = len(sound) <= _FEW or len(spoiled) >= _REPLIES
+    alike = [
+        (each, frame) for each in spoiled if (frame := (_meant(each) if told else None) or _alike(each, known)) is not None
+    ]
     if len(alike) < _ALIKE * len(spoiled):
         return
     first, frame = alike[0]
@@ -242,10 +285,27 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
 
 
 def _meant(spoiled: _Spoiled) -> bytes | None:
-    """Return the reply that damaged bytes are but for their check, where the request before tells its head and length."""
+    """Return the beginning of the reply that damaged bytes should be, where the request before tells its head and length.
+
+    Of the head two bytes in a row are there, or most of its bits; or noise has hit nothing else.
+    """
     data = spoiled.stretch.data
-    fits = [r for r in replies_to(spoiled.asked) if r.size == len(data) and data.startswith(r.head)]
-    return fits[0].link.completed(data[: -len(fits[0].link.checks(data)[-1].expected)]) if fits else None
+    for reply in replies_to(spoiled.asked):
+        size = len(reply.head)
+        pairs = (reply.head[at : at + 2] for at in range(size - 1))
+        begun = data[: size + _GAINED]
+        mended = reply.head + data[size:]
+        if abs(len(data) - reply.size) <= _GAINED and (
+            any(pair in begun for pair in pairs) or _near(reply.head, data[:size]) or reply.stands(mended, 0)
+        ):
+            return mended
+    return None
+
+
+def _near(frame: bytes, data: bytes) -> bool:
+    """Say whether bytes are a frame but for few bits."""
+    differ = int.from_bytes(frame) ^ int.from_bytes(data)
+    return len(frame) == len(data) and differ.bit_count() <= _FLIPPED * 8 * len(frame)
 
 
 def _alike(spoiled: _Spoiled, known: Sequence[bytes]) -> bytes | None:
@@ -254,6 +314,8 @@ def _alike(spoiled: _Spoiled, known: Sequence[bytes]) -> bytes | None:
     matcher.set_seq2(spoiled.stretch.data.decode("latin-1"))
     best: tuple[float, bytes] = (_ALIKE, b"")
     for frame in known:
+        if _near(frame, spoiled.stretch.data):
+            return frame
         matcher.set_seq1(frame.decode("latin-1"))
         if matcher.real_quick_ratio() > best[0] and matcher.quick_ratio() > best[0]:
             best = max(best, (matcher.ratio(), frame))

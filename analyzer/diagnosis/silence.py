@@ -276,9 +276,14 @@ def _to_none(scene: Scene) -> Iterator[Suspicion]:
     if not troubles or troubles[0].stretch is None:
         return
     data = troubles[0].stretch.data
+    if data[0] == _GENERAL and any(b.direction is Role.REPLY and b.data[:2] == data[:2] for b in scene.bursts):
+        # Who answers at it has it.
+        return
+    likely = Confidence.CERTAIN if len(troubles) > 1 else Confidence.LIKELY
     yield Suspicion(
-        "wrong_address", Confidence.CERTAIN if len(troubles) > 1 else Confidence.LIKELY, troubles,
-        f"Address {data[0]} is none of a Modbus unit: those end at {_MODBUS_LAST}.",
+        "wrong_address", Confidence.POSSIBLE if data[0] == _GENERAL else likely, troubles,
+        f"Address {data[0]} is none of a Modbus unit: those end at {_MODBUS_LAST}."
+        + (" Some meters (PZEM) answer at it where they are alone on the bus." if data[0] == _GENERAL else ""),
         f"{shown(data)} at byte {troubles[0].offset}; {counted(len(troubles), 'time')}",
         f"Ask at the unit's own address: for 1 send {shown(_at_one(data))}",
         tuple(Shown(t.offset, shown(t.stretch.data), shown(_at_one(t.stretch.data))) for t in troubles if t.stretch),
@@ -323,6 +328,8 @@ def _at_one(data: bytes) -> bytes:
 
 
 _MODBUS_LAST = 247
+#: The address at which some meters answer, whatever their own is.
+_GENERAL = 0xF8
 _MODBUS_SHORTEST = 5
 _WRITE_ONE = 8
 _WRITES = 0x06

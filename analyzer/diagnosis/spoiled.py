@@ -69,7 +69,14 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         behind = parts[number + 1] if number + 1 < len(parts) else None
         if (edge := _glitch(scene, part, before, behind)) is not None:
             (leading if edge[0] else trailing).append(edge[1])
-    if lost and scene.often(len(lost), lost[0].role):
+    # Noise takes a start away here and there.
+    most = (
+        2 * len(lost)
+        >= sum(t.stretch is not None and t.stretch.direction is _stretch(lost[0]).direction for t in scene.spoiled)
+        if lost
+        else False
+    )
+    if lost and most and scene.often(len(lost), lost[0].role):
         yield _said(
             "lost_start", lost, "The first bytes of {} are missing.",
             f"{shown(_stretch(lost[0]).data)} becomes the whole frame {shown(lost[0].frame)} with its first bytes back",
@@ -145,6 +152,10 @@ def _with_start(scene: Scene, stretch: Stretch, heads: Iterable[bytes]) -> tuple
         return None
     # What a device received, in its own log, is what the host has sent.
     role = stretch.direction if scene.shows_sent else Role.UNKNOWN
+    for reply in replies_to(scene.asked_before(stretch.offset)):
+        missing = reply.size - len(stretch.data)
+        if 0 < missing <= len(reply.head) and reply.stands(reply.head[:missing] + stretch.data, 0):
+            return reply.head[:missing] + stretch.data, Role.REPLY
     for head in heads:
         whole = head + stretch.data
         reading = scene.reader.best(whole, role=role) if len(whole) > 3 + len(head) else None

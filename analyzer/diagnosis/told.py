@@ -78,6 +78,7 @@ def _reported(scene: Scene, words: str) -> Iterator[Suspicion]:
             f"The library reports that {report.what}.",
             f"{text.strip()!r} in the text; {counted(times, 'time')}",
             report.next,
+            by_words=by_bytes,
         )  # fmt: skip
 
 

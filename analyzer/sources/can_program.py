@@ -33,7 +33,9 @@ _FIELD = re.compile(
 )
 _COPY = re.compile(r"\bmemcpy\(\s*&?(?P<message>\w+)(?:\.|->)(?:data|buf|Data)\s*,\s*&?(?P<data>\w+)")
 _BEGIN = re.compile(r"\bbegin(?P<extended>Extended)?Packet\(\s*(?P<id>\w+)")
-_WRITE = re.compile(rf"\bCAN\d?\.write\(\s*(?P<value>{_N})\s*\)")
+_WRITE = re.compile(r"\b\w+(?:\.|->)write\(\s*(?:\([^()]*\)\s*)?(?P<value>[^;]*?)\s*\)\s*(?:;|$)")
+#: One element of an array, which may be declared without its bytes.
+_ELEMENT = re.compile(rf"(?<![\w.>])(?P<name>\w+)\[\s*(?P<at>{_N})\s*\]\s*=\s*(?P<value>[^;={{]+);")
 _END = re.compile(r"\bendPacket\(")
 _OUT = re.compile(r"\b(?:send\w*|write|transmit\w*|twai_transmit|tryToSend|HAL_CAN_\w+)\(\s*[^()]*?&?(?P<message>\w+)\s*[,)]")
 #: STM32: a header with the fields, and the data apart from it.
@@ -44,7 +46,10 @@ _BYTES, _NAMES, _LARGEST = 8, 500, 0xFF
 
 
 class Program:
-    """Follows the lines of a program. Call it with each line: it returns the frames that the line sends."""
+    """Follows the lines of a program. Call it with each line: it returns the frames that the line sends.
+
+    `parts`: lines that fill an array or a packet, of those that were sent.
+    """
 
     def __init__(self) -> None:
         self._arrays: dict[str, list[int]] = {}
@@ -53,6 +58,7 @@ class Program:
         self._packet: list[int] | None = None
         self._packet_id = 0
         self._wide = False
+        self._filled_lines = self.parts = 0
 
     def __call__(self, line: str) -> Iterator[str]:
         """Yield a call for each frame that a line sends."""
@@ -63,6 +69,10 @@ class Program:
             values = [_number(token) for token in array["list"].split(",")]
             size = _number(array["size"]) if array["size"] else len(values)
             self._arrays[array["name"]] = values + [0] * (min(size, _BYTES) - len(values))
+        elements = list(_ELEMENT.finditer(text))
+        for element in elements:
+            self._put(element)
+        self._filled_lines += bool(elements) or (self._packet is not None and _WRITE.search(text) is not None)
         for constant in _CONSTANT.finditer(text):
             self._numbers[constant["defined"] or constant["name"]] = _number(constant["value"])
         for field in _FIELD.finditer(text):
@@ -70,8 +80,9 @@ class Program:
         for copy in _COPY.finditer(text):
             for at, value in enumerate(self._arrays.get(copy["data"], ())):
                 self._fields.setdefault(copy["message"], {})[str(at)] = value
-        yield from self._calls(text)
-        yield from self._written(text)
+        for sent in (*self._calls(text), *self._written(text)):
+            self.parts, self._filled_lines = self.parts + self._filled_lines, 0
+            yield sent
 
     def _calls(self, text: str) -> Iterator[str]:
         for call in _SEND_BUFFER.finditer(text):
@@ -97,11 +108,22 @@ class Program:
         begin = _BEGIN.search(text)
         if begin is not None and (number := self._value(begin["id"])) is not None:
             self._packet, self._packet_id, self._wide = [], number, begin["extended"] is not None
-        if self._packet is not None:
-            self._packet += [_number(each["value"]) for each in _WRITE.finditer(text)]
-            if _END.search(text) is not None:
-                yield from _call(self._packet_id, self._packet, self._wide)
-                self._packet = None
+        for each in _WRITE.finditer(text):
+            value = self._value(each["value"])
+            # What is known at run time only makes the whole packet so.
+            self._packet = None if value is None or self._packet is None else [*self._packet, value]
+        if self._packet is not None and _END.search(text) is not None:
+            yield from _call(self._packet_id, self._packet, self._wide)
+            self._packet = None
+
+    def _put(self, element: re.Match[str]) -> None:
+        name, at, value = element["name"], _number(element["at"]), self._value(element["value"].strip())
+        if value is None or at >= _BYTES:
+            self._arrays.pop(name, None)
+            return
+        data = self._arrays.setdefault(name, [])
+        data += [0] * (at + 1 - len(data))
+        data[at] = value
 
     def _set(self, field: re.Match[str]) -> None:
         value = self._value(field["value"])

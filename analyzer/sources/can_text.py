@@ -189,13 +189,15 @@ class _Line(NamedTuple):
 
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are CAN frames in text, 0..1."""
-    lines = [line for line in _joined(head_lines(head)[:_SAMPLE_LINES]) if not line.startswith(("#", "//", ";"))]
+    program = Program()
+    lines = [line for line in _joined(head_lines(head)[:_SAMPLE_LINES], program) if not line.startswith(("#", "//", ";"))]
     shape = _shape_of(lines)
     if shape is None:
         return 0.0
     fits = [_either(line, shape) is not None for line in lines]
     taken = [line for line, fit in zip(lines, fits, strict=True) if fit]
-    share = fitting(lines, fits)
+    # The lines that fill what a program sends belong to its frames.
+    share = max(fitting(lines, fits), min(1.0, (len(taken) + program.parts) / len(lines)) if program.parts else 0.0)
     if not shape.sure and not _fits(shape, lines, taken):
         return 0.0
     return 0.5 + 0.45 * share if share >= _LEAST_SHARE else 0.0
@@ -289,9 +291,9 @@ def frame_of(text: str) -> CanFrame | None:
     return None if line is None else msgspec.structs.replace(line.frame, port=can_name(line.port) or "")
 
 
-def _joined(lines: Iterable[str]) -> Iterator[str]:
+def _joined(lines: Iterable[str], program: Program | None = None) -> Iterator[str]:
     """Yield the lines; one that ends in an identifier and one of bytes below it, as Seeed's library prints them, are one."""
-    held, call, program = "", list[str](), Program()
+    held, call, program = "", list[str](), program or Program()
     for line in lines:
         if len(line) <= _LONGEST_LINE and (sent := list(program(line))):
             yield from sent

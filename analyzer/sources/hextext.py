@@ -67,6 +67,8 @@ _GOES_ON = re.compile(rf"\s*+{_LIST_ITEMS}(?:[\]}})][\]}});,\s]*)?(?:(?://|#|/\*
 #: What libmodbus prints of a long reply, and where a console has wrapped it.
 _LONG_LINE = re.compile(r"(?:<[0-9A-F]{2}>){24,}\s*", re.IGNORECASE)
 _WRAPPED = re.compile(r"(?:<[0-9A-F]{2}>)+\s*", re.IGNORECASE)
+#: A library's word for a frame that it goes on with, and has printed before.
+_AGAIN = re.compile(r"\bprocessing\b\W*$", re.IGNORECASE)
 #: A library's word for what it had read before.
 _KEPT = re.compile(r"\bold[_ ]data\s*[:=]\s*$", re.IGNORECASE)
 _LONGEST_JOINED = 256
@@ -96,6 +98,7 @@ _BUS_NAME = re.compile(r"(?:bus|com|port|can|tty|uart|usart|rs-?485|rs-?232|usb|
 #: A name as this program exports it: a bus, and not a number of one.
 _EXPORTED_NAME = re.compile(r"bus:(?!\d+$)([\w.-]+)")
 _SINGLE = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,2}|\d{3})\s*")
+_DIGIT = re.compile(r"\s*[0-9A-Fa-f]\s*")
 _QUOTED = re.compile(r"\s*>\s?")
 _ARROW = "->"
 
@@ -208,6 +211,8 @@ class _Manner(NamedTuple):
     decimal: bool = False
     #: Each line is one byte.
     single: bool = False
+    #: Each line is one byte behind its time or its mark.
+    lone: bool = False
     #: A sign that stands on every line behind its time, as Arduino's serial monitor prints it.
     arrow: bool = False
     #: Bytes in `[]` were sent, those in `<>` received, as libmodbus prints them.
@@ -236,8 +241,10 @@ class _Manner(NamedTuple):
         roles = [p.role for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)]
         stamped = [p for p in parts if p.stamp.kind]
         prose = not any(p.stamp.kind or p.marked for p in traffic)
+        bytes_alone = [p for p in parts if (p.shape is Shape.TRAFFIC and len(p.data) == 1 and p.number is None) or _is_digit(p)]
         return cls(
             quoted=quoted,
+            lone=bool(traffic) and len(bytes_alone) >= _SINGLE_LINES and not any(len(p.data) > 1 for p in traffic),
             decimal=any(p.radix is Radix.DECIMAL for p in traffic),
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
             brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
@@ -253,6 +260,8 @@ class _Manner(NamedTuple):
     def take(self, text: str) -> HexLine:
         """Take a line apart as this text is written."""
         line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal, self.led)
+        if self.lone and _is_digit(line):
+            line = line._replace(shape=Shape.TRAFFIC, data=bytes((int(line.text.strip(), 16),)), radix=Radix.HEX)
         role = line.role
         if self.deaf or (self.arrow and not line.worded):
             role = Role.UNKNOWN
@@ -269,7 +278,7 @@ class _Manner(NamedTuple):
             yield "every line begins with '>', lines of words too: it is read as a quotation, not as sent by the host"
         if self.arrow:
             yield "the '->' on every line is read as the sign between time and text: it does not tell the sender"
-        if self.single:
+        if self.single or self.lone:
             yield "one byte a line: where a frame ends is not told"
         if self.decimal and (self.single or radixes <= {Radix.DECIMAL}):
             yield "the bytes are decimal numbers: some have three digits or a sign"
@@ -296,6 +305,11 @@ def _whole_lists(lines: Iterable[str]) -> Iterator[str]:
             yield line
     if held:
         yield " ".join(held)
+
+
+def _is_digit(line: HexLine) -> bool:
+    """Say whether a line has one digit alone: a byte without its leading zero, where each line is a byte."""
+    return line.shape in (Shape.BROKEN, Shape.COMMENT) and _DIGIT.fullmatch(line.text) is not None
 
 
 def _is_quoted(lines: Sequence[str]) -> bool:
@@ -422,7 +436,10 @@ class _Reader:
         for each in said:
             if each.left:
                 self._source.note(f"line {number}, column {each.column}: {each.data.hex(' ').upper()} is left out: {each.left}")
-        frames = self._in_order(text, [each for each in said if not each.left and not self._is_joined(each.data)])
+        again = [each for each in said if each.data in self._known and _AGAIN.search(text[: each.column - 1]) is not None]
+        frames = self._in_order(
+            text, [each for each in said if not each.left and each not in again and not self._is_joined(each.data)]
+        )
         if not frames:
             yield self._source.comment(t_ns, text)
             return
@@ -559,7 +576,8 @@ class _Reader:
             name = exported[1]
         if len(self._known) < _KNOWN:
             self._known.add(data)
-        return Chunk(t_ns, self._source.port(name), data, line.role, len(data) > 1 or line.number is None)
+        firm = not self._manner.lone and (len(data) > 1 or line.number is None)
+        return Chunk(t_ns, self._source.port(name), data, line.role, firm)
 
     def _end_header(self) -> Iterator[Chunk | Comment]:
         header, data = self._header, bytes(self._collected)

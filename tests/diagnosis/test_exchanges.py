@@ -312,7 +312,7 @@ BARE = [(">", bytes.fromhex("11 03 00 6D 00 01")), ("<", rtu("11 03 02 00 1A"))]
         # Who is answered has sent a check, whatever the log shows; also where others are not answered.
         BARE,
         [*BARE, (">", bytes.fromhex("12 03 00 6D 00 01")), *BARE],
-        [*BARE[:1], ("<", rtu("11 83 02")), (">", bytes.fromhex("11 03 00 6E 00 01")), (">", bytes.fromhex("11 03 00 6F 00 01"))],
+        [*BARE[:1], ("<", rtu("11 83 02")), (">", bytes.fromhex("11 03 00 6E 00 01"))],
         [(mark, data[:5]) if mark == "<" else (mark, data) for mark, data in BARE * 2],
     ],
 )  # fmt: skip
@@ -327,3 +327,9 @@ def test_bare_requests_that_are_not_answered_lack_their_check():
 @pytest.mark.parametrize("frame", ["01 11 05 0A FF 00", "01 11 02 0A FF 00"])
 def test_a_count_that_is_not_that_of_the_bytes(frame):
     assert first((">", rtu("01 11")), ("<", rtu(frame))) == "wrong_length"
+
+
+def test_a_general_address_of_meters_is_not_certainly_wrong():
+    asked, came = (">", rtu("F8 04 00 00 00 01")), ("<", rtu("F8 04 02 00 E6"))
+    assert told(asked, came, asked, came) == []
+    assert [(each.cause, each.confidence) for each in told(asked, asked)] == [("wrong_address", "possible")]

@@ -6,6 +6,7 @@ import pytest
 
 from analyzer.diagnosis.bits import Line, Rows, levels, read, unread
 from analyzer.diagnosis.reader import Reader
+from benchmarks import troubles
 from tests.diagnosis.spoiled_line import STEPS, both, received
 from tests.diagnosis.spoiled_line import levels as on_the_line
 from tests.diagnosis.test_diagnosis import LK_READS, MODBUS, NATIVE, READS, build, captures, changed, exchanged, first, told
@@ -219,3 +220,38 @@ def test_spikes_here_and_there(rows, marked):
 def test_sound_frames_of_any_device_have_no_cause(rows):
     assert told(*rows, *rows) == []
     assert told(b"".join(data for _, data in rows)) == []
+
+
+# --- polls whose values change, of each dialect ---------------------------------------------------------------------------
+
+
+def swept(case, name, seed):
+    """Return the first cause of a case of the sweep."""
+    spoil = next(spoil for each, _, spoil in troubles.CASES if each == case)
+    chance = random.Random(seed)
+    causes = troubles.diagnosed(spoil(troubles.traffic(name, chance), chance)).causes
+    return causes[0].suspicion.cause if causes else ""
+
+
+@pytest.mark.parametrize("name", ["mks-rs485", "mks-modbus", "lk-rs485"])
+@pytest.mark.parametrize(
+    ("case", "cause"),
+    [
+        ("noise 0.2 host", "noise"),
+        ("7E1 reads 8N1 host", "wrong_parity"),
+        ("8N1 reads 7E1 host", "wrong_parity"),
+        ("8N1 reads 7E1 listener", "wrong_parity"),
+        ("3 lost at the start", "lost_start"),
+        ("1 read of each reply", "reply_cut"),
+        ("two drives at each address", "duplicate_address"),
+        ("sound host", ""),
+        ("sound listener", ""),
+    ],
+)
+def test_polls_whose_values_change(case, cause, name):
+    assert swept(case, name, f"{case} {name}") == cause
+
+
+def test_bytes_of_one_parity_by_chance_are_no_format():
+    # A few bytes of one parity, as small numbers have.
+    assert "wrong_parity" not in [each.cause for each in told("< FB 01 30 03 05", "< FB 01 30 06 05")]

@@ -83,6 +83,14 @@ def value(frame: str, words: str) -> str:
         ("No answer of the ODrive:\n0x029 [8] 00 00 00 00 00 00 00 00\n", "unsupported_dialect"),
         # Names of a program are no state of a controller.
         ("if (state & STF_ERR) count++;\nuint8_t on[] = {0xFA, 0x01, 0xF3, 0x01, 0xEF};\n", None),
+        # What a library goes on with it has printed before.
+        (
+            "send: 0x11 0x3 0x0 0x6d 0x0 0x1 0x17 0x47\nrecv: 0x11 0x3 0x2 0x0 0x1a 0xf8 0x4c old_data:  addr=None\n"
+            "Processing: 0x11 0x3 0x2 0x0 0x1a 0xf8 0x4c\n",
+            None,
+        ),
+        # An error that a library reports stands behind what the bytes show.
+        ("> 11 03 00 6D 00 01\n> 11 03 00 6D 00 01\nCRC check failed: expected 0x1A2B, got 0xFF13", "missing_checksum"),
         # Words alone.
         ("Modbus exception 2: Illegal data address\nreading register 40051", "wrong_register"),
         ("SlaveException: ...\nException Code: 2 - The data address is not an allowable address", "wrong_register"),
@@ -117,6 +125,10 @@ def value(frame: str, words: str) -> str:
             "h.StdId = 0x01;\nuint8_t d[5] = {0xF6, 0x01, 0x40, 0x02};\nh.DLC = 4;\nHAL_CAN_AddTxMessage(&c, &h, d, &b);",
             "missing_checksum",
         ),
+        # Byte by byte, also into an array that is declared alone; what is known at run time only tells nothing.
+        ("byte b[8];\nb[0] = 0xF3;\nb[1] = 0x01;\nCAN.sendMsgBuf(0x01, 0, 2, b);\n// does not enable", "missing_checksum"),
+        ("byte b[8];\nb[0] = 0xF3; b[1] = 0x01; b[2] = 0xF5;\nCAN.sendMsgBuf(0x01, 0, 3, b);", None),
+        ("bus.beginPacket(1);\nbus.write(0xF3);\nbus.write(0x01);\nbus.endPacket();\n// no answer", "missing_checksum"),
         ("byte on[3] = {0xF3, 0x01, 0xF5};\nCAN0.sendMsgBuf(0x01, 0, 3, on);", None),
         (
             "uint8_t a[] = {0x01, 0x04, 0x00, 0x32, 0x00, 0x01, 0x90, 0x05};\nuint8_t b[] = {0xFA, 0x01, 0xF3, 0x01, 0xEF};",

@@ -244,6 +244,15 @@ def test_bytes_with_an_index_come_one_by_one(tmp_path: Path) -> None:
     assert source.notes == []
 
 
+def test_a_byte_a_line_behind_its_mark_may_have_one_digit(tmp_path: Path) -> None:
+    source, records = read(tmp_path, "TX\nfa\n1\n30\n2b\nRX\nfb\n1\n32\n0\n64\n92\n")
+    assert data_of(records) == ["FA 01 30 2B", "FB 01 32 00 64 92"]
+    source, records = read(tmp_path, "".join(f"12:00:00.1 -> {digits}\n" for digits in ("FA", "1", "30", "2B")))
+    assert data_of(records) == ["FA", "01", "30", "2B"]
+    assert not any(isinstance(r, Chunk) and r.burst for r in records)
+    assert source.problems == []
+
+
 # --- sentences ----------------------------------------------------------------------------------------------------------
 
 
