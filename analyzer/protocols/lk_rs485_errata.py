@@ -162,7 +162,7 @@ ERRATA: tuple[Erratum, ...] = (
         taken_as="one byte of two values; another value is reported as unlisted",
         why="only bit 4 differs between the two, and no other bit is explained",
         certainty=Certainty.LIKELY,
-        bears_on={Doubt.REPLY_VALUES: ("read_state_1", "clear_errors")},
+        bears_on={Doubt.VALUES: ("read_state_1", "clear_errors")},
     ),
     Erratum(
         id="lk-rs485-16",

@@ -432,7 +432,7 @@ ERRATA = (
         "bit 7 series, bit 6 zero",
         "series takes two values, and a 42E was seen to answer 92: E, cal 1, S42E_CAN",
         _LIKELY,
-        bears_on={Doubt.REPLY_VALUES: ("read_version",), Doubt.RESERVED: ("read_version",)},
+        bears_on={Doubt.VALUES: ("read_version",), Doubt.RESERVED: ("read_version",)},
     ),
     Erratum(
         "mks-can-57", "3.9", "00 code: system parameters; a parameter that cannot be read",

@@ -373,7 +373,7 @@ def _status(answer: _Answer) -> None:
     "a value beyond its range",
     NO_CHECKSUM,
     each=_with_fields(lambda command, field: _limited(field) and field.name != command.replies.status),
-    rests_on=(Doubt.REPLY_VALUES,),
+    rests_on=(Doubt.VALUES,),
 )
 def _values(answer: _Answer) -> None:
     """{command} has a reply whose values are within their ranges."""

@@ -116,7 +116,10 @@ def _walk_by_angles(probe: Probe) -> list[_Stand]:
     for row in sorted(rows, key=lambda row: _PLACES.index(row["place"])):
         motion.switch(probe, True)
         if not found or row["place"] != found[-1].place:
-            motion.begin(probe, move, row["place"] * 360 - motion.position(probe).value, rpm=_GOAL_RPM)
+            here, at = motion.position(probe).value, found[-1].place * 360 if found else 0.0
+            # A position that is far off is judged, and no way begins there.
+            here = here if abs(here - at) <= 360 else at
+            motion.begin(probe, move, row["place"] * 360 - here, rpm=_GOAL_RPM)
             motion.wait_standing(probe)
         motion.switch(probe, row["on"])
         found.append(_Stand(row["place"], "", row["on"], _told(probe), row["place"]))

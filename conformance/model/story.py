@@ -2,7 +2,7 @@
 
     check(probe, steps)             the check of a claim: walk, and refute with the shortest steps that show it
     replay(probe, steps)            the same steps again, on any drive
-    shortened(probe, steps, key)    fewer of them that refute a new emulated drive in the same way
+    shortened(probe, steps, key)    fewer of them that refute a new emulated drive in the same way; both until a time
 
 On an emulated drive a story is shortened here: first its end alone is tried, then steps are taken out, each time on a new
 drive. A real drive is not told the same again and again: what it failed by is tried on emulated ones (`suite.engine`).
@@ -11,6 +11,8 @@ drive. A real drive is not told the same again and again: what it failed by is t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import inf
+from time import monotonic
 from typing import TYPE_CHECKING
 
 from conformance.claim import Inconclusive, NotRun, Refuted
@@ -23,12 +25,17 @@ if TYPE_CHECKING:
 SHORTER = 40
 
 
-def replay(probe: Probe, steps: Iterable[Step]) -> Refuted | None:
-    """Do steps from the beginning; return what refutes the drive, None where nothing does. Raises Inconclusive."""
+def replay(probe: Probe, steps: Iterable[Step], until: float = inf) -> Refuted | None:
+    """Do steps from the beginning; return what refutes the drive, None where nothing does.
+
+    `until`: seconds on `time.monotonic`. Raises Inconclusive, also where that time is over.
+    """
     walk: Walk | None = None
     try:
         walk = Walk(probe)
         for step in steps:
+            if monotonic() > until:
+                raise Inconclusive("there is no time for more steps")
             walk.do(step)
     except Refuted as error:
         error.steps = tuple(walk.steps) if walk is not None else ()
@@ -37,8 +44,8 @@ def replay(probe: Probe, steps: Iterable[Step]) -> Refuted | None:
     return None
 
 
-def shortened(probe: Probe, steps: Sequence[Step], key: str) -> tuple[list[Step], Refuted | None]:
-    """Return the shortest steps found that refute a new emulated drive in the same way, and how; None: none does."""
+def shortened(probe: Probe, steps: Sequence[Step], key: str, until: float = inf) -> tuple[list[Step], Refuted | None]:
+    """Return the shortest steps found until a time that refute a new emulated drive in the same way, and how; None: none does."""
     budget = SHORTER
 
     def fails(candidate: Sequence[Step]) -> Refuted | None:
@@ -46,9 +53,9 @@ def shortened(probe: Probe, steps: Sequence[Step], key: str) -> tuple[list[Step]
         budget -= 1
         fresh = probe.rig.probe(probe.claim)
         try:
-            error = replay(fresh, candidate)
+            error = replay(fresh, candidate, until)
         except Inconclusive:
-            return None  # without the steps that were taken out it cannot be done
+            return None  # without the steps that were taken out it cannot be done, or there is no time
         finally:
             probe.rig.settle(fresh)
         return error if error is not None and error.key == key else None
@@ -61,9 +68,9 @@ def shortened(probe: Probe, steps: Sequence[Step], key: str) -> tuple[list[Step]
             best, error = best[-size:], shorter
             break
     size = max(1, len(best) // 2)
-    while size and budget > 0:
+    while size and budget > 0 and monotonic() < until:
         at = 0
-        while at < len(best) - 1 and budget > 0:
+        while at < len(best) - 1 and budget > 0 and monotonic() < until:
             candidate = best[:at] + best[min(at + size, len(best) - 1) :]
             shorter = fails(candidate) if len(candidate) < len(best) else None
             if shorter is None:

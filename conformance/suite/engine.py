@@ -28,8 +28,8 @@ from conformance.safety.stopping import MAY_MOVE
 from conformance.suite.rig import ClaimRig
 from conformance.talk.probe import Probe, Rig
 
-#: How long to search for emulated drives that fail alike.
-_SEARCH_SECONDS = 20.0
+#: How long a run may search for emulated drives that fail alike, all refutations together: a user waits meanwhile.
+_SEARCH_SECONDS = 30.0
 #: Claims that judge the bytes of replies alone, not the shaft.
 _OF_BYTES = (Theme.SHAPE, Theme.FRAMING, Theme.TRAFFIC)
 #: A quirk that spoils claims which do not name it, the claim that shows it, and the least delay that it causes.
@@ -174,11 +174,13 @@ def _shortened(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict | None:
     """Return the verdict of the shortest steps that refute both drives alike, None where there are none."""
     from conformance.model import story
 
-    steps = list(verdict.steps)
-    for emulated in _alike(rig, verdict.key):
-        steps, found = story.shortened(emulated.probe(claim), verdict.steps, verdict.key)
+    steps, begun = list(verdict.steps), time.monotonic()
+    until = begun + _SEARCH_SECONDS - rig.searched
+    for emulated in _alike(rig, verdict.key, until):
+        steps, found = story.shortened(emulated.probe(claim), verdict.steps, verdict.key, until)
         if found is not None:
             break
+    rig.searched += time.monotonic() - begun
     if len(steps) >= len(verdict.steps):
         return None
     probe = rig.probe(claim)
@@ -191,8 +193,8 @@ def _shortened(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict | None:
     return _of(verdict, error, tuple(steps)) if error is not None and error.key == verdict.key else None
 
 
-def _alike(rig: ClaimRig, key: str) -> Iterator[ClaimRig]:
-    """Return emulated drives that may fail as the real one does, for as long as there is time for it.
+def _alike(rig: ClaimRig, key: str, until: float) -> Iterator[ClaimRig]:
+    """Yield emulated drives that may fail as the real one does, until a time.
 
     Those whose fault has words of the failure come first.
     """
@@ -200,9 +202,9 @@ def _alike(rig: ClaimRig, key: str) -> Iterator[ClaimRig]:
         return
     from conformance.suite.rig_emulated import EmulatedRig
 
-    until = time.monotonic() + _SEARCH_SECONDS
     plain = _as_the_manual(rig)
-    yield EmulatedRig(plain)
+    if time.monotonic() < until:
+        yield EmulatedRig(plain)
     words = set(re.findall("[a-z0-9]+", key))
     for fault in sorted(make.every_fault(), key=lambda fault: -len(words & set(fault.name.split("-")))):
         if time.monotonic() > until:

@@ -17,7 +17,8 @@ class ClaimRig(Rig, ABC):
     """One drive under test. `firmware`: as the drive reported it. `alone`: no other drive is on the bus, says the user.
 
     `named`: claims that the user named. `began_ns`: when its line was opened. `shown`: known quirks that the drive has shown,
-    by name; `looked_for`: quirks that the run tested for in addition to the claims.
+    by name; `looked_for`: quirks that the run tested for in addition to the claims. `searched`: for how
+    long (s) it searched for emulated drives that fail alike.
     """
 
     name: str
@@ -30,6 +31,7 @@ class ClaimRig(Rig, ABC):
         super().__init__(dialect, address)
         self.shown: set[str] = set()
         self.looked_for: set[str] = set()
+        self.searched = 0.0
 
     def missing(self, claim: Claim) -> str:
         """Return why a claim cannot run here, or nothing."""

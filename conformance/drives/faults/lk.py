@@ -387,6 +387,33 @@ def _stale(verb: Verb, when: Callable[[LkDrive], bool]) -> Change:
     return Change(install, LK)
 
 
+def _told_of_rest(name: str) -> Change:
+    """Let motion commands to a turning shaft tell a value as it was when the shaft stood."""
+
+    def install(hooks: Hooks) -> None:
+        kept: dict[str, int] = {}
+
+        def tell(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+            if name in values and not _turns(lk(drive)):
+                kept[name] = values[name]
+            return values | kept if name in values and command.verb in LK_MOTIONS else values
+
+        result(tell)(hooks)
+
+    return Change(install, LK)
+
+
+def _first_temperature(hooks: Hooks) -> None:
+    """Let motion commands tell the temperature that they told first."""
+    kept: list[int] = []
+
+    def tell(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+        kept.append(values["temperature"])
+        return values | {"temperature": kept[0]}
+
+    result(tell, LK_MOTIONS)(hooks)
+
+
 def _forgetting(name: str, **values: int) -> Change:
     return acting(name, lambda drive, request: drive.parameters.update(values), after=True)
 
@@ -552,16 +579,16 @@ def _faster_below(old: Act) -> Act:
     return act
 
 
-def _late_torque(hooks: Hooks) -> None:
-    """Keep to the torque limit of before until the shaft stands."""
+def _late_limit(name: str) -> Change:
+    """Keep to a limit of before while the shaft turns."""
 
     def write(drive: LkDrive, old: Act, request: Request) -> None:
-        before = drive.motor.limits.torque
+        before = getattr(drive.motor.limits, name)
         old(drive, request)
         if _turns(drive):
-            drive.motor.limit(replaced_limits(drive.limits, torque=before))
+            drive.motor.limit(replaced_limits(drive.limits, **{name: before}))
 
-    replaced("write_parameter", lambda old: lambda drive, request: write(drive, old, request)).install(hooks)
+    return replaced("write_parameter", lambda old: lambda drive, request: write(drive, old, request))
 
 
 def _turned_round(drive: LkDrive, request: Request) -> bool:
@@ -680,6 +707,22 @@ ROWS: Rows = {
         Row("lk-state-2-cold", "0x9C tells the temperature 0", reply("temperature", always(0), Verb.READ_STATE_2)),
         Row("lk-state-3-cold", "0x9D tells the temperature 0", reply("temperature", always(0), Verb.READ_STATE_3)),
         Row("lk-motion-cold", "motion commands tell the temperature 0", reply("temperature", always(0), LK_MOTIONS)),
+        Row("lk-motion-temperature-first", "motion commands tell the temperature of the first one", Change(_first_temperature, LK)),
+        Row(
+            "lk-motion-speed-stale",
+            "motion commands to a turning shaft tell the speed that it had when it stood",
+            _told_of_rest("speed"),
+        ),
+        Row(
+            "lk-motion-encoder-stale",
+            "motion commands to a turning shaft tell the encoder value where it stood",
+            _told_of_rest("encoder"),
+        ),
+        Row(
+            "lk-motion-current-stale",
+            "motion commands to a turning shaft tell the torque current that it had when it stood",
+            _told_of_rest("torque_current"),
+        ),
         Row("lk-motion-speed-0", "motion commands tell the speed 0", reply("speed", always(0), LK_MOTIONS)),
         Row(
             "lk-motion-encoder-raw",
@@ -819,6 +862,7 @@ ROWS: Rows = {
             asked("brake_control", renamed(BrakeControl.READ, BrakeControl.RELEASE)),
         ),
         # Brake and errors
+        Row("lk-brake-state-unlisted", "0x8C answers a state of the brake that is not listed", reply("brake_state", always(5))),
         Row("lk-brake-without-effect", "the brake does not hold the shaft", rebuilt(brake=False)),
         Row("lk-brake-backwards", "0x8C releases the brake for 00 and holds for 01", acting("brake", _brake_backwards)),
     ),
@@ -1063,7 +1107,12 @@ ROWS: Rows = {
         Row(
             "lk-torque-limit-late",
             "a torque limit that is written while the shaft turns has no effect on the motion under way",
-            Change(_late_torque, LK),
+            _late_limit("torque"),
+        ),
+        Row(
+            "lk-speed-limit-late",
+            "a speed limit that is written while the shaft turns has no effect on the motion under way",
+            _late_limit("speed"),
         ),
         Row(
             "lk-angle-limit-above-only", "positions below zero go beyond the angle limit", moving(MULTI_TURN, _past_limit_below)

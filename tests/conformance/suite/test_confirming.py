@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from conformance.claim import Claim, Outcome, Refuted, Theme
+import pytest
+
+from conformance.claim import Claim, Inconclusive, Outcome, Refuted, Theme, Verdict
+from conformance.drives import make
 from conformance.gate.permissions import Allowance
 from conformance.model.walk import Step, parse_steps, steps_text
 from conformance.suite import engine, plan
+from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance.safety.test_keeper import EVERYTHING, EmulatedPort
 
 #: What a user would say of a drive that tells none of its settings.
@@ -62,6 +66,31 @@ def test_a_sequence_of_steps_is_shortened_where_an_emulated_drive_has_the_same_f
     assert "2 of 2 times" in verdict.reason
     assert len(verdict.steps) < len(steps), verdict.reason
     assert f"{len(verdict.steps)} of {len(steps)} steps" in verdict.reason
+
+
+def test_the_search_for_drives_that_fail_alike_has_one_budget_for_the_whole_run(monkeypatch):
+    """No verdict of a run without time is searched for; a long story is given up when its time is over."""
+    from conformance.model import story
+
+    clock = iter(range(10_000))
+    monkeypatch.setattr(story, "monotonic", lambda: next(clock))
+    probe = EmulatedRig(make.parse("mks-rs485@1")).probe(only(lambda probe: None))
+    with pytest.raises(Inconclusive, match="no time"):
+        story.replay(probe, [Step("look", {"first": 0, "count": 1})] * 10, until=5)
+    assert next(clock) == 7
+    steps = [Step("look", {"first": 0, "count": 1})] * 3
+    assert story.shortened(probe, steps, "any", until=5) == (steps, None)
+
+    rig = EmulatedRig(make.parse("mks-rs485@1"))
+    verdict = Verdict(only(lambda probe: None), Outcome.REFUTED, "", key="any", steps=tuple(steps))
+    monkeypatch.setattr(engine.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(engine, "_SEARCH_SECONDS", 20.0)
+    rig.searched = 19.0
+    assert engine._shortened(verdict.claim, rig, verdict) is None
+    assert rig.searched > 20
+    before = next(clock)
+    assert engine._shortened(verdict.claim, rig, verdict) is None
+    assert next(clock) - before < 10
 
 
 def test_a_walk_tells_the_steps_of_a_real_drive(tmp_path, monkeypatch):
