@@ -59,28 +59,25 @@ def _set(probe: Probe, name: str, value: int) -> Exchange:
 # --- limits -----------------------------------------------------------------------------------------------------------
 
 
-def _expect_limited(probe: Probe, kept: int, exchange: Exchange, what: str) -> None:
-    """Refute unless the shaft turns at the limit of 90 deg/s; put the limit back."""
-    rpm, _ = motion.mean_speed(probe, 500 * MS)
-    motion.stand_still(probe)
-    _set(probe, "speed_limit", kept)
-    text = f"the speed limit does not hold for {what}"
-    probe.expect(abs(rpm), near=15, within=0.5, unit="rpm", refutes=text, exchange=exchange)
+#: The speed limits that are tried, as sent and in rpm, how long each has to hold and is looked at, and how near is near.
+_WIDER, _LIMIT, _LIMIT_RPM, _HOLDS_NS, _SEEN_NS, _LIMIT_NEAR = 18_000, 9_000, 15, 300 * MS, 300 * MS, 0.5
+
+
+def limited_runs(probe: Probe, run: Command) -> tuple[_Limited, ...]:
+    """Run either way under a speed limit, then with one that is written under way; nothing where there is no such limit."""
+    return _limited_speeds(probe, lambda way: motion.run_at(probe, way * 30))
 
 
 @_of_run(refuted_by="a faster shaft")
 def _speed_limit(probe: Probe) -> None:
-    """The speed limit holds at once for a run, in both directions."""
-    kept = _parameter(probe, "speed_limit")
-    if kept is None:
-        return
-    for rpm in (30, -30):
-        motion.ready_to_move(probe)
-        motion.run_at(probe, rpm)
-        probe.wait(500 * MS)
-        exchange = _set(probe, "speed_limit", 9_000)
-        probe.wait(SECOND_NS)
-        _expect_limited(probe, kept, exchange, "a run")
+    """The speed limit holds for a run, in both directions."""
+    _expect_held(probe, limited_runs, probe.command(Verb.RUN_SPEED))
+
+
+@_of_run(name="{command}/speed-limit-at-once", refuted_by="the speed of before", at_best=Certainty.LIKELY, rests_on=())
+def _speed_limit_at_once(probe: Probe) -> None:
+    """A speed limit that holds for a run from its begin holds as soon as it is written for one that is under way."""
+    _expect_at_once(probe, limited_runs, probe.command(Verb.RUN_SPEED))
 
 
 def _unlimited_moves(dialect: Dialect) -> Iterator[Case]:
@@ -91,13 +88,17 @@ def _unlimited_moves(dialect: Dialect) -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class _Limited:
-    """A move under a limit: `seen` is what the limit holds at `limit`, `within` so much (rpm or degrees)."""
+    """A motion under a limit: `seen` is what the limit holds at `limit`, `within` so much (rpm or degrees).
+
+    `under_way`: the limit was written when the motion was under way.
+    """
 
     way: int
     seen: float
     limit: float
     within: float
     exchange: Exchange
+    under_way: bool = False
 
     @property
     def holds(self) -> bool:
@@ -106,18 +107,25 @@ class _Limited:
 
 
 def limited_speeds(probe: Probe, move: Command) -> tuple[_Limited, ...]:
-    """Move either way under a speed limit of 90 deg/s; nothing where the drive has no such limit."""
+    """Move either way under a speed limit, then with one that is written under way; nothing where there is no such limit."""
+    return _limited_speeds(probe, lambda way: motion.begin(probe, move, way * 180))
+
+
+def _limited_speeds(probe: Probe, begin: Callable[[int], object]) -> tuple[_Limited, ...]:
     kept = _parameter(probe, "speed_limit")
     found = []
-    for way in (-1, 1) if kept is not None else ():
+    for way, under_way in ((-1, False), (1, False), (-1, True)) if kept is not None else ():
         motion.ready_to_move(probe)
-        exchange = _set(probe, "speed_limit", 9_000)
-        motion.begin(probe, move, way * 180)
-        probe.wait(700 * MS)
-        rpm, _ = motion.mean_speed(probe, 500 * MS)
+        exchange = _set(probe, "speed_limit", _WIDER if under_way else _LIMIT)
+        begin(way)
+        probe.wait(_HOLDS_NS)
+        if under_way:
+            exchange = _set(probe, "speed_limit", _LIMIT)
+            probe.wait(_HOLDS_NS)
+        rpm, _ = motion.mean_speed(probe, _SEEN_NS)
         motion.stand_still(probe)
         _set(probe, "speed_limit", kept or 0)
-        found.append(_Limited(way, abs(rpm), 15, 0.5, exchange))
+        found.append(_Limited(way, abs(rpm), _LIMIT_RPM, _LIMIT_NEAR, exchange, under_way))
     return tuple(found)
 
 
@@ -144,9 +152,30 @@ def _limited(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ..
     return found
 
 
+def _from_begin(found: tuple[_Limited, ...]) -> tuple[_Limited, ...]:
+    return tuple(one for one in found if not one.under_way)
+
+
+def _expect_held(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ...]], command: Command) -> None:
+    """Refute a speed limit that does not hold for a motion from its begin."""
+    for one in _from_begin(_limited(probe, record, command)):
+        text = f"the speed limit does not hold for {command.name}"
+        probe.expect(one.seen, near=one.limit, within=one.within, unit="rpm", refutes=text, exchange=one.exchange)
+
+
+def _expect_at_once(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ...]], command: Command) -> None:
+    """Refute a speed limit that holds for a motion from its begin, and not for one under way."""
+    found = _limited(probe, record, command)
+    if not all(one.holds for one in _from_begin(found)):
+        raise Observed(f"the speed limit does not hold for {command.name}")
+    for one in found:
+        text = f"a speed limit that is written while {command.name} is under way does not hold for it"
+        probe.expect(one.seen, near=one.limit, within=one.within, unit="rpm", refutes=text, exchange=one.exchange)
+
+
 def _expect_each_way(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ...]], move: Command, limit: str) -> None:
     """Refute a limit that holds one way alone."""
-    found = _limited(probe, record, move)
+    found = _from_begin(_limited(probe, record, move))
     beyond = [one for one in found if not one.holds]
     if found and len(beyond) == len(found):
         raise Observed(f"the {limit} does not hold for {move.name}")
@@ -158,9 +187,19 @@ def _expect_each_way(probe: Probe, record: Callable[[Probe, Command], tuple[_Lim
 @_of_parameter(each=_unlimited_moves, name="{command}/speed-limit-{move}", refuted_by="a faster shaft")
 def _speed_limit_moves(probe: Probe, move: Command) -> None:
     """The speed limit holds for {move}, which has no highest speed of its own."""
-    for one in _limited(probe, limited_speeds, move):
-        text = "the speed limit does not hold for a move"
-        probe.expect(one.seen, near=one.limit, within=one.within, unit="rpm", refutes=text, exchange=one.exchange)
+    _expect_held(probe, limited_speeds, move)
+
+
+@_of_parameter(
+    each=_unlimited_moves,
+    name="{command}/speed-limit-{move}-at-once",
+    refuted_by="the speed of before",
+    at_best=Certainty.LIKELY,
+    rests_on=(),
+)
+def _speed_limit_moves_at_once(probe: Probe, move: Command) -> None:
+    """A speed limit that holds for {move} from its begin holds as soon as it is written for one that is under way."""
+    _expect_at_once(probe, limited_speeds, move)
 
 
 @_of_parameter(
@@ -399,22 +438,28 @@ def _speed_ramp_each_way(probe: Probe, run: Command) -> None:
     probe.expect(back, near=wanted, within=wanted * (1 - _SHORTER), unit="deg/s2", refutes=text, exchange=exchange)
 
 
-@_of_change(name="{command}/speed-ramp-at-once", refuted_by="a change of speed by the ramp of before")
+@_of_change(
+    name="{command}/speed-ramp-at-once",
+    refuted_by="a change of speed by the ramp of before",
+    at_best=Certainty.LIKELY,
+    rests_on=(),
+)
 def _ramp_at_once(probe: Probe) -> None:
-    """A speed ramp that is written while the shaft turns holds for the next change of speed, before the shaft stood."""
+    """A speed ramp that holds for a change of speed when it is written at rest holds too when the shaft turns then."""
     kept = _parameter(probe, "speed_ramp")
     if kept is None:
         return
     motion.ready_to_move(probe)
-    for ramp in (12_000, 24_000):
-        _set(probe, "speed_ramp", kept)
+    for under_way in (False, True):
+        _set(probe, "speed_ramp", kept if under_way else _LATE_RAMP)
         motion.run_at(probe, 10)
-        probe.wait(300 * MS)
-        _set(probe, "speed_ramp", ramp)
+        probe.wait(_HOLDS_NS if under_way else _HOLDS_NS + 60 * SECOND_NS * 100 // _LATE_RAMP)
+        if under_way:
+            _set(probe, "speed_ramp", _LATE_RAMP)
         first, _ = motion.mean_speed(probe, 100 * MS)
         before = motion.position(probe)
         exchange = motion.run_at(probe, 40)
-        probe.wait(1_800 * MS)
+        probe.wait(1_000 * MS)
         last, _ = motion.mean_speed(probe, 100 * MS)
         after = motion.position(probe)
         motion.stand_still(probe)
@@ -422,11 +467,15 @@ def _ramp_at_once(probe: Probe) -> None:
         if abs(last - first) < 10:
             raise Inconclusive("the speed does not change to 40 rpm")
         took = _ramp_time(before, first * 6, exchange.sent_ns, after, last * 6)
-        seen = (last - first) * 6 / took if took > 1e-4 else float("inf")
+        seen, wanted = (last - first) * 6 / took if took > 1e-4 else float("inf"), _LATE_RAMP / 100
+        if not under_way and abs(seen - wanted) > wanted / 5:
+            raise Observed("the speed of a run rises by another ramp than was set")
         text = "the speed of a shaft that turned when its ramp was written changes by another ramp"
-        probe.expect(seen, near=ramp / 100, within=ramp / 500, unit="deg/s2", refutes=text, exchange=exchange)
+        probe.expect(seen, near=wanted, within=wanted / 5, unit="deg/s2", refutes=text, exchange=exchange)
 
 
+#: The ramp that is written before a run and while one is under way, as sent.
+_LATE_RAMP = 24_000
 #: The ramp by which speeds change, as sent and in deg/s2, and the speeds in rpm: faster, slower and back, on both sides of 0.
 _CHANGE_RAMP, _CHANGES = 36_000, (60, 30, -30, -60, -30, 30, 0)
 #: By how much a ramp may be shorter than that from rest, for friction helps a motor that slows down.

@@ -21,6 +21,7 @@ from conformance.claims.motion_reads import PLACES, turn_by
 from conformance.motion import motion
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
+from conformance.talk.samples import sample
 
 #: The supply current of a motor that stands and holds nothing, at most (0.01 A).
 _AT_REST = 300
@@ -52,7 +53,10 @@ def _temperature(probe: Probe, command: Command) -> None:
 
 
 def _tells_temperature(dialect: Dialect) -> Iterable[Case]:
-    return (Case(dialect, c) for c in dialect.commands if c.motion is None and _has_temperature(c))
+    for command in filter(_has_temperature, dialect.commands):
+        # What moves the shaft tells it too, of each motion.
+        facts = {"risks": motion.risks(dialect, *command.all_risks), "models": command.models} if command.motion else {}
+        yield Case(dialect, command, facts=facts)
 
 
 def _has_temperature(command: Command) -> bool:
@@ -66,7 +70,7 @@ def _follows_temperature(probe: Probe, command: Command) -> None:
     """{command} tells the temperature that the motor has then, below zero too."""
     for degrees in (41, -7, -40, 125, 30):
         bench.lk_drive(probe).hot(degrees)
-        seen, exchange = _told(probe, command)
+        seen, exchange = _told(probe, command, sample(probe.dialect, command))
         text = f"{command.name} does not tell the temperature of the motor"
         probe.expect(seen["temperature"], equal=degrees, refutes=text, exchange=exchange)
 
