@@ -34,6 +34,7 @@ _RPM, _RAMP, _RAMP_NS = 60, 206, 150 * MS
 #: How long is listened to what must not come: such a move takes 0.2 s, and a reply to it was seen to be 0.7 s late.
 _LISTEN_NS = 750 * MS
 _settings = commands(Verb.SET_RESPOND)
+_MOVES = (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS)
 
 
 def _motions(*kinds: MotionKind) -> Cases:
@@ -176,6 +177,38 @@ def _stopped(probe: Probe, respond: int, run: Command, stop: Command) -> _Shown:
     if shown.before < _RPM / 2:
         raise Inconclusive("the shaft does not turn before the stop")
     return shown
+
+
+@_of_respond(
+    "an answer",
+    each=_settings,
+    name="{command}/0-silences-refusals",
+    risks=risks_by(Verb.RUN_SPEED, Verb.ENABLE, *_MOVES),
+)
+def _silent_refusals(probe: Probe) -> None:
+    """With respond 0 a motion that is refused, since the motor is off, is not answered either."""
+    motion.ready_to_move(probe)
+    every = [*probe.dialect.motions(*motion.RUNS_AND_MOVES)]
+    begins = {command.name: motion.place(probe, command) for command in every}
+    motion.switch(probe, False)
+    found: dict[int, list[Exchange]] = {}
+    for respond in (1, 0):
+        _set(probe, respond, 1)
+        until = Until.REPLY if respond else Until.TIMEOUT
+        timeout_ns = None if respond else probe.noise.silence_ns
+        found[respond] = [
+            motion.ask(
+                probe, command, _TURNS * 360, rpm=_RPM, start=begins[command.name], until=until, timeout_ns=timeout_ns, quiet_ns=0
+            )
+            for command in every
+        ]
+    _set(probe, 1, 1)
+    motion.switch(probe, True)
+    for refused, silent in zip(found[1], found[0], strict=True):
+        if motion.readable(refused) and probe.refused(refused):
+            assert silent.command is not None  # it was asked for
+            text, told = f"{silent.command.name} is refused aloud with respond 0", motion.statuses((silent,), silent.command)
+            probe.expect(told, equal=[], expected="silence", refutes=text, exchange=silent, key="refused aloud")
 
 
 @_of_respond("silence", each=_settings, name="{command}/0-leaves-reads")

@@ -18,8 +18,8 @@ from conformance.drives.faults import numbers
 from conformance.drives.faults.mks_behaviour import OK, before, tuned
 from conformance.drives.faults.mks_conditions import refused_when, undone_when
 from conformance.drives.faults.mks_frames import mine, slots
-from conformance.drives.faults.places import NATIVE, SERIAL, Change, Row, Rows, faults, having, limit, request, result, storing
-from conformance.drives.mks.core import STOPS, Activity, MksCore
+from conformance.drives.faults.places import NATIVE, SERIAL, TELLING, Change, Row, Rows, faults, having, limit, request, result, storing
+from conformance.drives.mks.core import MOTIONS, STOPS, Activity, MksCore
 from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, divided
 
@@ -127,6 +127,51 @@ def _silent_if_active(drive: MksCore) -> None:
     drive.silenced = lambda command: silenced(command) and bool(drive.settings["active"])  # type: ignore[method-assign]
 
 
+def _refuses_aloud(drive: MksCore) -> None:
+    """Answer what is refused, whatever `respond` says."""
+    answer = drive.answer
+
+    def say(request: Request, values: Values | None, answered: bool, *where: int) -> None:
+        answer(request, values, answered or (request.answered and values == drive.refused(request)), *where)
+
+    drive.answer = say  # type: ignore[method-assign]
+
+
+def _keeps_ramp(drive: MksCore) -> None:
+    """Change the speed of a shaft that turns by the acceleration that it was set going with."""
+    first = 0
+
+    def ask(_: Drive, command: Command, values: Values) -> Values:
+        nonlocal first
+        if command.verb not in MOTIONS:
+            return values
+        if not drive.motor.speed(drive.now_ns):
+            first = values["acceleration"]
+        return values | {"acceleration": first}
+
+    drive.hooks.request.append(ask)
+
+
+def _told_behind(settings: bool, verb: Verb, **told: int) -> Change:
+    """Tell something else behind a setting, or a newer motion, that came while the shaft turned, until the next one at rest."""
+
+    def change(drive: MksCore) -> None:
+        wrong = False
+
+        def watch(_: Drive, command: Command, values: Values) -> Values:
+            nonlocal wrong
+            if command.verb.value.startswith("set_") if settings else command.verb in MOTIONS:
+                wrong = bool(drive.motor.speed(drive.now_ns))
+            return values
+
+        drive.hooks.request.append(watch)
+        drive.hooks.result.append(
+            lambda _, command, asked, values: values | told if wrong and values and command.verb is verb else values
+        )
+
+    return tuned(change, having(verb))
+
+
 def _stops_of_all(drive: MksCore) -> None:
     """Stop at once where a stop is for all drives."""
     shared = False
@@ -166,6 +211,19 @@ SEQUENCES: Rows = {
             before(Verb.SAVE_SPEED, _kept_at_rest),
         ),
     ),
+    "behind what came on the way": (
+        Row("newer-keeps-ramp", "a motion that takes over from another one keeps its acceleration", tuned(_keeps_ramp)),
+        Row(
+            "off-behind-settings",
+            "3A reads 0 behind a setting that came while the shaft turned",
+            _told_behind(True, Verb.READ_ENABLED, enabled=0),
+        ),
+        Row(
+            "protected-behind-motions",
+            "3E reads 1 behind a motion that took over from another one",
+            _told_behind(False, Verb.READ_PROTECTION, status=1),
+        ),
+    ),
     "one of many": (
         Row("third-target-lost", "of targets that follow one another the third is lost", _few_updates(Verb.MOVE_ABSOLUTE_AXIS)),
         Row("package-of-two-codes", "of the own slots of a package the first of each code is executed", slots(_by_code)),
@@ -181,6 +239,7 @@ SEQUENCES: Rows = {
     ),
     "with another setting": (
         Row("respond-0-needs-active", "respond 0 silences nothing with active 0", tuned(_silent_if_active), NATIVE),
+        Row("refused-aloud", "with respond 0 a refusal is answered", tuned(_refuses_aloud), TELLING),
         Row("protection-slows", f"with the protection on nothing turns faster than {_SAFE_RPM} rpm", tuned(_slow_if_protected)),
         Row("way-back-untold", "3B reads 1 on the way back by a direction", result(_way_back, Verb.READ_ZERO_STATUS), SERIAL),
     ),

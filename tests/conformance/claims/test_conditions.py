@@ -13,6 +13,10 @@ from conformance.suite.target import EMULATED, parse
 FAULTS = (*mks_conditions.FAULTS, *mks_sequences.FAULTS)
 REFUTED_BY = {
     "respond-0-needs-active": "motion/set_respond/0-silences-run_speed",
+    "refused-aloud": "motion/set_respond/0-silences-refusals",
+    "newer-keeps-ramp": "motion/run_speed/takes-over",
+    "off-behind-settings": "resilience/settings/run_speed",
+    "protected-behind-motions": "motion/run_speed/takes-over",
     "protection-slows": "resilience/settings/leave-motion",
     "way-back-untold": "motion/read_zero_status/tells-cw",
     "address-fa-refused": "ranges/set_address/new_address/inside",
