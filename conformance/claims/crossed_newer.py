@@ -1,10 +1,12 @@
 """Each motion over each other one and over itself: the same way and round, with one field changed alone and with several.
 
     older command x newer command x same way or round      all of them
+    newer command x its acceleration x same way or round   all of them
     speed kept or changed, a target that is zero           with any of those; all where a command takes over from itself
 
 Rules kept here:
 - A row takes a third of a second: the newer motion comes while the older one is at its speed, far from its end.
+- The shaft is looked at once on its ramp, too: that has the acceleration of the newer motion.
 - The zero is set where the rows begin, and those whose target is 0 come first: it is near then.
 - A move to a place is judged by its place, one by a distance by where the shaft surely was when it came.
 - Which way a direction or a sign turns the shaft is the drive's own word: that of the older motions.
@@ -23,8 +25,9 @@ from conformance.claims import homing
 from conformance.claims.crossed import motions_of
 from conformance.claims.declare import Case
 from conformance.claims.motion_claim import expect_speed, of_motion
+from conformance.claims.motion_told import expect_states, states
 from conformance.model import covering
-from conformance.motion import motion
+from conformance.motion import course, motion, ramp
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
@@ -37,10 +40,17 @@ _OTHER, _FAR, _NEAR, _SPARE = 90, 720, 30, 18
 _GOING_NS, _RUNS_NS = 80 * MS, 110 * MS
 #: What a shaft may lag behind a command.
 _LAG_NS = 10 * MS
+#: The accelerations of newer motions: a quick one as that of the older one, none, and a slow one, by which a move goes farther.
+_AT_ONCE, _SLOW, _SLOWLY = 0, 206, 150
+#: When a shaft is looked at on its ramp.
+_ON_RAMP_NS = 60 * MS
 
 
 class Row(NamedTuple):
-    """A motion and the newer one. `way`: of the older one; `turn`: 1 the same way, -1 round; `zero`: the target is 0."""
+    """A motion and the newer one. `way`: of the older one; `turn`: 1 the same way, -1 round; `zero`: the target is 0.
+
+    `acceleration`: of the newer one, as sent.
+    """
 
     older: str
     command: str
@@ -48,17 +58,19 @@ class Row(NamedTuple):
     turn: int
     rpm: int
     zero: bool
+    acceleration: int
 
     def __str__(self) -> str:
         """Return it for people."""
         way, same = "a positive" if self.way > 0 else "a negative", "the same way" if self.turn > 0 else "the other way"
         target = ", to 0" if self.zero else ""
-        return f"over {self.older} {way} way at {CALM} rpm: {self.command} {same} at {self.rpm} rpm{target}"
+        newer = f"{self.command} {same} at {self.rpm} rpm{target}, acceleration {self.acceleration}"
+        return f"over {self.older} {way} way at {CALM} rpm: {newer}"
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A row that was tried. `start`, `before`, `end`: where the shaft was, first, at the newer command, and at rest.
+    """A row that was tried. `start`, `before`, `on_ramp`, `end`: where the shaft was: first, at the newer command, then, last.
 
     `wanted`: by how many degrees from the zero, or from where it was, the newer move was to go. `seen`: the speed of a run.
     """
@@ -69,6 +81,7 @@ class Tried:
     zero: float
     start: Sample
     before: Sample
+    on_ramp: Sample | None
     wanted: float
     seen: Sample | None
     end: Sample | None
@@ -90,16 +103,23 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
         "turn": (1, -1),
         "rpm": (CALM, _OTHER),
         "zero": (False, True),
+        "acceleration": (QUICK, _SLOW, _AT_ONCE),
     }
     found = covering.rows(
         factors,
         # Behind a shaft that went away from it.
         lambda command, turn, zero: not zero or (turn < 0 and motion.of(known[command]).kind is MotionKind.MOVE_TO),
-        together=[("older", "command", "turn"), ("older", "command", "zero"), ("older", "command", "rpm")],
+        lambda zero, acceleration: not zero or acceleration == QUICK,
+        together=[
+            ("older", "command", "turn"),
+            ("older", "command", "zero"),
+            ("older", "command", "rpm"),
+            ("command", "turn", "acceleration"),
+        ],
     )
     rows = {Row(**row) for row in found}
     # Over itself each field is changed alone, too.
-    rows |= {Row(name, name, way, turn, CALM, False) for name in known for way in (1, -1) for turn in (1, -1)}
+    rows |= {Row(name, name, way, turn, CALM, False, QUICK) for name in known for way in (1, -1) for turn in (1, -1)}
     return tuple(sorted(rows, key=lambda row: (not row.zero, row)))
 
 
@@ -124,28 +144,33 @@ def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
     probe.wait(_GOING_NS)
     before = motion.position(probe)
     way = row.way * row.turn
-    degrees = 0 if row.zero else way * _NEAR
-    exchange = _begin(probe, newer, degrees, way * row.rpm, 0 if row.zero else begins[newer.name])
+    near = _SLOWLY if row.acceleration == _SLOW else _NEAR
+    degrees = 0 if row.zero else way * near
+    exchange = _begin(probe, newer, degrees, way * row.rpm, 0 if row.zero else begins[newer.name], row.acceleration)
     refused = not motion.readable(exchange) or probe.refused(exchange)
-    seen = end = None
+    seen = end = on_ramp = None
+    if not refused and not row.zero:
+        probe.wait(exchange.sent_ns + _ON_RAMP_NS - probe.gate.now_ns())
+        on_ramp = motion.position(probe)
+    change_ns = ramp.ramp_ns(0, CALM + row.rpm, row.acceleration) if row.acceleration == _SLOW else 0
     if motion.of(newer).kind is MotionKind.RUN:
-        probe.wait(exchange.sent_ns + _RUNS_NS - probe.gate.now_ns())
+        probe.wait(exchange.sent_ns + _RUNS_NS + int(change_ns) - probe.gate.now_ns())
         seen = motion.speed(probe)
     elif not refused:
         # What is told at its end is not asked into.
         # A reply that was lost or late let the older motion go on.
         since = max(0.0, (exchange.sent_ns - before.t_ns + before.spread_ns) / SECOND_NS * CALM * 6)
         back = 0 if row.turn > 0 else abs(before.value - start.value)
-        far = since + (abs(before.value - zero) if row.zero else _NEAR + back)
-        lasts_ns = int((far + _SPARE) / 6 / row.rpm * (1 + CLOCK_SHARE) * SECOND_NS)
+        far = since + (abs(before.value - zero) if row.zero else near + back)
+        lasts_ns = int((far + _SPARE) / 6 / row.rpm * (1 + CLOCK_SHARE) * SECOND_NS + 2 * change_ns)
         probe.wait(exchange.sent_ns + lasts_ns - probe.gate.now_ns())
         end = _rest(probe)
-    return Tried(row, exchange, refused, zero, start, before, degrees, seen, end)
+    return Tried(row, exchange, refused, zero, start, before, on_ramp, degrees, seen, end)
 
 
-def _begin(probe: Probe, command: Command, degrees: float, rpm: int, start: int) -> Exchange:
+def _begin(probe: Probe, command: Command, degrees: float, rpm: int, start: int, acceleration: int = QUICK) -> Exchange:
     rpm = rpm if motion.of(command).kind is MotionKind.RUN else abs(rpm)
-    return motion.ask(probe, command, degrees, rpm=rpm, acceleration=QUICK, start=start, quiet_ns=0)
+    return motion.ask(probe, command, degrees, rpm=rpm, acceleration=acceleration, start=start, quiet_ns=0)
 
 
 def _rest(probe: Probe) -> Sample:
@@ -184,6 +209,7 @@ def _takes_over(probe: Probe, command: Command) -> None:
         sense = senses.get(command.name, 0)
         if tried.refused or not sense:
             continue
+        _expect_ramp(probe, tried, sense)
         if tried.seen is not None:
             wanted = sense * tried.row.way * tried.row.turn * tried.row.rpm
             got, within, unit = tried.seen.value, 2 + abs(wanted) * 2 * CLOCK_SHARE + tried.seen.noise, "rpm"
@@ -205,11 +231,54 @@ def _takes_over(probe: Probe, command: Command) -> None:
         )
 
 
+def _expect_ramp(probe: Probe, tried: Tried, sense: int) -> None:
+    """Refute where the shaft is not where the newer motion's own acceleration leads it, from the older one's speed."""
+    reply, row, seen = tried.newer.reply, tried.row, tried.on_ramp
+    assert reply is not None  # it was taken
+    if seen is None:
+        return
+    first, last = tried.sense * row.way * CALM, sense * row.way * row.turn * row.rpm
+    on, slack_ns = course.run(first, last, row.acceleration), ramp.slack_ns(row.acceleration)
+    # Where it ends, from the look before it; a move by a distance from where the shaft was then.
+    to_place = _kind(tried) is MotionKind.MOVE_TO
+    goal = sense * tried.wanted + (tried.start.value - tried.before.value if to_place else 0.0)
+    places, left = [], []
+    # It is taken up at some time between the begin of the request and that of the reply, or a little later.
+    for taken_ns in (tried.newer.sent_ns, reply.first_ns + _LAG_NS):
+        before_ns = taken_ns - tried.before.t_ns
+        until_ns = seen.t_ns - taken_ns
+        for away_ns in (-tried.before.spread_ns, tried.before.spread_ns):
+            span = ((until_ns - seen.spread_ns - slack_ns) / (1 + ramp.SLOW_QUIRK), (until_ns + seen.spread_ns + slack_ns))
+            went = first * (before_ns + away_ns) / ramp.MINUTE_NS
+            for turns in on.turns(span[0], span[1] / (1 - CLOCK_SHARE)):
+                places.append((went + turns) * 360)
+                left.append(math.copysign(1, last) * (goal - (places[-1] if to_place else turns * 360)))
+    if _kind(tried) is not MotionKind.RUN and min(left) < _SPARE + 360 * abs(ramp.ramp_turns(0, last, row.acceleration)):
+        # It slows down to its end already.
+        return
+    within = probe.noise.swing + probe.noise.place + 1
+    low, high = min(places) - within, max(places) + within
+    text = f"{row.command} that takes over from another motion does not go by its own acceleration"
+    probe.expect(
+        seen.value - tried.before.value,
+        at_least=low,
+        at_most=high,
+        unit="degrees",
+        expected=f"{low:.4g} to {high:.4g} degrees, {_ON_RAMP_NS // MS} ms on: {row}",
+        refutes=text,
+        exchange=tried.newer,
+        key=text,
+    )
+
+
+def _kind(tried: Tried) -> MotionKind:
+    assert tried.newer.command is not None  # it was asked for
+    return motion.of(tried.newer.command).kind
+
+
 def _ends(tried: Tried, sense: int) -> tuple[float, float]:
     """Return between which places a newer move ends, in degrees."""
-    command = tried.newer.command
-    assert command is not None  # it was asked for
-    if motion.of(command).kind is MotionKind.MOVE_TO:
+    if _kind(tried) is MotionKind.MOVE_TO:
         place = tried.zero if tried.row.zero else tried.start.value + sense * tried.wanted
         return place, place
     # By a distance, from where the shaft was when the newer one was taken.
@@ -229,7 +298,7 @@ def _ends(tried: Tried, sense: int) -> tuple[float, float]:
 def _again_and_again(probe: Probe, command: Command) -> None:
     """Many {command} follow one another, each before the last is done: the newest holds."""
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
-    start, begin = motion.wait_standing(probe), motion.place(probe, command)
+    start, begin, before = motion.wait_standing(probe), motion.place(probe, command), states(probe)
     for degrees, rpm in _UPDATES:
         exchange = _begin(probe, command, degrees, rpm, begin)
         probe.wait(_GOING_NS)
@@ -244,6 +313,7 @@ def _again_and_again(probe: Probe, command: Command) -> None:
         # Where a run or a move by a distance ends says nothing of the older ones.
         motion.stand_still(probe)
     expect_speed(seen, speed, exchange, f"{text}: its speed", share=2 * CLOCK_SHARE)
+    expect_states(probe, before, f"behind many {command.name}")
 
 
 #: Where each of them leads (degrees from where the first one began), and how fast (rpm).

@@ -34,14 +34,16 @@ def _runs(dialect: Dialect) -> Iterator[Case]:
         yield from commands(Verb.RUN_SPEED)(dialect)
 
 
-def _states(probe: Probe) -> dict[str, int]:
+def states(probe: Probe) -> dict[str, int]:
+    """Return what reads tell of the motor's state that motion leaves as it is."""
     known = probe.dialect.by_verb
     return {verb.value: probe.read(verb, field) for verb, field in _STATES if verb in known}
 
 
-def _expect_states(probe: Probe, before: dict[str, int], when: str) -> None:
+def expect_states(probe: Probe, before: dict[str, int], when: str) -> None:
+    """Refute where these states read otherwise than before."""
     text = f"reads of the motor's state tell something else {when}"
-    seen = _states(probe)
+    seen = states(probe)
     probe.expect(str(seen), holds=seen == before, expected=str(before), refutes=text, key=text)
 
 
@@ -59,16 +61,16 @@ def _expect_error(probe: Probe, most: float, when: str) -> None:
 def _leaves_states(probe: Probe) -> None:
     """A run, either way, and its stop change nothing that is read of enabling, protection and the way to zero."""
     motion.ready_to_move(probe)
-    before = _states(probe)
+    before = states(probe)
     # Farther back than there, so that both sides of where it began are looked at.
     for rpm, stop, for_ns in ((_RPM, Verb.STOP_SPEED, 600 * MS), (-_RPM, Verb.EMERGENCY_STOP, 1_400 * MS)):
         motion.run_at(probe, rpm, QUICK)
         probe.wait(for_ns)
-        _expect_states(probe, before, "while it turns")
+        expect_states(probe, before, "while it turns")
         _expect_error(probe, _LAG, "that turns")
         probe.do(stop, {"acceleration": QUICK} if stop is Verb.STOP_SPEED else None)
         motion.wait_standing(probe)
-        _expect_states(probe, before, f"after {probe.command(stop).name}")
+        expect_states(probe, before, f"after {probe.command(stop).name}")
         _expect_error(probe, _REST, "at rest, turns away,")
 
 

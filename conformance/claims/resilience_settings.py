@@ -24,6 +24,7 @@ from conformance.claims.control_reads import is_answered, is_exception, received
 from conformance.claims.declare import Case, claim
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_settings import ReadableSetting, Setting, every_setting, needs
+from conformance.claims.motion_told import expect_states, states
 from conformance.claims.setting_effects import STEEP, by_action
 from conformance.model import covering, lk_parameters
 from conformance.motion import motion, ramp
@@ -39,8 +40,6 @@ _OWN, _ALL, _GROUP = "own", "all", "group"
 _AT_REST_ALONE = frozenset(
     {Verb.SET_WORK_MODE, Verb.SET_RESPOND, Verb.SET_DIRECTION, Verb.SET_ENABLE_LEVEL, Verb.SET_CURRENT, Verb.SET_HOME}
 )
-#: States that a motion which is over leaves as they are.
-_FLAGS = (Verb.READ_ENABLED, Verb.READ_PROTECTION)
 #: How long a setting that is not answered is given, and a move of `setting_effects.PULSES` at 16 subdivisions and more.
 _SILENT_NS, _MOVE_NS = 60 * MS, 450 * MS
 
@@ -166,7 +165,7 @@ def _settings(probe: Probe, condition: Condition, rows: list[_Row]) -> None:
             homing = setting_effects.homing(probe)
             probe.do(row.setting.command, row.setting.values[_OTHER])
     motion.ready_to_move(probe, condition.mode)
-    flags = {} if condition.stands else read_flags(probe)
+    before = {} if condition.stands else states(probe)
     condition.enter(probe)
     turning = motion.speed(probe) if condition.steady else None
     for row in rows:
@@ -178,24 +177,12 @@ def _settings(probe: Probe, condition: Condition, rows: list[_Row]) -> None:
         probe.expect(motion.speed(probe).value, near=turning.value, within=within, unit="rpm", refutes=text)
     condition.leave(probe)
     motion.wait_standing(probe)
-    expect_flags(probe, flags, f"behind settings {condition.when}")
+    if before:
+        expect_states(probe, before, f"behind settings {condition.when}")
     for row in rows:
         if isinstance(row.setting, ReadableSetting):
             _expect_stored(probe, row.setting, held, f"{condition.when}, and other settings behind it")
     expect_effects(probe, [row.setting for row in rows], held, condition.when, homing)
-
-
-def read_flags(probe: Probe) -> dict[Verb, Mapping[str, int]]:
-    """Return what the drive tells of its states that a motion which is over leaves as they are."""
-    return {verb: probe.reply(probe.ask(verb, quiet_ns=0)).values for verb in _FLAGS if verb in probe.dialect.by_verb}
-
-
-def expect_flags(probe: Probe, flags: Mapping[Verb, Mapping[str, int]], when: str) -> None:
-    """Refute where a state reads otherwise than before."""
-    for verb, before in flags.items():
-        exchange = probe.ask(verb, quiet_ns=0)
-        text = f"{probe.command(verb).name} reads something else {when}"
-        probe.expect(probe.reply(exchange).values, equal=before, refutes=text, exchange=exchange, key=text)
 
 
 def _home_by_a_switch(probe: Probe) -> None:

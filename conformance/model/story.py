@@ -45,7 +45,7 @@ def replay(probe: Probe, steps: Iterable[Step], until: float = inf) -> Refuted |
 
 
 def shortened(probe: Probe, steps: Sequence[Step], key: str, until: float = inf) -> tuple[list[Step], Refuted | None]:
-    """Return the shortest steps found until a time that refute a new emulated drive in the same way, and how; None: none does."""
+    """Return the shortest steps found, until a time, that refute a new emulated drive alike, and how; None: none does."""
     budget = SHORTER
 
     def fails(candidate: Sequence[Step]) -> Refuted | None:

@@ -707,7 +707,11 @@ ROWS: Rows = {
         Row("lk-state-2-cold", "0x9C tells the temperature 0", reply("temperature", always(0), Verb.READ_STATE_2)),
         Row("lk-state-3-cold", "0x9D tells the temperature 0", reply("temperature", always(0), Verb.READ_STATE_3)),
         Row("lk-motion-cold", "motion commands tell the temperature 0", reply("temperature", always(0), LK_MOTIONS)),
-        Row("lk-motion-temperature-first", "motion commands tell the temperature of the first one", Change(_first_temperature, LK)),
+        Row(
+            "lk-motion-temperature-first",
+            "motion commands tell the temperature of the first one",
+            Change(_first_temperature, LK),
+        ),
         Row(
             "lk-motion-speed-stale",
             "motion commands to a turning shaft tell the speed that it had when it stood",

@@ -18,7 +18,20 @@ from conformance.drives.faults import numbers
 from conformance.drives.faults.mks_behaviour import OK, before, tuned
 from conformance.drives.faults.mks_conditions import refused_when, undone_when
 from conformance.drives.faults.mks_frames import mine, slots
-from conformance.drives.faults.places import NATIVE, SERIAL, TELLING, Change, Row, Rows, faults, having, limit, request, result, storing
+from conformance.drives.faults.places import (
+    NATIVE,
+    SERIAL,
+    TELLING,
+    Change,
+    Row,
+    Rows,
+    faults,
+    having,
+    limit,
+    request,
+    result,
+    storing,
+)
 from conformance.drives.mks.core import MOTIONS, STOPS, Activity, MksCore
 from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, divided

@@ -16,7 +16,7 @@ REFUTED_BY = {
     "refused-aloud": "motion/set_respond/0-silences-refusals",
     "newer-keeps-ramp": "motion/run_speed/takes-over",
     "off-behind-settings": "resilience/settings/run_speed",
-    "protected-behind-motions": "motion/run_speed/takes-over",
+    "protected-behind-motions": "motion/run_speed/again-and-again",
     "protection-slows": "resilience/settings/leave-motion",
     "way-back-untold": "motion/read_zero_status/tells-cw",
     "address-fa-refused": "ranges/set_address/new_address/inside",
