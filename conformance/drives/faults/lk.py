@@ -713,11 +713,6 @@ ROWS: Rows = {
             Change(_first_temperature, LK),
         ),
         Row(
-            "lk-motion-speed-stale",
-            "motion commands to a turning shaft tell the speed that it had when it stood",
-            _told_of_rest("speed"),
-        ),
-        Row(
             "lk-motion-encoder-stale",
             "motion commands to a turning shaft tell the encoder value where it stood",
             _told_of_rest("encoder"),

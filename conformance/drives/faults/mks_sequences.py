@@ -144,8 +144,9 @@ def _refuses_aloud(drive: MksCore) -> None:
     """Answer what is refused, whatever `respond` says."""
     answer = drive.answer
 
-    def say(request: Request, values: Values | None, answered: bool, *where: int) -> None:
-        answer(request, values, answered or (request.answered and values == drive.refused(request)), *where)
+    def say(request: Request, result: Values | None, answered: bool, address: int, at_ns: int) -> None:
+        aloud = request.answered and result == drive.refused(request)
+        answer(request, result, answered or aloud, address, at_ns)
 
     drive.answer = say  # type: ignore[method-assign]
 

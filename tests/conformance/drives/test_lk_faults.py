@@ -710,7 +710,6 @@ SHOWN_BY: dict[str, str] = {
     "lk-state-3-cold": "phases",
     "lk-motion-cold": "speed",
     "lk-motion-temperature-first": "over others",
-    "lk-motion-speed-stale": "over others",
     "lk-motion-encoder-stale": "over others",
     "lk-motion-current-stale": "over others",
     "lk-motion-speed-0": "stop",
