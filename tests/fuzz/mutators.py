@@ -14,6 +14,8 @@ import json
 import random
 import re
 import struct
+import warnings
+import zipfile
 import zlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -622,7 +624,38 @@ def _plain(_: Chance, head: bytes, pieces: list[bytes]) -> bytes:
     return head + b"".join(pieces)
 
 
+def _zip_split(data: bytes) -> tuple[bytes, list[bytes]]:
+    """Return the files of an archive, each behind its name."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return b"", [name.encode() + b"\0" + archive.read(name) for name in archive.namelist()]
+    except (zipfile.BadZipFile, NotImplementedError, zlib.error, EOFError, RuntimeError, ValueError, OSError):
+        return data, []
+
+
+def _zip_join(chance: Chance, head: bytes, pieces: list[bytes]) -> bytes:
+    if not pieces:
+        return head
+    whole = io.BytesIO()
+    with warnings.catch_warnings(), zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+        # Two files of one name are wanted, too.
+        warnings.simplefilter("ignore")
+        for piece in pieces:
+            name, _, data = piece.partition(b"\0")
+            archive.writestr(zipfile.ZipInfo(name.decode("utf-8", "replace") or "x"), data)
+    return bytes_changed(chance, whole.getvalue(), 1) if chance.random() < 0.1 else whole.getvalue()
+
+
+def _zip_changed(chance: Chance, piece: bytes) -> bytes:
+    name, zero, data = piece.partition(b"\0")
+    changed = mutated(chance, data) if kind_of(data) == "text" else bytes_changed(chance, data)
+    return (
+        piece if not zero else bytes_changed(chance, name, 1) + zero + data if chance.random() < 0.1 else name + zero + changed
+    )
+
+
 CONTAINERS: dict[str, Container] = {
+    "zip": Container(_zip_split, _zip_join, _zip_changed),
     "text": Container(_lines, _joined_lines, text_changed),
     "packed": Container(_unpacked, _packed, _inside),
     "blf": Container(_blf_split, _blf_join, _blf_changed),
@@ -635,5 +668,5 @@ CONTAINERS: dict[str, Container] = {
 }
 _MAGICS = (
     (b"LOGG", "blf"), (_MCAP_MAGIC, "mcap"), (b"\x0a\x0d\x0d\x0a", "pcapng"), (b"\xd4\xc3\xb2\xa1", "pcap"),
-    (b"\x4d\x3c\xb2\xa1", "pcap"), (b"\x1f\x8b", "packed"), (b"\x28\xb5\x2f\xfd", "packed"),
+    (b"PK\x03\x04", "zip"), (b"\x4d\x3c\xb2\xa1", "pcap"), (b"\x1f\x8b", "packed"), (b"\x28\xb5\x2f\xfd", "packed"),
 )  # fmt: skip

@@ -645,6 +645,14 @@ def _on_files(*words: str, run: Run | None = None, kinds: Sequence[str] = (), sh
 _LOGS = ("mcap",)
 
 
+def _levels_seeds() -> list[Input]:
+    """Return captures of a logic analyzer in each format, made and real, and what was found before."""
+    with tempfile.TemporaryDirectory() as folder:
+        made = [sample.make(Path(folder)).read_bytes() for sample in SAMPLES.values() if FORMATS[sample.format].levels]
+    real = [path.read_bytes() for path in sorted((CAPTURES / "logic").glob("*.sr")) if path.stat().st_size < 4096]
+    return [*({INPUT: data} for data in (*made, *real)), *quick("levels")]
+
+
 def _far(*words: str, share: float = 1.0) -> Target:
     """Return a target of a command that talks to the far end of a bus; that may hang up, which is no fault."""
 
@@ -758,6 +766,7 @@ TARGETS: dict[str, Target] = {
     "decode": Target(_decode, _file_seeds("decode"), _file_changed, 3.0),
     "decode-parquet": _on_files("decode", INPUT, "--to", "parquet", "-o", "out.parquet", share=0.5),
     "show": _on_files("show", INPUT),
+    "levels": Target(command("show", INPUT), _levels_seeds, _file_changed, 2.0),
     "show-json": _on_files("show", INPUT, "--json", "--bytes", "--since", "+1s"),
     "diagnose": _on_files("diagnose", INPUT, "--json"),
     "troubles": Target(command("diagnose", INPUT, "--json"), _pastes, _troubled, 3.0),

@@ -147,7 +147,7 @@ BROKEN: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "bomb": ("sr", bomb, "claim to hold 3221225472 bytes of samples.*decompression bomb"),
     "no unitsize": ("sr", in_metadata(b"unitsize=1", b"unitsize=x"), "expected unitsize from 1 to 64 in 'metadata', got x"),
     "no ini": ("sr", in_metadata(b"[device 1]", b"device"), "broken in its file 'metadata'|no logic channels"),
-    "piece missing": ("sr-pieces", lambda p: repacked(p, lambda n, d: None if n == "logic-1-3" else d), "expected a file logic-1-3, which is missing"),
+    "piece missing": ("sr-pieces", lambda p: repacked(p, lambda n, d: None if n == "logic-1-3" else d), "its file logic-1-3 is missing"),
     "saleae capture": ("sr", lambda p: repacked(p, lambda n, d: d) or in_zip(p, "meta.json"), "File > Export Data"),
     "other archive": ("sr", lambda p: in_zip(p, "photo.jpg"), "is a zip archive and no session of sigrok.*photo.jpg"),
     "no end of header": ("vcd", edited("$enddefinitions", "$foo"), "has no end: expected \\$enddefinitions"),

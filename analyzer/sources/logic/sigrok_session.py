@@ -130,17 +130,18 @@ def _waveform(source: Source, archive: zipfile.ZipFile, file: IO[bytes], device:
 def _pieces(source: Source, archive: zipfile.ZipFile, name: str) -> list[zipfile.ZipInfo]:
     """Return the files of samples in their order. Raises UnreadableError where one is missing, or they unpack to too much."""
     numbered = re.compile(rf"{re.escape(name)}(?:-(\d{{1,9}}))?")
-    found = sorted((int(match[1] or 0), info) for info in archive.infolist() if (match := numbered.fullmatch(info.filename)))
+    named = [(numbered.fullmatch(info.filename), info) for info in archive.infolist()]
+    found = sorted(((int(match[1] or 0), info) for match, info in named if match is not None), key=lambda each: each[0])
     numbers = [number for number, _ in found]
     if not found:
         raise UnreadableError(
             f"{source.name}: the session is broken: no samples, expected a file {quote(name)} or {quote(name)}-1"
         )
-    missing = next((first + 1 for first, then in pairwise(numbers) if then != first + 1), None)
-    if missing is not None:
-        raise UnreadableError(
-            f"{source.name}: the session is broken: expected a file {quote(name)}-{missing}, which is missing"
-        )
+    wrong = next(((first, then) for first, then in pairwise(numbers) if then != first + 1), None)
+    if wrong is not None:
+        first, then = wrong
+        what = f"{quote(name)}-{first} stands twice" if then == first else f"{quote(name)}-{first + 1} is missing"
+        raise UnreadableError(f"{source.name}: the session is broken: its file {what}")
     source.stream.budget.samples(sum(info.file_size for _, info in found), archive.fp.seek(0, 2) if archive.fp else 0)
     return [info for _, info in found]
 
