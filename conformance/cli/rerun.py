@@ -13,6 +13,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from analyzer.cli.option_types import positive
 from analyzer.errors import UnreadableError
 from analyzer.values import quote
 from conformance.claim import NotStopped, Outcome, RigFault, Verdict, worst
@@ -38,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="a stored failure")
     parser.add_argument("--drive", metavar="DRIVE", help="another drive than the file's")
     parser.add_argument("--on", metavar="ENDPOINT", help="another place than the file's")
-    parser.add_argument("--times", type=int, default=3, metavar="N", help="how often (default 3)")
+    parser.add_argument("--times", type=positive, default=3, metavar="N", help="how often (default 3)")
     add_safety_arguments(parser)
     add_gate_arguments(parser)
 
@@ -76,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     verdicts: list[Verdict] = []
     trouble = 0
     try:
-        with as_interrupt(), closing(_verdicts(plan, found, max(1, arguments.times))) as coming:
+        with as_interrupt(), closing(_verdicts(plan, found, arguments.times)) as coming:
             verdicts += coming
     except (NotStopped, RigFault) as error:
         # What was judged before counts: a motor that turns above all, then a refutation, then the rig.

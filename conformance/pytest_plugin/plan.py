@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 import msgspec
@@ -12,10 +12,13 @@ import pytest
 from conformance.claim import NotStopped, RigFault, Verdict
 from conformance.pytest_plugin.plugin import BUDGET, OPTIONS, RUN, end_with
 from conformance.suite import target as targets
-from conformance.suite.options import plan_from
+from conformance.suite.options import inconclusive, plan_from, seconds
 from conformance.suite.plan import Plan
 from conformance.suite.record import record
 from conformance.suite.target import Target
+
+#: What reads the options that the plugin takes as they are: it imports nothing of the suite.
+_TAKEN: dict[str, Callable[[str], float]] = {"max_run": seconds, "max_inconclusive": inconclusive}
 
 
 def plan_of(config: pytest.Config) -> Plan:
@@ -27,8 +30,13 @@ def plan_of(config: pytest.Config) -> Plan:
 
 
 def arguments_of(config: pytest.Config) -> argparse.Namespace:
-    """Return the suite's options by their names."""
+    """Return the suite's options by their names. Raises pytest's UsageError for what `servotap test` does not take either."""
     values = {name.replace("-", "_"): config.getoption("servotap_" + name.replace("-", "_")) for name, _ in OPTIONS}
+    for name, taken in _TAKEN.items():
+        try:
+            values[name] = taken(str(values[name]))
+        except argparse.ArgumentTypeError as error:
+            raise pytest.UsageError(f"servotap: --{name.replace('_', '-')}: {error}") from None
     return argparse.Namespace(**values)
 
 

@@ -56,7 +56,7 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
         "accept-quirk",
         {"action": "append", "default": [], "metavar": "NAME", "help": "a known quirk that fails nothing, or all"},
     ),
-    ("max-run", {"type": float, "default": 30.0, "metavar": "S", "help": "longest run without an end, in seconds"}),
+    ("max-run", {"default": "30", "metavar": "S", "help": "longest run without an end, in seconds"}),
     ("max-inconclusive", {"default": "10%", "metavar": "LIMIT", "help": "inconclusive claims above which the status is 10"}),
     ("report", {"default": None, "metavar": "OUT.html", "help": "one self-contained page"}),
     ("log", {"default": None, "metavar": "OUT.mcap", "help": "all traffic of the run, with a /tests topic"}),

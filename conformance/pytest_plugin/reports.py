@@ -18,7 +18,6 @@ from conformance.claim import RigFault
 from conformance.pytest_plugin.plan import arguments_of, plan_of
 from conformance.pytest_plugin.plugin import end_with
 from conformance.report import terminal, write_reports
-from conformance.suite.options import inconclusive
 from conformance.suite.record import RunRecord, VerdictRecord, doubt_about
 
 
@@ -42,7 +41,7 @@ def summarise(reporter: Any, config: pytest.Config, verdicts: Sequence[str]) -> 
 def judge(config: pytest.Config, verdicts: Sequence[str]) -> None:
     """Have the run end with what its verdicts say: a refutation counts more than a fault of the rig."""
     records = [msgspec.json.decode(text, type=VerdictRecord) for text in verdicts]
-    doubt = doubt_about(records, inconclusive(arguments_of(config).max_inconclusive))
+    doubt = doubt_about(records, arguments_of(config).max_inconclusive)
     if doubt:
         print(f"servotap: {doubt}", file=sys.stderr)
         end_with(config, RigFault.exit_status)

@@ -28,7 +28,7 @@ def add_safety_arguments(parser: argparse.ArgumentParser) -> None:
         help="a known quirk of real drives that refutes nothing, or all (servotap emulate --list-quirks)",
     )
     parser.add_argument(
-        "--max-run", type=_seconds, default=30.0, metavar="S", help="longest run without an end, in seconds (default 30)"
+        "--max-run", type=seconds, default=30.0, metavar="S", help="longest run without an end, in seconds (default 30)"
     )
 
 
@@ -51,7 +51,8 @@ def inconclusive(text: str) -> float:
         raise argparse.ArgumentTypeError(f"expected a number of claims, or a share as 10%, got {text}") from None
 
 
-def _seconds(text: str) -> float:
+def seconds(text: str) -> float:
+    """Return the time that `--max-run` names."""
     try:
         value = float(text)
     except ValueError:

@@ -15,7 +15,7 @@ import serial
 
 import servotap
 from analyzer.records import CanFrame
-from conformance.pytest_plugin import fixtures, plugin, reports
+from conformance.pytest_plugin import fixtures, plan, plugin, reports
 from conformance.suite.record import VerdictRecord
 
 
@@ -198,8 +198,17 @@ def test_a_word_at_servo_on_names_a_drive_of_a_profile(drives, places, became):
 
 @pytest.mark.parametrize(("outcomes", "status"), [(["not run"], 10), (["inconclusive"], 10), (["confirmed", "not run"], 0)])
 def test_a_run_in_which_no_claim_has_a_verdict_is_no_success(outcomes, status):
-    config = SimpleNamespace(stash=pytest.Stash(), getoption=lambda name: "50%")
+    defaults = {f"servotap_{name.replace('-', '_')}": about["default"] for name, about in plugin.OPTIONS}
+    config = SimpleNamespace(stash=pytest.Stash(), getoption=defaults.__getitem__)
     common = dict.fromkeys(("id", "target", "theme", "dialect", "statement", "section", "certainty", "refuted_by"), "")
     records = [VerdictRecord(outcome=outcome, **common) for outcome in outcomes]
     reports.judge(config, [msgspec.json.encode(record).decode() for record in records])
     assert config.stash.get(plugin.STATUS, 0) == status
+
+
+@pytest.mark.parametrize(("option", "said"), [("max_run", "nan"), ("max_run", "-1"), ("max_inconclusive", "nan")])
+def test_an_option_that_servotap_test_refuses_is_wrong_use_here_too(option, said):
+    options = {f"servotap_{name.replace('-', '_')}": about["default"] for name, about in plugin.OPTIONS}
+    config = SimpleNamespace(getoption=(options | {f"servotap_{option}": said}).__getitem__)
+    with pytest.raises(pytest.UsageError, match=f"--{option.replace('_', '-')}: expected .*, got {said}"):
+        plan.arguments_of(config)
