@@ -35,6 +35,7 @@ LAYERS = (
     ("analyzer.devices",),
     ("analyzer.live",),
     ("analyzer.cli", "analyzer.view", "analyzer.__main__"),
+    ("analyzer.fleet",),
     ("conformance.claim", "conformance"),
     ("conformance.drives",),
     ("conformance.bus",),

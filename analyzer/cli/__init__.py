@@ -41,6 +41,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "catalogue": ("analyzer.cli.catalogue", "show reference pages of the dialects and errata of their manuals"),
     "dbc": ("analyzer.cli.dbc", "print the commands of a CAN dialect as a DBC file for other tools"),
     "wireshark": ("analyzer.cli.wireshark", "print a dissector for Wireshark, made from the manuals"),
+    "ingest": ("analyzer.fleet.cli.ingest", "take the captures of a fleet into one lake of tables"),
+    "ask": ("analyzer.fleet.cli.ask", "ask a lake in SQL"),
+    "compact": ("analyzer.fleet.cli.compact", "join the small files of a lake, and remove what no table needs"),
     "completion": ("analyzer.cli.completion", "print what makes your shell complete these commands"),
 }
 GROUP = "servotap.commands"
@@ -56,6 +59,7 @@ _PURPOSES: dict[str, tuple[str, ...]] = {
     "record": ("record", "tap", "ports", "recover", "cut", "merge", "export"),
     "drive": ("scan", "init", "send", "stop", "frame", "replay", "emulate"),
     "test": ("test", "check", "rerun", "restore"),
+    "fleet": ("ingest", "ask", "compact"),
 }
 
 _EPILOG = """\

@@ -122,9 +122,9 @@ class _Sinks:
 
         def make() -> tuple[McapLog | ParquetTables, Summary]:
             if isinstance(output, OutputFolder):
-                from analyzer.sinks.parquet import ParquetTables
+                from analyzer.sinks.parquet import ParquetTables, files_in
 
-                return ParquetTables(output.part, source.clock), Summary()
+                return ParquetTables(files_in(output.part), source.clock), Summary()
             byte_ns, bit_ns = options.byte_ns, options.synthetic_bit_ns
             file = McapFile(output.stream, profile=PROFILE, library=LIBRARY, packer=self._workers)
             return McapLog(file, byte_ns=byte_ns, bit_ns=bit_ns, clock=source.clock), Summary()

@@ -12,9 +12,9 @@ frames of a block become columns at once; all others become rows, and each table
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 import numpy as np
@@ -46,16 +46,49 @@ _SECOND = 1_000_000_000
 _LONG = 64
 
 
-class _Table:
-    """A table: rows that were taken one by one, columns of many, and the file that both go to."""
+class Target(Protocol):
+    """What takes the rows of one table, some at a time and in order."""
 
-    def __init__(self, path: Path, schema: pyarrow.Schema, choices: Mapping[str, Field]) -> None:
+    def write(self, rows: pyarrow.Table) -> None:
+        """Take the next rows."""
+
+    def close(self) -> None:
+        """Take the end of the table; a table may have no rows."""
+
+
+class File:
+    """A Parquet file of one table; a table without rows leaves none."""
+
+    def __init__(self, path: Path, schema: pyarrow.Schema) -> None:
+        self._path = path
+        self._schema = schema
+        self._writer: Any = None
+
+    def write(self, rows: pyarrow.Table) -> None:
+        """Write the next rows as one row group."""
+        if self._writer is None:
+            # A name that is no UTF-8 is none for pyarrow.
+            self._stream = self._path.open("wb")
+            parquet = needed("pyarrow.parquet")
+            self._writer = parquet.ParquetWriter(self._stream, self._schema, compression="zstd", compression_level=1)
+        self._writer.write_table(rows)
+
+    def close(self) -> None:
+        """End the file."""
+        if self._writer is not None:
+            self._writer.close()
+            self._stream.close()
+
+
+class _Table:
+    """A table: rows that were taken one by one, columns of many, and what both go to."""
+
+    def __init__(self, target: Target, schema: pyarrow.Schema, choices: Mapping[str, Field]) -> None:
         self.schema = schema
         self.choices = choices
         self.rows: list[dict[str, Any]] = []
-        self._path = path
+        self._target = target
         self._batches: list[pyarrow.Table] = []
-        self._writer: Any = None
 
     def add(self, columns: Mapping[str, Any], count: int) -> None:
         """Take many rows; a column that is not given is empty."""
@@ -65,7 +98,7 @@ class _Table:
 
     def write(self) -> None:
         """Write what is held, in order."""
-        pa, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+        pa = needed("pyarrow")
         mixed = bool(self._batches)
         if self.rows:
             self._batches.append(pa.Table.from_pylist(self.rows, schema=self.schema))
@@ -77,26 +110,25 @@ class _Table:
         if mixed:
             order = np.argsort(whole["sequence"].to_numpy(), kind="stable")
             whole = whole.take(pa.array(order)) if (np.diff(order) < 0).any() else whole
-        if self._writer is None:
-            # A name that is no UTF-8 is none for pyarrow.
-            self._stream = self._path.open("wb")
-            self._writer = parquet.ParquetWriter(self._stream, self.schema, compression="zstd", compression_level=1)
-        self._writer.write_table(whole)
+        self._target.write(whole)
 
     def close(self) -> None:
-        """Write the rest, and end the file."""
+        """Write the rest, and end the table."""
         self.write()
-        if self._writer is not None:
-            self._writer.close()
-            self._stream.close()
+        self._target.close()
+
+
+def files_in(folder: Path) -> Callable[[str, pyarrow.Schema], Target]:
+    """Return what gives each table its file in a folder that exists."""
+    return lambda name, schema: File(folder / f"{name}.parquet", schema)
 
 
 class ParquetTables:
-    """A sink that writes tables into a folder that exists. `clock`: what its times are."""
+    """A sink that makes tables. `target`: gives what takes a table, by its name and schema; `clock`: what the times are."""
 
-    def __init__(self, folder: Path, clock: Clock = Clock.UTC) -> None:
+    def __init__(self, target: Callable[[str, pyarrow.Schema], Target], clock: Clock = Clock.UTC) -> None:
         pa = self._pa = needed("pyarrow")
-        self._folder = folder
+        self._target = target
         self._time = pa.timestamp("ns", "UTC" if clock is Clock.UTC else None)
         self._tables: dict[str, _Table] = {}
         self._plain: Plain | None = None
@@ -263,7 +295,8 @@ class ParquetTables:
         """End the files; the folder is whole after this."""
         self._settle()
         pa = self._pa
-        about = _Table(self._folder / "metadata.parquet", pa.schema({"name": pa.string(), "value": pa.string()}), {})
+        schema = pa.schema({"name": pa.string(), "value": pa.string()})
+        about = _Table(self._target("metadata", schema), schema, {})
         about.rows += [{"name": name, "value": text} for name, text in metadata.items()]
         for table in (*self._tables.values(), about):
             table.close()
@@ -345,5 +378,5 @@ class ParquetTables:
         pa = self._pa
         place = [("time", self._time), ("bus", pa.string()), ("address", pa.int64()), ("sequence", pa.int64())]
         schema = pa.schema([*(pa.field(*each) for each in place), *own], metadata=dict(about or {}))
-        table = self._tables[name] = _Table(self._folder / f"{name}.parquet", schema, choices or {})
+        table = self._tables[name] = _Table(self._target(name, schema), schema, choices or {})
         return table

@@ -28,7 +28,7 @@ SECOND = 1_000_000_000
 DAY = 86_400 * SECOND
 _EPOCH_DAY = date(1970, 1, 1).toordinal()
 #: Times between these are of the epoch; others count from a beginning of their own.
-_EPOCH_FROM, _EPOCH_TO = 365 * DAY, 7 * 10**18
+DATED = 365 * DAY, 7 * 10**18
 #: Digits of a number that is a time.
 _DIGITS = 24
 _POWERS: tuple[int, ...] = tuple(10**n for n in range(10))
@@ -146,7 +146,7 @@ class Clock(StrEnum):
 
 def is_dated(t_ns: int) -> bool:
     """Say whether a time is of the epoch, and not since some beginning."""
-    return _EPOCH_FROM < t_ns < _EPOCH_TO
+    return DATED[0] < t_ns < DATED[1]
 
 
 def is_estimated(time_source: str) -> bool:

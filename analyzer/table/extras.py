@@ -15,6 +15,7 @@ _EXTRAS = {
     "polars": "polars",
     "matplotlib": "servotap[plot]",
     "cantools": "servotap[dbc]",
+    **dict.fromkeys(("dask", "deltalake", "distributed", "duckdb", "fsspec"), "servotap[fleet]"),
 }
 
 

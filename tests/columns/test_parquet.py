@@ -33,7 +33,7 @@ MKS = dialects.get("mks-can")
 
 def written(items, folder, dialect, ports=()):
     folder.mkdir()
-    sink, log = tables.ParquetTables(folder), io.BytesIO()
+    sink, log = tables.ParquetTables(tables.files_in(folder)), io.BytesIO()
     kept = McapLog(log)
     Pipeline([dialect], [sink, kept], Options()).run(items)
     sink.finish({"source": "made"})

@@ -1,0 +1,111 @@
+"""Questions to a lake: SQL by DuckDB over its tables, of which only the columns and files that matter are read.
+
+A table of messages is `"mks-can".read_speed_reply`, or mks_can.read_speed_reply; all others have their own names.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from analyzer.errors import UsageError
+from analyzer.fleet.lake import CAPTURES, Lake
+from analyzer.table.extras import needed
+from analyzer.values import near, printable
+
+if TYPE_CHECKING:
+    import duckdb
+    import pyarrow.dataset
+
+
+def sql_name(table: str) -> str:
+    """Return the name of a table in SQL: messages/mks-can/read_speed/reply is mks_can.read_speed_reply."""
+    parts = table.replace("@", "_v").split("/")
+    return table.replace("@", "_v") if len(parts) == 1 else f"{parts[1].replace('-', '_')}.{'_'.join(parts[2:])}"
+
+
+class Column(NamedTuple):
+    """A column of a table for people."""
+
+    name: str
+    kind: str
+    unit: str
+    note: str
+
+
+class Question:
+    """A lake that is asked. Batches that are not in all tables yet are left out."""
+
+    def __init__(self, lake: Lake) -> None:
+        self.lake = lake
+        self.tables = {sql_name(table): table for table in lake.tables()}
+        self._pending = [batch for batch, _ in lake.pending()]
+
+    def dataset(self, table: str) -> pyarrow.dataset.Dataset:
+        """Return a table as a dataset of Arrow, with what is in all tables alone. Raises UsageError for no table."""
+        name = self.tables.get(table, table)
+        if name not in self.tables.values():
+            raise UsageError(
+                f"no table {printable(table)}{near(table, self.tables)} (servotap ask {self.lake.place.url} lists them)"
+            )
+        found: pyarrow.dataset.Dataset = self.lake.open(name).to_pyarrow_dataset()
+        if self._pending:
+            compute = needed("pyarrow.compute")
+            if name == CAPTURES:
+                return found.filter(~compute.field("batch").isin(self._pending))
+            rows = self.lake.rows("capture", "batch")
+            hidden = needed("pyarrow").array([row["capture"] for row in rows if row["batch"] in self._pending], "string")
+            return found.filter(~compute.field("capture").isin(hidden))
+        return found
+
+    def sql(self, query: str) -> duckdb.DuckDBPyRelation:
+        """Return the answer to a query. Raises UsageError for what is none, or names no table."""
+        duck = needed("duckdb")
+        connection = duck.connect()
+        try:
+            parsed = json.loads(connection.execute("select json_serialize_sql(?)", [query]).fetchall()[0][0])
+            if parsed["error"]:
+                raise UsageError(f"the question cannot be read: {printable(parsed['error_message'])}")
+            named = set(_named(parsed, "schema_name", "table_name"))
+            own = {name for _, name in _named(parsed, "", "key")}
+            for schema, name in sorted(named):
+                if schema or name not in own:
+                    self._offer(connection, schema, name)
+            answer: duckdb.DuckDBPyRelation = connection.sql(query)
+        except duck.Error as error:
+            raise UsageError(f"the question cannot be answered: {printable(str(error))}") from None
+        return answer
+
+    def _offer(self, connection: Any, schema: str, name: str) -> None:
+        """Make a table of the lake one of a connection. Raises UsageError where the lake has none of that name."""
+        full = f"{schema.replace('-', '_')}.{name}" if schema else name
+        if full not in self.tables:
+            raise UsageError(
+                f"no table {printable(full)}{near(full, self.tables)} (servotap ask {self.lake.place.url} lists them)"
+            )
+        source = f"lake {full}"
+        connection.register(source, self.dataset(full))
+        place = f'"{schema}".' if schema else ""
+        if schema:
+            connection.execute(f'create schema if not exists "{schema}"')
+        connection.execute(f'create view {place}"{name}" as select * from "{source}"')
+
+    def columns(self, table: str) -> Iterator[Column]:
+        """Yield the columns of a table."""
+        for each in self.lake.open(self.tables[table]).schema().fields:
+            about = each.metadata or {}
+            kind = str(getattr(each.type, "type", each.type))
+            yield Column(each.name, kind, str(about.get("unit", "")), str(about.get("note", "")))
+
+
+def _named(tree: Any, schema: str, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the tables that a parsed query names: those of the lake, or with no schema those that it makes itself (`with`)."""
+    if isinstance(tree, dict):
+        if name in tree and (tree.get("type") == "BASE_TABLE" or not schema):
+            yield tree.get(schema, ""), tree[name]
+        for each in tree.values():
+            yield from _named(each, schema, name)
+    elif isinstance(tree, list):
+        for each in tree:
+            yield from _named(each, schema, name)

@@ -1,0 +1,98 @@
+"""Ask a lake in SQL (DuckDB); without a question, list its tables, columns and units."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from analyzer.cli.option_types import positive
+from analyzer.cli.output import whole
+from analyzer.errors import UsageError
+from analyzer.fleet.ask import Question
+from analyzer.fleet.cli.stores import add_store_argument, place
+from analyzer.fleet.lake import Lake
+from analyzer.table.extras import needed
+from analyzer.values import printable
+
+EXAMPLES = """\
+examples:
+  servotap ask lake/                                           tables
+  servotap ask lake/ mks_can.read_speed_reply                  columns of one, with units
+  servotap ask lake/ "select machine, count(*) from captures group by machine"
+  servotap ask lake/ "select * from findings where date > '2026-11-01'" -o findings.parquet
+  servotap ask s3://plant/lake "from states limit 5" --store endpoint_url=http://minio:9000
+"""
+_SUFFIXES = (".csv", ".parquet")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("lake", metavar="LAKE", help="a folder, or s3://, gs://, abfs://")
+    parser.add_argument("query", nargs="?", metavar="SQL", help="a query, or the name of a table")
+    parser.add_argument("-o", "--output", metavar="FILE", help="write the answer to FILE.csv or FILE.parquet")
+    parser.add_argument("--force", action="store_true", help="replace a file that exists")
+    parser.add_argument("--rows", type=positive, default=100, metavar="N", help="rows that are shown at most (default 100)")
+    add_store_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Answer; return 0."""
+    for package in ("pyarrow", "deltalake", "duckdb"):
+        needed(package)
+    target = None if arguments.output is None else Path(arguments.output)
+    if target is not None and target.suffix not in _SUFFIXES:
+        raise UsageError(f"-o {target}: expected a name that ends in {' or '.join(_SUFFIXES)}")
+    if target is not None and target.exists() and not arguments.force:
+        raise UsageError(f"{target} exists; --force replaces it")
+    question = Question(Lake(place(arguments.lake, arguments)))
+    query = arguments.query
+    if query is None:
+        _show(["table", "columns"], [[name, str(len(list(question.columns(name))))] for name in question.tables])
+    elif query in question.tables and target is None:
+        _show(["column", "type", "unit", "note"], [list(each) for each in question.columns(query)])
+    elif target is None:
+        answer = question.sql(query)
+        rows = answer.limit(arguments.rows + 1).to_arrow_table().to_pylist()
+        _show(answer.columns, [[_text(value) for value in row.values()] for row in rows[: arguments.rows]])
+        if len(rows) > arguments.rows:
+            print(f"the first {arguments.rows} rows are shown: --rows N shows more, -o FILE.csv writes all", file=sys.stderr)
+    else:
+        _write(question, f"from {query}" if query in question.tables else query, target)
+    return 0
+
+
+def _write(question: Question, query: str, target: Path) -> None:
+    reader: Any = question.sql(query).to_arrow_reader(1 << 16)
+    with whole(target) as stream:
+        if target.suffix == ".csv":
+            writer = needed("pyarrow.csv").CSVWriter(stream, reader.schema)
+        else:
+            writer = needed("pyarrow.parquet").ParquetWriter(stream, reader.schema, compression="zstd")
+        with writer:
+            for batch in reader:
+                writer.write_batch(batch)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, datetime):
+        return value.isoformat()
+    return "" if value is None else printable(", ".join(map(str, value)) if isinstance(value, list) else str(value))
+
+
+def _show(names: list[str], rows: list[list[str]]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    from analyzer.cli.console import Console
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in names:
+        table.add_column(printable(name), overflow="fold")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console(highlight=False, width=None if sys.stdout.isatty() else 160).print(table)

@@ -1,0 +1,28 @@
+"""What the commands about lakes share: stores and their options."""
+
+from __future__ import annotations
+
+import argparse
+
+from analyzer.errors import UsageError
+from analyzer.fleet.place import Place
+from analyzer.values import quote
+
+
+def add_store_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the option for what a store needs."""
+    parser.add_argument(
+        "--store", action="append", default=[], metavar="NAME=VALUE",
+        help="an option of fsspec for buckets and servers, as endpoint_url=http://minio:9000; may be repeated",
+    )  # fmt: skip
+
+
+def place(url: str, arguments: argparse.Namespace) -> Place:
+    """Return a place with the options that the user gave. Raises UsageError."""
+    options = {}
+    for word in arguments.store:
+        name, equals, value = word.partition("=")
+        if not equals or not name.isidentifier():
+            raise UsageError(f"--store {quote(word)}: expected NAME=VALUE, as endpoint_url=http://minio:9000")
+        options[name] = value
+    return Place(url, options if "://" in url and not url.startswith("file://") else {})

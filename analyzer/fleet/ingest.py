@@ -1,0 +1,235 @@
+"""Take captures into a lake: find them, share them out to workers, commit batch by batch.
+
+    files -> not known by place and mark -> tasks of one machine -> workers -> batches -> one commit each
+
+Rules: the client alone commits. A worker that dies takes its task with it, which another one begins anew. A task that kills
+workers is split until the capture that does it is alone; that one is noted as failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import re
+import time
+import uuid
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import date
+from typing import Any
+
+from analyzer.cli.signals import Interrupt
+from analyzer.errors import UsageError
+from analyzer.fleet.lake import Lake
+from analyzer.fleet.place import Place
+from analyzer.fleet.rows import TAKEN, Taken, Work, take
+from analyzer.table.extras import needed
+from analyzer.values import quote
+
+#: A task has at most so many bytes, or one capture; and so many captures.
+TASK_BYTES, TASK_FILES = 64 << 20, 200
+#: A batch is committed after so many bytes or seconds.
+BATCH_BYTES, BATCH_SECONDS = 1 << 30, 60.0
+#: Workers that a task may take with it before it is split.
+DEATHS = 2
+_PARTS = {"machine": r"(?P<machine>[^/]+)", "date": r"(?P<date>\d{4}-?\d\d-?\d\d)", "**": r".*", "*": r"[^/]*"}
+_PART = re.compile(r"\{(\w+)\}|\*\*|\*")
+
+
+class Pattern:
+    """What the path of a capture says of its machine and date: `{machine}/{date}/*`. Raises UsageError for no such pattern."""
+
+    def __init__(self, text: str) -> None:
+        found, place = "", 0
+        for part in _PART.finditer(text):
+            name = part[1] or part[0]
+            if name not in _PARTS:
+                raise UsageError(f"--machine {quote(text)}: expected {{machine}}, {{date}}, * and **, got {{{name}}}")
+            found += re.escape(text[place : part.start()]) + _PARTS[name]
+            place = part.end()
+        if text.count("{machine}") > 1 or text.count("{date}") > 1:
+            raise UsageError(f"--machine {quote(text)}: expected each of {{machine}} and {{date}} once")
+        self._regex = re.compile(found + re.escape(text[place:]))
+
+    def read(self, name: str) -> tuple[str, date | None]:
+        """Return machine and date of a path, "" and None where it does not say."""
+        found = self._regex.fullmatch(name)
+        said = {} if found is None else found.groupdict()
+        day = None
+        with contextlib.suppress(ValueError):
+            day = date.fromisoformat(said.get("date") or "")
+        return said.get("machine") or "", day
+
+
+@dataclass
+class Outcome:
+    """What an ingest has done so far, in captures and bytes. `files`: found; `wanted`, `size`: those that are to be read.
+
+    `unread`: what could not be taken, with the reason.
+    """
+
+    files: int = 0
+    wanted: int = 0
+    size: int = 0
+    done: int = 0
+    read: int = 0
+    frames: int = 0
+    new: int = 0
+    known: int = 0
+    unread: list[tuple[str, str]] = field(default_factory=list)
+    batches: int = 0
+    recovered: int = 0
+    notes: list[str] = field(default_factory=list)
+
+    def told(self) -> str:
+        """Say how far it is."""
+        failed = f", {len(self.unread):,} not read" if self.unread else ""
+        return f"ingesting {self.wanted:,} captures, {self.done:,} done{failed}"
+
+    def as_object(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        unread = [{"name": name, "reason": reason} for name, reason in self.unread]
+        return {"files": self.files, "bytes": self.read, "frames": self.frames, "new": self.new, "known": self.known,
+                "batches": self.batches, "recovered": self.recovered, "unread": unread, "notes": self.notes}  # fmt: skip
+
+
+def works(sources: Sequence[Place], lake: Lake, pattern: Pattern | None, retry: bool, outcome: Outcome) -> list[Work]:
+    """Return the captures to take: those of the sources of which the lake does not know place, size and mark already."""
+    rows = lake.rows("capture", "status", "source", "name", "size", "mark")
+    there = {
+        (row["source"], row["name"], row["size"], row["mark"]) for row in rows if not (retry and row["status"] not in TAKEN)
+    }
+    known: dict[int, set[str]] = {}
+    for row in rows:
+        if row["status"] in TAKEN or not retry:
+            known.setdefault(row["size"], set()).add(row["capture"])
+    found = []
+    for source in sources:
+        for each in source.files():
+            outcome.files += 1
+            if (source.url, each.name, each.size, each.mark) in there:
+                outcome.known += 1
+                continue
+            machine, day = pattern.read(each.name) if pattern is not None else ("", None)
+            found.append(Work(source, each, machine, day, frozenset(known.get(each.size, ()))))
+    outcome.wanted = len(found)
+    outcome.size = sum(work.found.size for work in found)
+    return found
+
+
+def tasks(found: Sequence[Work]) -> list[list[Work]]:
+    """Share captures out: those of one machine and day stand together, the greatest tasks come first."""
+    shared: list[list[Work]] = []
+    size, before = 0, None
+    for work in sorted(found, key=lambda each: (each.machine, str(each.date), each.found.name)):
+        own = (work.machine, work.date)
+        size += work.found.size
+        if not shared or own != before or size > TASK_BYTES or len(shared[-1]) >= TASK_FILES:
+            shared.append([])
+            size, before = work.found.size, own
+        shared[-1].append(work)
+    return sorted(shared, key=lambda task: -sum(work.found.size for work in task))
+
+
+@contextlib.contextmanager
+def workers(scheduler: str, count: int) -> Iterator[Any]:
+    """Yield a client of Dask: of a scheduler that runs (`tcp://…`), or of processes of this machine."""
+    distributed = needed("distributed")
+    if scheduler == "local":
+        # A worker that has died is noticed after seconds, not minutes.
+        needed("dask").config.set({"distributed.comm.timeouts.connect": "10s"})
+        cluster: Any = distributed.LocalCluster(
+            n_workers=count, threads_per_worker=1, processes=True, dashboard_address=_dashboard(), silence_logs=40
+        )
+    else:
+        cluster = contextlib.nullcontext(scheduler)
+    with cluster as address:
+        try:
+            client = distributed.Client(address, timeout=30)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise UsageError(f"--scheduler {scheduler}: no scheduler of Dask answers there: {error}") from None
+        with client:
+            yield client
+
+
+def _dashboard() -> str | None:
+    """Return where Dask's dashboard is to be; None where bokeh, which it needs, is not installed."""
+    from importlib.util import find_spec
+
+    return ":0" if find_spec("bokeh") else None
+
+
+class Ingest:
+    """An ingest that runs. `options`: of reading, as `decode` has them; `interrupt`: a signal ends it between two commits."""
+
+    def __init__(self, lake: Lake, options: argparse.Namespace, outcome: Outcome, interrupt: Interrupt) -> None:
+        self.lake, self._options, self.outcome, self._interrupt = lake, options, outcome, interrupt
+        self._waiting: list[Taken] = []
+        self._since = time.monotonic()
+
+    def run(self, client: Any, found: Sequence[Work]) -> None:
+        """Take captures. What was taken when a signal ends this is committed."""
+        distributed = needed("distributed")
+        running: dict[Any, list[Work]] = {}
+        left = tasks(found)[::-1]
+        most = 2 * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+        ended = distributed.as_completed()
+        while left or running:
+            while left and len(running) < most:
+                self._begin(client, left.pop(), running, ended)
+            try:
+                future = self._interrupt.opened(ended.next)
+            except KeyboardInterrupt:
+                client.cancel(list(running), force=True)
+                break
+            left += self.ended(running.pop(future), future)
+            future.release()
+            if sum(each.read for each in self._waiting) >= BATCH_BYTES or time.monotonic() - self._since >= BATCH_SECONDS:
+                self.commit()
+        self.commit()
+
+    def _begin(self, client: Any, task: list[Work], running: dict[Any, list[Work]], ended: Any) -> None:
+        future = client.submit(take, task, self.lake.place, self._options, pure=False)
+        running[future] = task
+        ended.add(future)
+
+    def ended(self, task: list[Work], future: Any) -> list[list[Work]]:
+        """Take what a task brought. Return the tasks that come in its place where it failed."""
+        if future.status == "finished":
+            self._take(future.result())
+            return []
+        return self._failed(task, future)
+
+    def _failed(self, task: list[Work], future: Any) -> list[list[Work]]:
+        error = future.exception()
+        if len(task) > 1:
+            middle = len(task) // 2
+            return [task[:middle], task[middle:]]
+        if isinstance(error, OSError):
+            raise UsageError(f"{self.lake.place.url} cannot be written: {error.strerror or error}") from None
+        work, reason = task[0], f"its worker died or failed: {type(error).__name__}"
+        self._take(Taken([work.row(status="failed", reason=reason)], read=work.found.size))
+        return []
+
+    def _take(self, taken: Taken) -> None:
+        outcome = self.outcome
+        self._waiting.append(taken)
+        outcome.done += len(taken.captures)
+        outcome.read += taken.read
+        outcome.frames += taken.frames
+        for row in taken.captures:
+            if row["status"] not in TAKEN and row["status"] != "known":
+                outcome.unread.append((row["name"], row["reason"]))
+
+    def commit(self) -> None:
+        """Commit what has come."""
+        if self._waiting:
+            new = self.lake.commit(uuid.uuid4().hex, self._waiting)
+            self.outcome.new += new
+            self.outcome.known += (
+                sum(row["status"] in (*TAKEN, "known") for each in self._waiting for row in each.captures) - new
+            )
+            self.outcome.batches += 1
+            self._waiting = []
+        self.outcome.notes = self.lake.notes
+        self._since = time.monotonic()

@@ -1,0 +1,298 @@
+"""The lake: tables of Delta Lake in one place, and how a batch of captures comes into all of them or into none.
+
+    lake/captures               a row for each content: what became of it
+    lake/states, findings, ...  a table each, messages/<dialect>/<command>/<role> too
+    lake/journal/<batch>.json   a batch that is being committed: the files of all tables
+
+Delta commits one table at a time. So a batch is committed in this order:
+
+1. Its data files lie in the lake; no table knows of them.
+2. The journal names them all.
+3. `captures` takes the rows of the batch. From here on the batch counts. This commit succeeds only if nobody else committed
+   since the table was read. Who comes second looks again, and leaves out what the first has taken: no content comes twice.
+4. All other tables take their files; each remembers the batch, so that no file is taken twice. The journal is removed.
+
+A client that dies before 3 leaves files that nobody knows (`compact` removes them). One that dies in 4 is followed by the
+next ingest, which goes on by the journal. Who asks leaves out batches of which a journal stands.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.fleet.place import Place, again
+from analyzer.fleet.rows import PARTITIONS, TAKEN, UNSEEN, Added, Taken, captures_schema, only
+from analyzer.table.extras import needed
+
+if TYPE_CHECKING:
+    import deltalake
+    import pyarrow
+
+CAPTURES = "captures"
+JOURNAL = "journal"
+#: A later version of a table, of which a column has another meaning.
+_VERSION = "@"
+#: Protocols of stores that Delta Lake can commit to, by their names for it.
+_STORES = {
+    "file": "",
+    "local": "",
+    "s3": "s3",
+    "s3a": "s3",
+    "gs": "gs",
+    "gcs": "gs",
+    "abfs": "abfss",
+    "abfss": "abfss",
+    "az": "az",
+}
+#: fsspec's options for a store -> those of Delta Lake.
+_OPTIONS = {"key": "aws_access_key_id", "secret": "aws_secret_access_key", "token": "aws_session_token"}
+_OPTIONS |= {"endpoint_url": "aws_endpoint_url", "region_name": "aws_region"}
+#: A row of `captures` that another one replaces: of the same content, or of a place that could not be read.
+_SAME = f"old.capture = new.capture or (old.capture like '{UNSEEN}%' and old.source = new.source and old.name = new.name)"
+#: Least and greatest values stand in the Parquet files. A log that had those of some columns would make readers lose rows.
+_SETTINGS = {"delta.dataSkippingNumIndexedCols": "0"}
+#: Losses of a race for one commit, one after the other, after which something else must be wrong.
+_RACES = 1000
+
+
+class Lake:
+    """A lake. `make`: make it where there is none; without it, raises UnreadableError for what is no lake."""
+
+    def __init__(self, place: Place, *, make: bool = False) -> None:
+        self.place = place
+        self._delta = needed("deltalake")
+        protocol = place.url.partition("://")[0] if "://" in place.url else "file"
+        if protocol not in _STORES:
+            stores = ", ".join(sorted({f"{name}://" for name in _STORES if name not in ("file", "local")}))
+            raise UsageError(f"{place.url}: a lake can be in a folder or at {stores}; {protocol}:// cannot commit")
+        scheme = _STORES[protocol]
+        self._base = f"{scheme}://{place.root}" if scheme else place.root
+        self._options = _store_options(place.options) if scheme else None
+        #: Versions of tables that came up because a column changed its meaning, in words.
+        self.notes: list[str] = []
+        self._known: dict[str, str] = {}
+        self._seen = -1
+        self._open: dict[str, deltalake.DeltaTable] = {}
+        if make:
+            self.table(CAPTURES, captures_schema(), ())
+        elif not self._exists(CAPTURES):
+            raise UnreadableError(f"{place.url} is no lake: make one with servotap ingest CAPTURES --to {place.url}")
+
+    # --- tables ---------------------------------------------------------------------------------------------------
+
+    def _uri(self, table: str) -> str:
+        return f"{self._base}/{table}"
+
+    def _exists(self, table: str) -> bool:
+        found: bool = self._delta.DeltaTable.is_deltatable(self._uri(table), storage_options=self._options)
+        return found
+
+    def open(self, table: str) -> deltalake.DeltaTable:
+        """Return a table as it is now."""
+        opened = self._open.get(table)
+        if opened is None:
+            opened = self._open[table] = self._delta.DeltaTable(self._uri(table), storage_options=self._options)
+        else:
+            opened.update_incremental()
+        return opened
+
+    def table(self, name: str, schema: pyarrow.Schema, partitions: Sequence[str] = PARTITIONS) -> deltalake.DeltaTable:
+        """Return a table, made if it is not there."""
+        pa = needed("pyarrow")
+        if name not in self._open and not self._exists(name):
+            kinds = {"date": pa.date32()}
+            whole = pa.schema([*schema, *(pa.field(each, kinds.get(each, pa.string())) for each in partitions)])
+            self._delta.DeltaTable.create(
+                self._uri(name),
+                schema=self._delta.Schema.from_arrow(whole),
+                partition_by=list(partitions) or None,
+                mode="ignore",
+                configuration=_SETTINGS,
+                storage_options=self._options,
+            )
+        return self.open(name)
+
+    def tables(self) -> list[str]:
+        """Return the names of all tables, `captures` first."""
+        place = self.place
+        place.fs.invalidate_cache()
+        found = []
+        for depth in ("*", "*/*/*/*"):
+            for path in again(lambda depth=depth: place.fs.glob(place.path(f"{depth}/_delta_log"))):  # type: ignore[misc]
+                found.append(path[len(place.root) :].strip("/").removesuffix("/_delta_log"))
+        return sorted(found, key=lambda name: (name != CAPTURES, name.startswith("messages/"), name))
+
+    def fitting(self, name: str, schema: pyarrow.Schema) -> str:
+        """Return the version of a table that a schema fits, with columns added that are new.
+
+        A column of the same name and another unit or type is of another version: `states`, `states@2`, ...
+        """
+        for number in range(1, 1000):
+            table = name if number == 1 else f"{name}{_VERSION}{number}"
+            is_new = table not in self._open and not self._exists(table)
+            opened = self.table(table, schema)
+            if is_new and number > 1:
+                self.notes.append(f"{name}: a column has another unit or type than before; its rows go to {table}")
+            there = {each.name: each for each in opened.schema().fields}
+            wanted = list(self._delta.Schema.from_arrow(schema).fields)
+            if all(_alike(there[each.name], each) for each in wanted if each.name in there):
+                new = [each for each in wanted if each.name not in there]
+                if new:
+                    opened.alter.add_columns(new)
+                return table
+        raise UsageError(f"{name} has too many versions")
+
+    # --- commits --------------------------------------------------------------------------------------------------
+
+    def rows(self, *columns: str) -> list[dict[str, Any]]:
+        """Return some columns of all captures."""
+        found: list[dict[str, Any]] = self.open(CAPTURES).to_pyarrow_dataset().to_table(columns=list(columns)).to_pylist()
+        return found
+
+    def known(self) -> Mapping[str, str]:
+        """Return SHA-256 -> status of all captures."""
+        opened = self.open(CAPTURES)
+        if opened.version() != self._seen:
+            self._known = {row["capture"]: row["status"] for row in self.rows("capture", "status")}
+            self._seen = opened.version()
+        return self._known
+
+    def commit(self, batch: str, tasks: Sequence[Taken]) -> int:
+        """Commit what some tasks took as one batch: all of it or nothing. Return how many captures it brought into the tables.
+
+        Content that others have committed since, or that comes twice, is left out.
+        """
+        for _ in range(_RACES):
+            known = self.known()
+            fresh: dict[str, dict[str, Any]] = {}
+            files: list[Added] = []
+            for task in tasks:
+                rows = {row["capture"]: row for row in task.captures if _is_new(row, known) and row["capture"] not in fresh}
+                fresh |= rows
+                files += only(self.place, task.added, rows.keys())
+            if not fresh:
+                return 0
+            entries = self._entries(files)
+            self.place.write(f"{JOURNAL}/{batch}.json", msgspec.json.encode(entries))
+            if self._commit_captures(batch, list(fresh.values()), known):
+                self._settle(batch, entries)
+                return sum(row["status"] in TAKEN for row in fresh.values())
+            self.place.remove(f"{JOURNAL}/{batch}.json")
+        raise UsageError(f"{self.place.url}: no commit succeeded in {_RACES} attempts: is its store in order?")
+
+    def _entries(self, files: Sequence[Added]) -> dict[str, list[dict[str, Any]]]:
+        """Return what the journal says of files, by table; those of another version are brought to its folder."""
+        versions: dict[tuple[str, bytes], str] = {}
+        entries: dict[str, list[dict[str, Any]]] = {}
+        for each in files:
+            key = (each.table, each.schema.serialize().to_pybytes())
+            table = versions.get(key) or versions.setdefault(key, self.fitting(each.table, each.schema))
+            if table != each.table:
+                self.place.move(f"{each.table}/{each.path}", f"{table}/{each.path}")
+                each.table = table
+            told = {"path": each.path, "size": each.size, "values": each.values, "count": each.count}
+            entries.setdefault(table, []).append(told)
+        return entries
+
+    def _commit_captures(self, batch: str, rows: list[dict[str, Any]], known: Mapping[str, str]) -> bool:
+        pa, delta = needed("pyarrow"), self._delta
+        table = pa.Table.from_pylist([row | {"batch": batch} for row in rows], schema=captures_schema())
+        properties = self._once(batch)
+        opened = self._open[CAPTURES]
+        try:
+            if any(status not in TAKEN for status in known.values()):
+                merge = opened.merge(table, _SAME, source_alias="new", target_alias="old", commit_properties=properties)
+                merge.when_matched_update_all().when_not_matched_insert_all().execute()
+            else:
+                delta.write_deltalake(opened, table, mode="append", commit_properties=properties)
+        except delta.exceptions.CommitFailedError:
+            return False
+        return True
+
+    def _once(self, batch: str) -> Any:
+        """Return the properties of a commit that succeeds only if none came between, and names its batch."""
+        delta = self._delta
+        return delta.CommitProperties(max_commit_retries=0, app_transactions=[delta.Transaction(batch, 1)])
+
+    def _settle(self, batch: str, entries: Mapping[str, list[dict[str, Any]]]) -> None:
+        """Commit the files of a batch to all tables that do not have them, and remove its journal."""
+        for table, files in entries.items():
+            self._commit_files(batch, table, files)
+        self.place.remove(f"{JOURNAL}/{batch}.json")
+
+    def _commit_files(self, batch: str, table: str, files: list[dict[str, Any]]) -> None:
+        actions = [
+            needed("deltalake.transaction").AddAction(
+                each["path"], each["size"], each["values"], 0, True, json.dumps({"numRecords": each["count"]})
+            )
+            for each in files
+        ]
+        for _ in range(_RACES):
+            opened = self.open(table)
+            if opened.transaction_version(batch) is not None:
+                return
+            with contextlib.suppress(self._delta.exceptions.CommitFailedError):
+                opened.create_write_transaction(
+                    actions, "append", opened.schema(), list(PARTITIONS), commit_properties=self._once(batch)
+                )
+                return
+        raise UsageError(f"{self._uri(table)}: no commit succeeded in {_RACES} attempts: is its store in order?")
+
+    # --- batches that are under way ---------------------------------------------------------------------------------
+
+    def pending(self) -> Iterator[tuple[str, dict[str, list[dict[str, Any]]]]]:
+        """Yield the batches that have a journal, with their files by table."""
+        place = self.place
+        place.fs.invalidate_cache()
+        for path in again(lambda: place.fs.glob(place.path(f"{JOURNAL}/*.json"))):
+            name = path.rpartition("/")[2]
+            with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
+                yield name.removesuffix(".json"), json.loads(place.read(f"{JOURNAL}/{name}"))
+
+    def compact(self, days: float) -> tuple[int, int]:
+        """Join small files, and remove those that no table has needed for some days; return how many of both."""
+        joined = removed = 0
+        for name in self.tables():
+            opened = self.open(name)
+            joined += opened.optimize.compact()["numFilesRemoved"]
+            removed += len(opened.vacuum(int(days * 24), dry_run=False, enforce_retention_duration=False, full=True))
+            opened.create_checkpoint()
+            opened.cleanup_metadata()
+        return joined, removed
+
+    def recover(self) -> int:
+        """Finish batches whose client died in the middle; return how many."""
+        finished = 0
+        for batch, entries in list(self.pending()):
+            if self.open(CAPTURES).transaction_version(batch) is not None:
+                self._settle(batch, entries)
+                finished += 1
+        return finished
+
+
+def _is_new(row: Mapping[str, Any], known: Mapping[str, str]) -> bool:
+    """Say whether a row of `captures` brings something: content that is not there, or could not be taken before."""
+    before = known.get(row["capture"], "")
+    return row["status"] != "known" and before not in TAKEN and (row["status"] in TAKEN or before != row["status"])
+
+
+def _alike(there: Any, wanted: Any) -> bool:
+    """Say whether two fields of one name mean the same."""
+    return there.type == wanted.type and (there.metadata or {}).get("unit") == (wanted.metadata or {}).get("unit")
+
+
+def _store_options(options: Mapping[str, Any]) -> dict[str, str]:
+    """Return fsspec's options for a store as Delta Lake has them."""
+    found = {}
+    for name, value in {**options, **options.get("client_kwargs", {})}.items():
+        if name in _OPTIONS:
+            found[_OPTIONS[name]] = str(value)
+    if found.get("aws_endpoint_url", "").startswith("http://"):
+        found["aws_allow_http"] = "true"
+    return found

@@ -1,0 +1,149 @@
+"""Places where captures and lakes are: local folders, buckets, servers, archives. fsspec knows them by their URLs.
+
+Rules: a store may refuse or cut off any call; each is tried again, later each time, before its error counts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import posixpath
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.table.extras import needed
+from analyzer.values import quote
+
+T = TypeVar("T")
+
+#: Attempts at one call, and seconds before the second; each further wait is twice as long.
+ATTEMPTS, FIRST_WAIT = 6, 0.1
+#: What no further attempt changes.
+_FINAL = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
+#: Errors of the system that no further attempt changes: no room, no quota, a read-only place.
+_FULL = frozenset({28, 122, 30})
+
+
+def again(call: Callable[[], T], wait: Callable[[float], None] = time.sleep) -> T:
+    """Return what a call to a store gives, which may fail now and then. Raises its last error."""
+    for attempt in range(ATTEMPTS):
+        try:
+            return call()
+        except _FINAL:
+            raise
+        except OSError as error:
+            if attempt == ATTEMPTS - 1 or error.errno in _FULL:
+                raise
+            wait(FIRST_WAIT * 2**attempt)
+    raise AssertionError
+
+
+@dataclass(frozen=True)
+class Found:
+    """A file at a place. `key`: its path for the store; `name`: below the place; `mark`: changes with its content."""
+
+    key: str
+    name: str
+    size: int
+    mark: str
+    modified: float = 0.0
+
+
+@dataclass
+class Place:
+    """A folder or a file, by path or URL. `options`: for the store, as fsspec takes them."""
+
+    url: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        fsspec = needed("fsspec")
+        try:
+            self.fs, self.root = fsspec.url_to_fs(self.url, **self.options)
+        except (ValueError, ImportError, OSError) as error:
+            raise UsageError(f"{quote(self.url)}: expected a folder, or a URL as s3://bucket/folder: {error}") from None
+        self.local = "file" in ((self.fs.protocol,) if isinstance(self.fs.protocol, str) else self.fs.protocol)
+
+    def path(self, name: str) -> str:
+        """Return the store's path of what has a name below this place."""
+        return posixpath.join(self.root, name) if name else self.root
+
+    def files(self) -> list[Found]:
+        """Return all files below this place, in the order of their names. Raises UnreadableError where it is not there."""
+        # What a listing held is of before; a store that is asked again has to look again.
+        self.fs.invalidate_cache()
+        try:
+            listed: dict[str, dict[str, Any]] = again(lambda: self.fs.find(self.root, detail=True))
+        except OSError as error:
+            raise UnreadableError(f"{self.url} cannot be listed: {error}") from None
+        if not listed and not again(lambda: self.fs.exists(self.root)):
+            raise UnreadableError(f"{self.url} does not exist")
+        found = []
+        for key, about in sorted(listed.items()):
+            name = posixpath.relpath(key, self.root) if key != self.root else posixpath.basename(key)
+            if not any(part.startswith(".") for part in name.split("/")):
+                found.append(_found(key, name, about))
+        return found
+
+    def now(self, found: Found) -> Found:
+        """Return a file as it is now."""
+        self.fs.invalidate_cache(posixpath.dirname(found.key))
+        return _found(found.key, found.name, again(lambda: self.fs.info(found.key)))
+
+    @contextlib.contextmanager
+    def as_file(self, found: Found) -> Iterator[Path]:
+        """Yield a local file with the content of one; a download is removed afterwards."""
+        if self.local:
+            yield Path(found.key)
+            return
+        with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
+            target = Path(folder) / posixpath.basename(found.name)
+            again(lambda: self.fs.get_file(found.key, str(target)))
+            if target.stat().st_size != found.size:
+                raise OSError(f"{found.name}: expected {found.size} bytes, got {target.stat().st_size}")
+            yield target
+
+    def put(self, source: Path, name: str) -> None:
+        """Bring a local file to this place, whole or not at all, and remove it here."""
+        target = self.path(name)
+        if self.local:
+            Path(target).parent.mkdir(parents=True, exist_ok=True)
+            part = Path(f"{target}.part")
+            shutil.move(source, part)
+            part.replace(target)
+        else:
+            again(lambda: self.fs.put_file(str(source), target))
+            source.unlink()
+
+    def write(self, name: str, data: bytes) -> None:
+        """Write a small file, whole or not at all."""
+        with tempfile.NamedTemporaryFile(prefix="servotap-", delete=False) as stream:
+            stream.write(data)
+        self.put(Path(stream.name), name)
+
+    def move(self, name: str, to: str) -> None:
+        """Give a file another name."""
+        again(lambda: self.fs.makedirs(posixpath.dirname(self.path(to)), exist_ok=True))
+        again(lambda: self.fs.mv(self.path(name), self.path(to)))
+
+    def read(self, name: str) -> bytes:
+        """Return a small file."""
+        data: bytes = again(lambda: self.fs.cat_file(self.path(name)))
+        return data
+
+    def remove(self, name: str) -> None:
+        """Remove a file, if it is there."""
+        with contextlib.suppress(FileNotFoundError):
+            again(lambda: self.fs.rm_file(self.path(name)))
+
+
+def _found(key: str, name: str, about: Mapping[str, Any]) -> Found:
+    modified = about.get("mtime") or about.get("LastModified") or about.get("last_modified") or 0
+    seconds = modified.timestamp() if hasattr(modified, "timestamp") else float(modified)
+    mark = about.get("ETag") or about.get("etag") or about.get("md5Hash") or f"{seconds!r}/{about.get('ino', '')}"
+    return Found(key, name, int(about.get("size") or 0), str(mark), seconds)

@@ -1,0 +1,482 @@
+"""Captures as rows of the lake's tables: what a worker does with some captures.
+
+    capture -> ParquetTables -> rows with `capture` -> a Parquet file for each table and day -> Added, Taken
+
+The tables are those of `decode --to parquet`, with the columns that a lake needs. Delta Lake knows microseconds, no unsigned
+numbers and no dictionaries, so `time` is exact to a microsecond, `time_ns` to a nanosecond. A time that is none of the epoch
+is in `time_ns` alone. `transactions` are the replies with what became of them, and the requests that nobody answered.
+
+Rules: rows of a capture that fails half way reach no table. A small capture is held until it has ended; a long one has files of
+its own. So a file holds many small captures, and memory does not grow with a long one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import tempfile
+import uuid
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from analyzer import __version__
+from analyzer.cli.decode import LONG_CAPTURE
+from analyzer.cli.reading import OpenCapture, open_reading
+from analyzer.diagnosis.diagnose import diagnosis, lines
+from analyzer.diagnosis.watch import Watch
+from analyzer.errors import ServotapError, UnreadableError
+from analyzer.fleet.place import Found, Place
+from analyzer.records import Severity
+from analyzer.sinks.parquet import ParquetTables
+from analyzer.sinks.summary import Summary
+from analyzer.sources.times import DATED, Clock, is_dated
+from analyzer.table.extras import needed
+from analyzer.values import printable
+
+if TYPE_CHECKING:
+    import pyarrow
+
+#: Rows of one capture that are held; a capture with more has files of its own.
+HELD = 1 << 17
+#: Rows that stand together in a file.
+GROUP = 1 << 17
+#: The partitions of every table but `captures`.
+PARTITIONS = ("date", "machine")
+#: Findings of a reply that say what became of its request.
+_FAILED = ("failed_status", "modbus_exception", "refused_write")
+#: Statuses of captures whose rows are in the tables.
+TAKEN = frozenset({"decoded", "incomplete"})
+#: Stands in place of the SHA-256 of what could not be read at all.
+UNSEEN = "unseen:"
+
+
+@dataclass(frozen=True)
+class Work:
+    """A capture to take. `machine`, `date`: what its path says; `before`: SHA-256 of captures that have its size."""
+
+    source: Place
+    found: Found
+    machine: str = ""
+    date: date | None = None
+    before: frozenset[str] = frozenset()
+
+    @property
+    def unseen(self) -> str:
+        """What stands in place of the SHA-256 while nobody could read it."""
+        return UNSEEN + hashlib.sha256(f"{self.source.url} {self.found.name}".encode()).hexdigest()
+
+    def row(self, **values: Any) -> dict[str, Any]:
+        """Return a row of the table `captures`."""
+        found = self.found
+        own: dict[str, Any] = {
+            "capture": self.unseen,
+            "source": self.source.url,
+            "name": found.name,
+            "machine": self.machine or None,
+        }
+        own |= {"size": found.size, "mark": found.mark, "version": __version__, "ingested_at": datetime.now(UTC)}
+        return own | values
+
+
+@dataclass
+class Added:
+    """A data file of a table. `table`: as `messages/mks-can/read_speed/reply`; `path`: below the table.
+
+    `schema`: of Arrow, without the partitions; `values`: of the partitions.
+    `count`: of its rows; `captures`: whose they are.
+    """
+
+    table: str
+    path: str
+    schema: Any
+    size: int
+    values: dict[str, str | None]
+    count: int
+    captures: tuple[str, ...]
+
+
+@dataclass
+class Taken:
+    """What became of some captures. `captures`: a row of the table `captures` each."""
+
+    captures: list[dict[str, Any]] = field(default_factory=list)
+    added: list[Added] = field(default_factory=list)
+    frames: int = 0
+    read: int = 0
+
+
+def table_of(name: str) -> str:
+    """Return the lake's table for one of `decode --to parquet`: dialect, command and role are folders."""
+    dialect, _, rest = name.partition(".")
+    return f"messages/{dialect}/" + "/".join(rest.rsplit(".", 1)) if rest else name
+
+
+def lake_schema(schema: pyarrow.Schema) -> pyarrow.Schema:
+    """Return the schema of a lake's table, without partitions, for that of a capture's."""
+    pa = needed("pyarrow")
+    fields = [pa.field("capture", pa.string())]
+    for each in schema:
+        if each.name == "time":
+            fields.append(pa.field("time", pa.timestamp("us", "UTC")))
+            fields.append(pa.field("time_ns", pa.int64(), metadata={"unit": "ns"}))
+        else:
+            fields.append(each.with_type(_type(pa, each.type)))
+    return pa.schema(fields, metadata=schema.metadata)
+
+
+def _type(pa: Any, kind: Any) -> Any:
+    if pa.types.is_dictionary(kind):
+        return kind.value_type
+    return pa.decimal128(20, 0) if kind == pa.uint64() else kind
+
+
+def _rows(pieces: list[pyarrow.Table], schema: pyarrow.Schema, capture: str) -> pyarrow.Table:
+    """Return rows of a capture as the lake has them."""
+    pa, compute = needed("pyarrow"), needed("pyarrow.compute")
+    whole = pa.concat_tables(pieces)
+    count = len(whole)
+    columns = {"capture": pa.repeat(capture, count)}
+    for name in whole.column_names:
+        columns[name] = whole[name]
+    times = columns["time_ns"] = whole["time"].cast(pa.int64())
+    dated = compute.and_(compute.greater(times, DATED[0]), compute.less(times, DATED[1]))
+    columns["time"] = compute.if_else(dated, whole["time"], None)
+    shown = [columns[each.name].cast(each.type, safe=each.name != "time") for each in schema]
+    return pa.Table.from_arrays(shown, schema=schema)
+
+
+class _Held:
+    """A table of a capture: rows that wait until the capture is through."""
+
+    def __init__(self, capture: _Capture, name: str, schema: pyarrow.Schema) -> None:
+        self._capture = capture
+        self.name = name
+        self.schema = lake_schema(schema)
+        self.pieces: list[pyarrow.Table] = []
+
+    def write(self, rows: pyarrow.Table) -> None:
+        """Hold the next rows."""
+        self.pieces.append(rows)
+        self._capture.holds(len(rows))
+
+    def close(self) -> None:
+        """Nothing more comes."""
+
+
+class _File:
+    """A data file that is being written, locally; `finish` brings it to the lake."""
+
+    def __init__(self, folder: Path, table: str, schema: pyarrow.Schema, values: Mapping[str, str | None]) -> None:
+        self._table, self._schema, self._values = table, schema, dict(values)
+        self.name = f"{uuid.uuid4().hex}.parquet"
+        self._path = folder / self.name
+        self._waiting: list[pyarrow.Table] = []
+        self._rows = 0
+        self._writer: Any = None
+        self._count = 0
+        self._captures: dict[str, None] = {}
+
+    def write(self, rows: pyarrow.Table, capture: str) -> None:
+        """Take rows of a capture."""
+        self._waiting.append(rows)
+        self._rows += len(rows)
+        self._captures[capture] = None
+        if self._rows >= GROUP:
+            self._flush()
+
+    def _flush(self) -> None:
+        pa, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+        if self._writer is None:
+            self._writer = parquet.ParquetWriter(self._path, self._schema, compression="zstd", compression_level=1)
+        whole = pa.concat_tables(self._waiting)
+        self._writer.write_table(whole)
+        self._count += len(whole)
+        self._waiting, self._rows = [], 0
+
+    def finish(self, lake: Place) -> Added:
+        """Bring the file to the lake."""
+        self._flush()
+        self._writer.close()
+        size = self._path.stat().st_size
+        lake.put(self._path, f"{self._table}/{self.name}")
+        return Added(self._table, self.name, self._schema, size, self._values, self._count, tuple(self._captures))
+
+
+class Files:
+    """The data files of a task or of a long capture: one for each table, day and machine. They grow in `folder`."""
+
+    def __init__(self, lake: Place, folder: Path) -> None:
+        self.lake, self.folder = lake, folder
+        self._open: dict[tuple[str, str | None, str | None, bytes], _File] = {}
+
+    def add(self, table: str, rows: pyarrow.Table, values: Mapping[str, str | None], capture: str) -> None:
+        """Take rows of a capture that is through."""
+        # Two versions of a package may have two schemas for one table.
+        key = (table, values["date"], values["machine"], rows.schema.serialize().to_pybytes())
+        file = self._open.get(key)
+        if file is None:
+            file = self._open[key] = _File(self.folder, table, rows.schema, values)
+        file.write(rows, capture)
+
+    def finish(self) -> list[Added]:
+        """Bring all files to the lake, and return them."""
+        return [file.finish(self.lake) for file in self._open.values()]
+
+
+class _Capture:
+    """A capture on its way into tables."""
+
+    def __init__(self, work: Work, files: Files, sha256: str) -> None:
+        self.work, self.files, self.sha256 = work, files, sha256
+        self.held: list[_Held] = []
+        self._rows = 0
+        #: Files of a long capture's own, and the day they are of.
+        self.own: Files | None = None
+        self.day: str | None = None if work.date is None else work.date.isoformat()
+        self.first_ns: int | None = None
+        self.last_ns: int | None = None
+
+    def target(self, name: str, schema: pyarrow.Schema) -> _Held:
+        """Return what takes a table."""
+        held = _Held(self, name, schema)
+        self.held.append(held)
+        return held
+
+    def holds(self, rows: int) -> None:
+        """Count rows that are held; too many go to files of the capture's own."""
+        self._rows += rows
+        if self._rows >= HELD:
+            if self.own is None:
+                self.own = Files(self.files.lake, self.files.folder)
+            self.release(self.own)
+
+    def release(self, files: Files) -> None:
+        """Give what is held to files."""
+        pa = needed("pyarrow")
+        self._dates()
+        values = {"date": self.day, "machine": self.work.machine or None}
+        made: dict[str, tuple[pyarrow.Schema, list[pyarrow.Table]]] = {}
+        for held in self.held:
+            if held.pieces and held.name != "metadata":
+                rows = _rows(held.pieces, held.schema, self.sha256)
+                table = table_of(held.name)
+                files.add(table, rows, values, self.sha256)
+                done = transactions(table, rows)
+                if done is not None:
+                    made.setdefault("transactions", (done.schema, []))[1].append(done)
+            held.pieces = []
+        for table, (_, pieces) in made.items():
+            whole = pa.concat_tables(pieces)
+            files.add(table, whole.sort_by([("bus", "ascending"), ("sequence", "ascending")]), values, self.sha256)
+        self._rows = 0
+
+    def _dates(self) -> None:
+        compute = needed("pyarrow.compute")
+        for held in self.held:
+            for piece in held.pieces if "time" in held.schema.names else ():
+                span = compute.min_max(piece["time"].cast("int64")).as_py()
+                if span["min"] is not None:
+                    self.first_ns = span["min"] if self.first_ns is None else min(self.first_ns, span["min"])
+                    self.last_ns = span["max"] if self.last_ns is None else max(self.last_ns, span["max"])
+        if self.day is None and self.first_ns is not None and is_dated(self.first_ns):
+            self.day = datetime.fromtimestamp(self.first_ns // 1_000_000_000, UTC).date().isoformat()
+        elif self.day is None:
+            self.day = datetime.fromtimestamp(self.work.found.modified, UTC).date().isoformat()
+
+
+def transactions_schema() -> pyarrow.Schema:
+    """Return the schema of the table `transactions`, without partitions."""
+    pa = needed("pyarrow")
+    place = [("capture", pa.string()), ("time", pa.timestamp("us", "UTC")), ("time_ns", pa.int64())]
+    place += [("bus", pa.string()), ("address", pa.int64()), ("sequence", pa.int64()), ("request_sequence", pa.int64())]
+    own = [("dialect", pa.string()), ("command", pa.string()), ("outcome", pa.string())]
+    return pa.schema([*place, *own, pa.field("latency", pa.float64(), metadata={"unit": "s"})])
+
+
+def transactions(table: str, rows: pyarrow.Table) -> pyarrow.Table | None:
+    """Return what the rows of a table say of requests and what became of them; None where they say nothing.
+
+    `outcome`: answered, failed, damaged (its checksum is wrong), unanswered; the dialect of those is not said.
+    """
+    pa, compute = needed("pyarrow"), needed("pyarrow.compute")
+    parts = table.split("/")
+    columns: dict[str, Any] = {}
+    if len(parts) == 4 and parts[3] == "reply":
+        columns = {"dialect": pa.repeat(parts[1], len(rows)), "command": pa.repeat(parts[2], len(rows))}
+        columns |= {"latency": rows["_latency"], "request_sequence": rows["_request_sequence"]}
+        failed = _with_any(rows["_findings"], _FAILED)
+        good = compute.if_else(failed, "failed", "answered")
+        columns["outcome"] = compute.if_else(rows["_checksum_ok"], good, "damaged")
+    elif table == "findings":
+        rows = rows.filter(compute.equal(rows["rule"], "unanswered"))
+        if not len(rows):
+            return None
+        # A topic is /bus/address/command/role.
+        commands = [text.split("/")[3] for text in rows["topic"].to_pylist()]
+        columns = {"command": pa.array(commands), "outcome": pa.repeat("unanswered", len(rows))}
+        columns |= {"request_sequence": rows["sequence"]}
+    else:
+        return None
+    schema = transactions_schema()
+    arrays = [
+        columns[each.name] if each.name in columns else
+        rows[each.name] if each.name in rows.column_names else pa.nulls(len(rows), each.type)
+        for each in schema
+    ]  # fmt: skip
+    return pa.Table.from_arrays([array.cast(each.type) for array, each in zip(arrays, schema, strict=True)], schema=schema)
+
+
+def _with_any(lists: Any, words: tuple[str, ...]) -> Any:
+    """Say of each list of texts whether one of some words stands in it."""
+    pa, compute = needed("pyarrow"), needed("pyarrow.compute")
+    hits = [False] * len(lists)
+    if lists.null_count < len(lists):
+        for chunk_start, chunk in _chunks(lists):
+            for place, hit in zip(
+                compute.list_parent_indices(chunk), compute.is_in(chunk.flatten(), pa.array(words)), strict=True
+            ):
+                hits[chunk_start + place.as_py()] |= hit.as_py()
+    return pa.array(hits)
+
+
+def _chunks(lists: Any) -> Iterator[tuple[int, Any]]:
+    start = 0
+    for chunk in lists.chunks:
+        yield start, chunk
+        start += len(chunk)
+
+
+def only(lake: Place, added: Sequence[Added], captures: Collection[str]) -> list[Added]:
+    """Return data files with the rows of some captures alone: those that hold others too are written anew."""
+    parquet, compute, pa = needed("pyarrow.parquet"), needed("pyarrow.compute"), needed("pyarrow")
+    kept = []
+    for each in added:
+        wanted = [capture for capture in each.captures if capture in captures]
+        if len(wanted) == len(each.captures):
+            kept.append(each)
+        elif wanted:
+            with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
+                file = _File(Path(folder), each.table, each.schema, each.values)
+                rows = parquet.read_table(pa.BufferReader(lake.read(f"{each.table}/{each.path}")), schema=each.schema)
+                for capture in wanted:
+                    file.write(rows.filter(compute.equal(rows["capture"], capture)), capture)
+                kept.append(file.finish(lake))
+    return kept
+
+
+# --- what a worker does -----------------------------------------------------------------------------------------------
+
+
+def take(works: list[Work], lake: Place, options: argparse.Namespace) -> Taken:
+    """Decode captures into data files of a lake; nothing of it counts before it is committed.
+
+    What cannot be read becomes a row that says why. Raises OSError where the lake cannot be written.
+    """
+    taken = Taken()
+    with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
+        shared = Files(lake, Path(folder))
+        seen: set[str] = set()
+        for work in works:
+            row, own = _take_one(work, shared, seen, options)
+            seen.add(row["capture"])
+            taken.captures.append(row)
+            taken.added += own
+            taken.frames += row.get("frames") or 0
+            taken.read += work.found.size
+        taken.added += shared.finish()
+    return taken
+
+
+def _take_one(work: Work, shared: Files, seen: set[str], options: argparse.Namespace) -> tuple[dict[str, Any], list[Added]]:
+    """Decode a capture; return its row of the table `captures`, and its own files."""
+    row = work.row()
+    try:
+        with work.source.as_file(work.found) as path:
+            row["capture"] = sha256 = _sha256(path)
+            if sha256 in work.before or sha256 in seen:
+                return row | {"status": "known"}, []
+            capture = _Capture(work, shared, sha256)
+            row |= _decoded(str(path), capture, options)
+            if _sha256(path) != sha256:
+                return row | {
+                    "status": "failed",
+                    "reason": "it changed while it was read: ingest it again when it is whole",
+                }, []
+    except (ServotapError, OSError) as error:
+        return row | {"status": "unreadable", "reason": printable(str(error))}, []
+    except Exception as error:
+        # Whatever one capture does to the decoder, the others are taken, and it can be tried again.
+        return row | {"status": "failed", "reason": printable(f"a fault of servotap: {type(error).__name__}: {error}")}, []
+    capture.release(capture.own or shared)
+    row |= {"date": None if capture.day is None else date.fromisoformat(capture.day)}
+    row |= {"first_ns": capture.first_ns, "last_ns": capture.last_ns}
+    return row, [] if capture.own is None else capture.own.finish()
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _decoded(path: str, capture: _Capture, options: argparse.Namespace) -> dict[str, Any]:
+    """Decode a capture into its tables, and return what the row says of it. Raises UnreadableError."""
+    reading = open_reading(path, options)
+    source, status, reason = reading.source, "decoded", ""
+    with contextlib.closing(source):
+        source.in_blocks = source.gives_blocks and (source.size or 0) >= LONG_CAPTURE and not reading.time_range.wanted
+        tables, summary, watch = ParquetTables(capture.target, source.clock), Summary(), Watch()
+        pipeline = reading.pipeline((tables, summary, watch))
+        try:
+            for item in reading:
+                watch.take(item)
+                pipeline.feed(item)
+        except UnreadableError as error:
+            if not pipeline.sequence:
+                raise
+            status, reason = "incomplete", str(error)
+        pipeline.close()
+        tables.finish({})
+        return {"status": status, "reason": printable(reason)} | _about(reading, summary.settle(), watch)
+
+
+def _about(reading: OpenCapture, summary: Summary, watch: Watch) -> dict[str, Any]:
+    source = reading.source
+    found = diagnosis(watch, reading.dialects)
+    return {
+        "format": source.format,
+        "dialects": [d.name for d in reading.dialects],
+        "clock": source.clock.name.lower() if reading.has_times else Clock.DAY.name.lower(),
+        "frames": summary.frames,
+        "frame_bytes": summary.frame_bytes,
+        "junk_bytes": sum(summary.junk_bytes.values()),
+        "findings": sum(summary.findings.values()),
+        "errors": summary.severities[Severity.ERROR],
+        "causes": [each.suspicion.cause for each in found.causes],
+        "diagnosis": [printable(text) for text in lines(found)] if found.causes else [],
+        "notes": [printable(note) for note in source.notes],
+    }
+
+
+def captures_schema() -> pyarrow.Schema:
+    """Return the schema of the table `captures`: a row for each content.
+
+    `status`: decoded, incomplete (it breaks off), unreadable, failed; `reason`: why. `first_ns`, `last_ns`: of its frames.
+    """
+    pa = needed("pyarrow")
+    texts = ("capture", "batch", "status", "reason", "source", "name", "machine")
+    numbers = ("size", "frames", "frame_bytes", "junk_bytes", "findings", "errors", "first_ns", "last_ns")
+    units = {"size": "bytes", "frame_bytes": "bytes", "junk_bytes": "bytes", "first_ns": "ns", "last_ns": "ns"}
+    return pa.schema(
+        [
+            *(pa.field(name, pa.string()) for name in texts),
+            pa.field("date", pa.date32()),
+            *(pa.field(name, pa.int64(), metadata={"unit": units[name]} if name in units else None) for name in numbers),
+            *(pa.field(name, pa.string()) for name in ("format", "clock", "mark", "version")),
+            *(pa.field(name, pa.list_(pa.string())) for name in ("dialects", "causes", "diagnosis", "notes")),
+            pa.field("ingested_at", pa.timestamp("us", "UTC")),
+        ]
+    )

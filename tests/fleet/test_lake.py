@@ -1,0 +1,317 @@
+"""A lake holds each content once, all of a batch or nothing, whatever happens in between."""
+
+from __future__ import annotations
+
+import shutil
+
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from analyzer.cli import main
+from analyzer.errors import UnreadableError, UsageError
+from analyzer.fleet import place as places
+from analyzer.fleet.ask import Question, sql_name
+from analyzer.fleet.ingest import Outcome, Pattern, tasks, works
+from analyzer.fleet.lake import Lake
+from analyzer.fleet.place import Place
+from analyzer.fleet.rows import take
+from tests.fleet.lakes import candump, hall, ingest, options, rows
+
+
+def lake(folder):
+    return Lake(Place(str(folder)), make=True)
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory):
+    return hall(tmp_path_factory.mktemp("hall"), 4)
+
+
+@pytest.fixture(scope="module")
+def clean(captures, tmp_path_factory):
+    """What stands in a lake after a run in which nothing went wrong."""
+    made = lake(tmp_path_factory.mktemp("clean") / "lake")
+    ingest(made, captures)
+    return rows(made)
+
+
+def test_rows_are_those_of_decode_to_parquet(tmp_path):
+    path = tmp_path / "in" / "one.log"
+    path.parent.mkdir()
+    path.write_text(candump(5, 400, busy=0.3))
+    assert main(["decode", str(path), "--to", "parquet", "-o", str(tmp_path / "one.parquet")]) == 0
+    made = lake(tmp_path / "lake")
+    assert ingest(made, path.parent).new == 1
+    question, compared = Question(made), 0
+    for file in sorted((tmp_path / "one.parquet").iterdir()):
+        if file.stem == "metadata":
+            continue
+        dialect, _, rest = file.stem.partition(".")
+        name = file.stem if not rest else f"messages/{dialect}/" + "/".join(rest.rsplit(".", 1))
+        own = question.dataset(sql_name(name)).to_table().to_pylist()
+        alone = parquet.read_table(file).to_pylist()
+        for row, one in zip(own, alone, strict=True):
+            assert len(row.pop("capture")) == 64
+            assert (str(row.pop("date")), row.pop("machine")) == ("2026-03-02", None)
+            assert row.pop("time_ns") == one["time"].value
+            assert one.pop("time").floor("us").to_pydatetime() == row.pop("time")
+            assert row == one
+            compared += 1
+    assert compared > 400
+
+
+def test_transactions_say_what_became_of_requests(tmp_path):
+    path = tmp_path / "one.log"
+    path.write_text(
+        "(1772442000.000000) can0 001#3233\n(1772442000.002000) can0 001#32012C5F\n"
+        "(1772442001.000000) can0 001#3031\n(1772442009.000000) can0 001#3233\n(1772442009.001000) can0 001#32012C60\n"
+    )
+    made = lake(tmp_path / "lake")
+    ingest(made, path)
+    found = (
+        Question(made).sql("select command, outcome, round(latency, 6) from transactions order by sequence, outcome").fetchall()
+    )
+    assert found == [
+        ("read_speed", "damaged", 0.002), ("read_encoder_carry", "unanswered", None), ("read_speed", "answered", 0.001)
+    ]  # fmt: skip
+
+
+def test_ingesting_again_renamed_or_twice_changes_nothing(captures, clean, tmp_path):
+    made = lake(tmp_path / "lake")
+    assert (ingest(made, captures).new, ingest(made, captures).new) == (4, 0)
+    moved = tmp_path / "moved"
+    shutil.copytree(captures, moved)
+    (moved / "m0").rename(moved / "m7")
+    shutil.copy(moved / "m1" / "2026-03-01" / "1.log", moved / "again.log")
+    outcome = ingest(made, moved)
+    assert (outcome.new, outcome.known) == (0, 6)
+    assert rows(made) == clean
+
+
+def test_copies_in_one_ingest_come_once(captures, clean, tmp_path, monkeypatch):
+    copies = tmp_path / "copies"
+    shutil.copytree(captures, copies)
+    for path in sorted(captures.glob("m*/*/*.log")):
+        shutil.copy(path, copies / path.parts[-3] / path.parts[-2] / f"copy-{path.name}")
+    monkeypatch.setattr("analyzer.fleet.ingest.TASK_FILES", 3)
+    made = lake(tmp_path / "lake")
+    outcome = ingest(made, copies)
+    assert (outcome.new, outcome.known) == (4, 4)
+    assert rows(made) == clean
+
+
+def taken(made, captures):
+    found = works([Place(str(captures))], made, Pattern("{machine}/{date}/*"), False, Outcome())
+    return [take(task, made.place, options()) for task in tasks(found)]
+
+
+def test_two_ingests_at_once_bring_each_content_once(captures, clean, tmp_path):
+    first, second = lake(tmp_path / "lake"), Lake(Place(str(tmp_path / "lake")))
+    both = taken(first, captures), taken(second, captures)
+    # Each has seen the lake before the other commits.
+    assert first.known() == second.known() == {}
+    assert first.commit("a", both[0]) == 4
+    assert second.commit("b", both[1]) == 0
+    assert rows(first) == rows(second) == clean
+
+
+def test_a_race_is_lost_by_who_has_read_the_table_before(captures, clean, tmp_path, monkeypatch):
+    first, second = lake(tmp_path / "lake"), Lake(Place(str(tmp_path / "lake")))
+    half = taken(first, captures / "m0")
+    whole = taken(second, captures)
+    write = Lake._commit_captures
+
+    def late(self, *rest):
+        if self is second and not first.known():
+            assert first.commit("a", half) == 2
+        return write(self, *rest)
+
+    monkeypatch.setattr(Lake, "_commit_captures", late)
+    assert second.commit("b", whole) == 2
+    assert [row["capture"] for row in rows(second)["captures"]] == [row["capture"] for row in clean["captures"]]
+    count = "select count(*) from transactions"
+    assert Question(second).sql(count).fetchall()[0][0] == len(clean["transactions"])
+
+
+class Died(BaseException):
+    """The process is gone."""
+
+
+@pytest.fixture
+def steps(monkeypatch):
+    """Count what changes the lake, and die before one of these steps."""
+    state = {"count": 0, "dies": None}
+
+    def watch(owner, name):
+        real = getattr(owner, name)
+
+        def step(*arguments, **named):
+            state["count"] += 1
+            if state["count"] == state["dies"]:
+                raise Died
+            return real(*arguments, **named)
+
+        monkeypatch.setattr(owner, name, step)
+
+    import deltalake
+
+    for owner, name in (
+        (places.Place, "put"), (places.Place, "remove"), (deltalake, "write_deltalake"),
+        (deltalake.DeltaTable, "create_write_transaction"), (deltalake.DeltaTable, "create"),
+    ):  # fmt: skip
+        watch(owner, name)
+    return state
+
+
+def test_a_client_that_dies_at_any_step_leaves_all_of_a_batch_or_nothing(captures, tmp_path, steps):
+    one = captures / "m0" / "2026-03-01" / "0.log"
+    whole = lake(tmp_path / "whole")
+    steps["count"] = 0
+    ingest(whole, one)
+    expected, every = rows(whole), steps["count"]
+    assert every > 12
+    seen = set()
+    for number in range(1, every + 1):
+        made = lake(tmp_path / str(number))
+        steps["count"], steps["dies"] = 0, number
+        with pytest.raises(Died):
+            ingest(made, one)
+        steps["dies"] = None
+        after = Lake(Place(str(tmp_path / str(number))))
+        # Who asks now sees nothing of it, or all.
+        there = rows(after)
+        assert there in ({}, expected)
+        outcome = ingest(after, one)
+        seen.add((bool(there), outcome.recovered, outcome.new))
+        assert rows(after) == expected
+        assert list(after.pending()) == []
+    assert (False, 0, 1) in seen
+    assert (False, 1, 0) in seen
+
+
+def test_what_cannot_be_read_says_why_and_is_tried_again(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "a.log").write_text(candump(1))
+    (folder / "b.txt").write_text("nothing of use\n")
+    made = lake(tmp_path / "lake")
+    outcome = ingest(made, folder)
+    assert [name for name, _ in outcome.unread] == ["b.txt"]
+    assert "not a recognised capture format" in outcome.unread[0][1]
+    assert ingest(made, folder).unread == []
+    assert [name for name, _ in ingest(made, folder, retry=True).unread] == ["b.txt"]
+    statuses = Question(made).sql("select status, count(*) from captures group by 1 order by 1").fetchall()
+    assert statuses == [("decoded", 1), ("unreadable", 1)]
+
+
+def test_a_place_that_cannot_be_read_is_replaced_by_its_content(tmp_path, monkeypatch):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "a.log").write_text(candump(1))
+    made = lake(tmp_path / "lake")
+
+    def fails(self, found):
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Place, "as_file", fails)
+        assert len(ingest(made, folder).unread) == 1
+    assert ingest(made, folder, retry=True).new == 1
+    assert [row["status"] for row in rows(made)["captures"]] == ["decoded"]
+
+
+def test_a_capture_that_grows_while_it_is_read_is_not_taken(tmp_path, monkeypatch):
+    path = tmp_path / "a.log"
+    path.write_text(candump(1))
+    made = lake(tmp_path / "lake")
+    from analyzer.fleet import rows as rows_module
+
+    decoded = rows_module._decoded
+
+    def grows(name, capture, given):
+        found = decoded(name, capture, given)
+        with path.open("a") as stream:
+            stream.write(candump(2))
+        return found
+
+    with monkeypatch.context() as busy:
+        busy.setattr(rows_module, "_decoded", grows)
+        assert "changed while it was read" in ingest(made, path).unread[0][1]
+    assert list(rows(made)) == ["captures"]
+    assert ingest(made, path).new == 1
+
+
+def test_long_captures_have_files_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.setattr("analyzer.fleet.rows.HELD", 50)
+    monkeypatch.setattr("analyzer.sinks.parquet.HELD", 50)
+    folder = hall(tmp_path / "in", 3)
+    made, plain = lake(tmp_path / "lake"), lake(tmp_path / "plain")
+    ingest(made, folder)
+    monkeypatch.undo()
+    ingest(plain, folder)
+    assert rows(made) == rows(plain)
+
+
+def test_a_new_column_is_added_and_another_unit_is_another_version(tmp_path):
+    made = lake(tmp_path / "lake")
+    speed = pa.field("speed", pa.float64(), metadata={"unit": "rpm"})
+    first = pa.schema([pa.field("capture", pa.string()), speed])
+    assert made.fitting("states", first) == "states"
+    assert made.fitting("states", first.append(pa.field("torque", pa.float64()))) == "states"
+    assert "torque" in {each.name for each in made.open("states").schema().fields}
+    other = pa.schema([first[0], speed.with_metadata({"unit": "deg/s"})])
+    assert (made.fitting("states", other), made.fitting("states", other)) == ("states@2", "states@2")
+    assert made.notes == ["states: a column has another unit or type than before; its rows go to states@2"]
+
+
+def test_compacting_keeps_the_rows(captures, clean, tmp_path):
+    made = lake(tmp_path / "lake")
+    for number in range(4):
+        ingest(made, captures / f"m{number % 2}" / "2026-03-01" / f"{number}.log", pattern=None)
+    before = Question(made).sql("select count(*), sum(time_ns) from transactions").fetchall()
+    joined, removed = made.compact(0)
+    assert joined > 4
+    assert removed >= joined
+    assert Question(Lake(made.place)).sql("select count(*), sum(time_ns) from transactions").fetchall() == before
+
+
+@pytest.mark.parametrize(
+    ("pattern", "name", "machine", "day"),
+    [
+        ("{machine}/{date}/*", "press 3/2026-03-01/a.log", "press 3", "2026-03-01"),
+        ("**/{machine}-{date}.log", "x/y/arm-20260301.log", "arm", "2026-03-01"),
+        ("{machine}/*", "a/b/c.log", "", "None"),
+    ],
+)
+def test_a_pattern_reads_machine_and_date(pattern, name, machine, day):
+    assert tuple(map(str, Pattern(pattern).read(name))) == (machine, day)
+
+
+@pytest.mark.parametrize("pattern", ["{name}/*", "{machine}/{machine}/*"])
+def test_what_is_no_pattern_is_told(pattern):
+    with pytest.raises(UsageError, match="--machine"):
+        Pattern(pattern)
+
+
+def test_what_is_no_lake_is_told(tmp_path):
+    with pytest.raises(UnreadableError, match="is no lake"):
+        Lake(Place(str(tmp_path)))
+    with pytest.raises(UsageError, match="cannot commit"):
+        Lake(Place("memory://lake"), make=True)
+
+
+def test_a_store_that_fails_now_and_then_is_asked_again():
+    waits, answers = [], iter([OSError("cut off"), OSError(104, "reset"), "fine"])
+
+    def call():
+        answer = next(answers)
+        if isinstance(answer, OSError):
+            raise answer
+        return answer
+
+    assert places.again(call, waits.append) == "fine"
+    assert waits == [0.1, 0.2]
+    with pytest.raises(OSError, match="No space"):
+        places.again(lambda: (_ for _ in ()).throw(OSError(28, "No space")), waits.append)
+    assert len(waits) == 2

@@ -1,0 +1,98 @@
+"""Lakes on real parts: processes of Dask, a bucket on a server, commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from analyzer.cli import main
+from analyzer.cli.signals import Interrupt
+from analyzer.fleet import ingest as ingesting
+from analyzer.fleet.ingest import Ingest, Outcome, Pattern, workers, works
+from analyzer.fleet.lake import Lake
+from analyzer.fleet.place import Place
+from tests.fleet.lakes import hall, ingest, options, rows
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory):
+    return hall(tmp_path_factory.mktemp("hall"), 6)
+
+
+@pytest.fixture(scope="module")
+def clean(captures, tmp_path_factory):
+    made = Lake(Place(str(tmp_path_factory.mktemp("clean") / "lake")), make=True)
+    ingest(made, captures)
+    return rows(made)
+
+
+@pytest.fixture
+def bucket(monkeypatch):
+    """A bucket on a server that refuses every fifth call."""
+    pytest.importorskip("moto.server")
+    import boto3
+
+    for name, value in {"ACCESS_KEY_ID": "key", "SECRET_ACCESS_KEY": "secret", "DEFAULT_REGION": "us-east-1"}.items():
+        monkeypatch.setenv(f"AWS_{name}", value)
+    command = [sys.executable, "-m", "tests.fleet.flaky_bucket"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
+        url = f"http://127.0.0.1:{server.stdout.readline().strip()}"
+        boto3.client("s3", endpoint_url=url).create_bucket(Bucket="plant")
+        yield url
+        server.kill()
+
+
+def test_a_bucket_that_fails_one_call_in_five_brings_the_same_rows(bucket, captures, clean, capsys):
+    given = {"endpoint_url": bucket}
+    there = Place("s3://plant/captures", given)
+    for path in sorted(each for each in captures.rglob("*") if each.is_file()):
+        there.write(str(path.relative_to(captures)), path.read_bytes())
+    made = Lake(Place("s3://plant/lake", given), make=True)
+    assert ingest(made, there).new == 6
+    assert rows(made) == clean
+    assert ingest(made, there).new == 0
+    assert main(["ask", "s3://plant/lake", "select count(*) n from states", "--store", f"endpoint_url={bucket}"]) == 0
+    assert capsys.readouterr().out.split() == ["n", str(len(clean["states"]))]
+
+
+def test_a_worker_that_is_killed_costs_time_alone(captures, clean, tmp_path, monkeypatch):
+    monkeypatch.setattr(ingesting, "TASK_FILES", 1)
+    made = Lake(Place(str(tmp_path / "lake")), make=True)
+    outcome = Outcome()
+    found = works([Place(str(captures))], made, Pattern("{machine}/{date}/*"), False, outcome)
+    with workers("local", 2) as client:
+        victims = list(client.run(os.getpid).values())[:1]
+
+        class Killing(Ingest):
+            def ended(self, task, future):
+                if victims:
+                    os.kill(victims.pop(), signal.SIGKILL)
+                return super().ended(task, future)
+
+        Killing(made, options(), outcome, Interrupt()).run(client, found)
+    assert victims == []
+    assert outcome.new == 6
+    assert rows(made) == clean
+
+
+def test_the_commands(captures, tmp_path, capsys):
+    made = str(tmp_path / "lake")
+    asked = ["ingest", str(captures), "--to", made, "--machine", "{machine}/{date}/*", "--workers", "1", "--json"]
+    assert main(asked) == 2
+    told = json.loads(capsys.readouterr().out)
+    assert (told["new"], told["known"], [each["name"] for each in told["unread"]]) == (6, 0, ["notes.txt"])
+    assert main(asked) == 0
+    assert json.loads(capsys.readouterr().out)["known"] == 7
+    table = tmp_path / "speeds.csv"
+    assert main(["ask", made, "select machine, count(*) n from captures group by 1 order by 1", "-o", str(table)]) == 0
+    assert table.read_text().splitlines()[1:] == ['"m0",3', '"m1",3', ",1"]
+    assert main(["ask", made, "select * from state"]) == 2
+    assert "did you mean states" in capsys.readouterr().err
+    assert main(["ask", made]) == 0
+    assert "mks_can.read_speed_reply" in capsys.readouterr().out
+    assert main(["compact", made]) == 0
