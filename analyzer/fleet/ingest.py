@@ -12,7 +12,6 @@ import argparse
 import contextlib
 import re
 import time
-import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date
@@ -224,7 +223,7 @@ class Ingest:
     def commit(self) -> None:
         """Commit what has come."""
         if self._waiting:
-            new = self.lake.commit(uuid.uuid4().hex, self._waiting)
+            new = self.lake.commit(self._waiting)
             self.outcome.new += new
             self.outcome.known += (
                 sum(row["status"] in (*TAKEN, "known") for each in self._waiting for row in each.captures) - new

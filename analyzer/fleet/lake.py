@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,13 @@ _SAME = f"old.capture = new.capture or (old.capture like '{UNSEEN}%' and old.sou
 _SETTINGS = {"delta.dataSkippingNumIndexedCols": "0"}
 #: Losses of a race for one commit, one after the other, after which something else must be wrong.
 _RACES = 1000
+
+
+class Journal(msgspec.Struct):
+    """A batch that is being committed. `seen`: the version of `captures` before; `files`: of all other tables."""
+
+    seen: int
+    files: dict[str, list[dict[str, Any]]]
 
 
 class Lake:
@@ -163,13 +171,13 @@ class Lake:
             self._seen = opened.version()
         return self._known
 
-    def commit(self, batch: str, tasks: Sequence[Taken]) -> int:
+    def commit(self, tasks: Sequence[Taken]) -> int:
         """Commit what some tasks took as one batch: all of it or nothing. Return how many captures it brought into the tables.
 
         Content that others have committed since, or that comes twice, is left out.
         """
         for _ in range(_RACES):
-            known = self.known()
+            known, batch = self.known(), uuid.uuid4().hex
             fresh: dict[str, dict[str, Any]] = {}
             files: list[Added] = []
             for task in tasks:
@@ -179,7 +187,7 @@ class Lake:
             if not fresh:
                 return 0
             entries = self._entries(files)
-            self.place.write(f"{JOURNAL}/{batch}.json", msgspec.json.encode(entries))
+            self.place.write(f"{JOURNAL}/{batch}.json", msgspec.json.encode(Journal(self._seen, entries)))
             if self._commit_captures(batch, list(fresh.values()), known):
                 self._settle(batch, entries)
                 return sum(row["status"] in TAKEN for row in fresh.values())
@@ -246,14 +254,15 @@ class Lake:
 
     # --- batches that are under way ---------------------------------------------------------------------------------
 
-    def pending(self) -> Iterator[tuple[str, dict[str, list[dict[str, Any]]]]]:
-        """Yield the batches that have a journal, with their files by table."""
+    def pending(self) -> Iterator[tuple[str, Journal]]:
+        """Yield the batches that have a journal."""
         place = self.place
         place.fs.invalidate_cache()
         for path in again(lambda: place.fs.glob(place.path(f"{JOURNAL}/*.json"))):
             name = path.rpartition("/")[2]
-            with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
-                yield name.removesuffix(".json"), json.loads(place.read(f"{JOURNAL}/{name}"))
+            # Its client may have removed it meanwhile.
+            with contextlib.suppress(FileNotFoundError):
+                yield name.removesuffix(".json"), msgspec.json.decode(place.read(f"{JOURNAL}/{name}"), type=Journal)
 
     def compact(self, days: float) -> tuple[int, int]:
         """Join small files, and remove those that no table has needed for some days; return how many of both."""
@@ -269,10 +278,14 @@ class Lake:
     def recover(self) -> int:
         """Finish batches whose client died in the middle; return how many."""
         finished = 0
-        for batch, entries in list(self.pending()):
-            if self.open(CAPTURES).transaction_version(batch) is not None:
-                self._settle(batch, entries)
+        for batch, journal in list(self.pending()):
+            captures = self.open(CAPTURES)
+            if captures.transaction_version(batch) is not None:
+                self._settle(batch, journal.files)
                 finished += 1
+            elif captures.version() > journal.seen:
+                # Another commit came first, so this one can never succeed.
+                self.place.remove(f"{JOURNAL}/{batch}.json")
         return finished
 
 

@@ -111,8 +111,8 @@ def test_two_ingests_at_once_bring_each_content_once(captures, clean, tmp_path):
     both = taken(first, captures), taken(second, captures)
     # Each has seen the lake before the other commits.
     assert first.known() == second.known() == {}
-    assert first.commit("a", both[0]) == 4
-    assert second.commit("b", both[1]) == 0
+    assert first.commit(both[0]) == 4
+    assert second.commit(both[1]) == 0
     assert rows(first) == rows(second) == clean
 
 
@@ -124,11 +124,11 @@ def test_a_race_is_lost_by_who_has_read_the_table_before(captures, clean, tmp_pa
 
     def late(self, *rest):
         if self is second and not first.known():
-            assert first.commit("a", half) == 2
+            assert first.commit(half) == 2
         return write(self, *rest)
 
     monkeypatch.setattr(Lake, "_commit_captures", late)
-    assert second.commit("b", whole) == 2
+    assert second.commit(whole) == 2
     assert [row["capture"] for row in rows(second)["captures"]] == [row["capture"] for row in clean["captures"]]
     count = "select count(*) from transactions"
     assert Question(second).sql(count).fetchall()[0][0] == len(clean["transactions"])
@@ -185,6 +185,7 @@ def test_a_client_that_dies_at_any_step_leaves_all_of_a_batch_or_nothing(capture
         outcome = ingest(after, one)
         seen.add((bool(there), outcome.recovered, outcome.new))
         assert rows(after) == expected
+        after.recover()
         assert list(after.pending()) == []
     assert (False, 0, 1) in seen
     assert (False, 1, 0) in seen
