@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from servotap.captures import Capture, Frame, Transaction
     from servotap.drives import Drive, NotDone, Reply
     from servotap.explained import Explained
+    from servotap.lakes import Lake
 
 __all__ = [
     "Capture",
@@ -41,6 +42,7 @@ __all__ = [
     "Finding",
     "Frame",
     "Junk",
+    "Lake",
     "NotDone",
     "NotStopped",
     "Refused",
@@ -52,6 +54,7 @@ __all__ = [
     "__version__",
     "drive",
     "explain",
+    "lake",
     "open",
 ]
 
@@ -64,6 +67,7 @@ _HOMES = {
     "Finding": "analyzer.records",
     "Frame": "servotap.captures",
     "Junk": "analyzer.records",
+    "Lake": "servotap.lakes",
     "NotDone": "servotap.drives",
     "NotStopped": "conformance.claim",
     "Refused": "conformance.gate.gate",
@@ -130,6 +134,16 @@ def explain(
     from servotap.explained import explained
 
     return explained(frame, dialect=dialect, role=role, model=model, request=request, no_checksum=no_checksum)
+
+
+def lake(url: str | PathLike[str], **store: Any) -> Lake:
+    """Open a lake that `servotap ingest` made: a folder, or a URL. `store`: options of fsspec, as `endpoint_url`.
+
+    Raises UnreadableError for what is no lake, UsageError for a store that cannot be used.
+    """
+    from servotap.lakes import Lake
+
+    return Lake(url, store)
 
 
 def drive(

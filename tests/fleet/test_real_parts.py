@@ -10,6 +10,7 @@ import sys
 
 import pytest
 
+import servotap
 from analyzer.cli import main
 from analyzer.cli.signals import Interrupt
 from analyzer.fleet import ingest as ingesting
@@ -96,3 +97,5 @@ def test_the_commands(captures, tmp_path, capsys):
     assert main(["ask", made]) == 0
     assert "mks_can.read_speed_reply" in capsys.readouterr().out
     assert main(["compact", made]) == 0
+    opened = servotap.lake(made)
+    assert opened.table("states").select("speed").collect().height == opened.sql("from states").num_rows > 0

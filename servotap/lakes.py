@@ -1,0 +1,43 @@
+"""A lake from Python: its tables as data frames, and questions to it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from analyzer.fleet.ask import Question
+from analyzer.fleet.lake import Lake as _Lake
+from analyzer.fleet.place import Place
+from analyzer.table.extras import needed
+
+if TYPE_CHECKING:
+    import polars
+    import pyarrow
+    import pyarrow.dataset
+
+
+class Lake:
+    """A lake of captures, as it is when it is opened. `servotap.lake` makes it."""
+
+    def __init__(self, url: str | os.PathLike[str], store: Mapping[str, Any] | None = None) -> None:
+        self._question = Question(_Lake(Place(os.fspath(url), store or {})))
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """The names of all tables."""
+        return tuple(self._question.tables)
+
+    def dataset(self, table: str) -> pyarrow.dataset.Dataset:
+        """Return a table as a dataset of Arrow, which reads what is needed alone. Raises UsageError for no table."""
+        return self._question.dataset(table)
+
+    def table(self, table: str) -> polars.LazyFrame:
+        """Return a table as a lazy frame of polars. Raises UsageError for no table, or without polars."""
+        frame: polars.LazyFrame = needed("polars").scan_pyarrow_dataset(self.dataset(table))
+        return frame
+
+    def sql(self, query: str) -> pyarrow.Table:
+        """Return the answer to a query of DuckDB's SQL. Raises UsageError for what is none."""
+        answer: pyarrow.Table = self._question.sql(query).to_arrow_table()
+        return answer
