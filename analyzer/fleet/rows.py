@@ -17,7 +17,7 @@ import contextlib
 import hashlib
 import tempfile
 import uuid
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -31,7 +31,7 @@ from analyzer.diagnosis.watch import Watch
 from analyzer.errors import ServotapError, UnreadableError
 from analyzer.fleet.place import Found, Place
 from analyzer.records import Severity
-from analyzer.sinks.parquet import ParquetTables
+from analyzer.sinks.parquet import ParquetTables, Target
 from analyzer.sinks.summary import Summary
 from analyzer.sources.times import DATED, Clock, is_dated
 from analyzer.table.extras import needed
@@ -400,7 +400,7 @@ def _take_one(work: Work, shared: Files, seen: set[str], options: argparse.Names
             if sha256 in work.before or sha256 in seen:
                 return row | {"status": "known"}, []
             capture = _Capture(work, shared, sha256)
-            row |= _decoded(str(path), capture, options)
+            row |= _decoded(str(path), capture.target, options)
             if _sha256(path) != sha256:
                 return row | {
                     "status": "failed",
@@ -422,13 +422,28 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _decoded(path: str, capture: _Capture, options: argparse.Namespace) -> dict[str, Any]:
+class _Nowhere:
+    """A table that nobody keeps."""
+
+    def write(self, rows: pyarrow.Table) -> None:
+        """Forget the rows."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def decoded_alone(path: str, options: argparse.Namespace) -> dict[str, Any]:
+    """Decode a capture into tables that nobody keeps, and return what a row of `captures` says of it."""
+    return _decoded(path, lambda name, schema: _Nowhere(), options)
+
+
+def _decoded(path: str, target: Callable[[str, pyarrow.Schema], Target], options: argparse.Namespace) -> dict[str, Any]:
     """Decode a capture into its tables, and return what the row says of it. Raises UnreadableError."""
     reading = open_reading(path, options)
     source, status, reason = reading.source, "decoded", ""
     with contextlib.closing(source):
         source.in_blocks = source.gives_blocks and (source.size or 0) >= LONG_CAPTURE and not reading.time_range.wanted
-        tables, summary, watch = ParquetTables(capture.target, source.clock), Summary(), Watch()
+        tables, summary, watch = ParquetTables(target, source.clock), Summary(), Watch()
         pipeline = reading.pipeline((tables, summary, watch))
         try:
             for item in reading:

@@ -230,8 +230,8 @@ def test_a_capture_that_grows_while_it_is_read_is_not_taken(tmp_path, monkeypatc
 
     decoded = rows_module._decoded
 
-    def grows(name, capture, given):
-        found = decoded(name, capture, given)
+    def grows(name, target, given):
+        found = decoded(name, target, given)
         with path.open("a") as stream:
             stream.write(candump(2))
         return found

@@ -1,0 +1,176 @@
+"""A lake: what ingesting costs beside decoding alone, how it grows with captures and workers, and what a question costs.
+
+    python benchmarks/lake.py [--frames 500000] [--files 4] [--small 10000] [--rows 100000000]
+
+Captures are made: candump logs of four drives that are polled, with values that the manual allows. Long ones are ingested by
+one and by two workers of Dask, and decoded by `servotap decode --to parquet --jobs 1`; seconds of the clock, so the machine
+should have nothing else to do. Small ones are taken here, without Dask: CPU seconds of decoding alone, of taking them into files
+of a lake, and of committing. For the question, rows of `states` are generated as they come from the drives of 100 machines.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from analyzer import dialects  # noqa: E402
+from analyzer.cli.reading import add_reading_arguments  # noqa: E402
+from analyzer.cli.signals import Interrupt  # noqa: E402
+from analyzer.fleet.ask import Question  # noqa: E402
+from analyzer.fleet.ingest import Ingest, Outcome, Pattern, tasks, workers, works  # noqa: E402
+from analyzer.fleet.lake import Lake  # noqa: E402
+from analyzer.fleet.place import Place  # noqa: E402
+from analyzer.fleet.rows import decoded_alone, take  # noqa: E402
+from tests.columns.can_traffic import frames  # noqa: E402
+
+POLLS = ("read_encoder_carry", "read_speed", "read_pulses", "read_position", "read_angle_error")
+#: Frames of a small capture.
+SMALL = 100
+QUESTION = (
+    "select machine, avg(speed), max(temperature) from states where date = '2026-03-07' group by all order by 2 desc limit 5"
+)
+WHOLE = "select machine, address, quantile_cont(speed, 0.99), count(*) from states group by all order by 3 desc limit 5"
+
+
+def capture(path: Path, count: int, seed: int) -> None:
+    """Write a candump log."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w") as out:
+        for f in frames(dialects.get("mks-can"), random.Random(seed), count, 0, 0, polls=POLLS):
+            seconds, us = divmod((f.t_ns or 0) // 1000, 1_000_000)
+            out.write(f"({seconds}.{us:06d}) can0 {f.id:03X}#{f.data.hex().upper()}\n")
+
+
+def clock(call: Callable[[], object]) -> float:
+    """Return the seconds that a call takes."""
+    started = time.perf_counter()
+    call()
+    return time.perf_counter() - started
+
+
+def cpu(call: Callable[[], object]) -> float:
+    """Return the CPU seconds of this process that a call takes."""
+    started = time.process_time()
+    call()
+    return time.process_time() - started
+
+
+def options() -> argparse.Namespace:
+    """Return the options of reading as they are by default."""
+    parser = argparse.ArgumentParser()
+    add_reading_arguments(parser)
+    return parser.parse_args([])
+
+
+def long_captures(folder: Path, files: int, count: int) -> None:
+    """Print what one and two workers take for long captures, beside decoding alone."""
+    source = folder / "long"
+    for number in range(files):
+        capture(source / f"m{number}" / "2026-03-01" / "a.log", count, number)
+    every = sorted(source.rglob("*.log"))
+    command = [sys.executable, "-m", "analyzer", "decode", "--to", "parquet", "--jobs", "1", "--force"]
+    alone = clock(lambda: [subprocess.run([*command, path], check=True, stdout=subprocess.DEVNULL, cwd=ROOT) for path in every])
+    print(f"| decode --to parquet, one process | {files * count:,} frames | {alone:.2f} s | |")
+    taken = {}
+    for number in (1, 2):
+        lake = Lake(Place(str(folder / f"lake{number}")), make=True)
+        found = works([Place(str(source))], lake, Pattern("{machine}/{date}/*"), False, Outcome())
+        with workers("local", number) as client:
+            # What the workers load, they have loaded.
+            client.run(decoded_alone, str(every[0]), options())
+            run = Ingest(lake, options(), Outcome(), Interrupt()).run
+            taken[number] = clock(lambda client=client, run=run, found=found: run(client, found))
+        share = f"{alone / taken[1]:.2f} of decode" if number == 1 else f"{taken[1] / taken[2]:.2f} times one"
+        print(f"| ingest, {number} worker{'s' * (number > 1)} | {files * count:,} frames | {taken[number]:.2f} s | {share} |")
+
+
+def small_captures(folder: Path, count: int) -> None:
+    """Print what small captures cost, in steps of ten times as many."""
+    source = folder / "small"
+    for number in range(count):
+        capture(source / f"m{number % 20}" / f"2026-03-{1 + number // 20 % 28:02d}" / f"{number}.log", SMALL, number)
+    size = 10
+    while size <= count:
+        lake = Lake(Place(str(folder / f"small{size}")), make=True)
+        found = works([Place(str(source))], lake, Pattern("{machine}/{date}/*"), False, Outcome())[:size]
+        alone = cpu(lambda found=found: [decoded_alone(work.found.key, options()) for work in found])
+        made: list = []
+        taking = cpu(
+            lambda found=found, lake=lake, made=made: made.extend(take(each, lake.place, options()) for each in tasks(found))
+        )
+        committing = cpu(lambda lake=lake, made=made: lake.commit(made))
+        more = (taking + committing - alone) / size * 1000
+        told = f"decoding {alone:.2f}, files {taking - alone:.2f}, commit {committing:.2f} CPU s"
+        print(f"| small captures | {size:,} | {told} | {more:.2f} ms more than decoding each |")
+        size *= 10
+
+
+def states(rows: int) -> Iterator[tuple[str, int, pa.Table]]:
+    """Yield rows of `states` by day and machine: 30 days of 100 machines."""
+    chance, each = np.random.default_rng(7), max(1, rows // 3000)
+    for day in range(30):
+        for machine in range(100):
+            base = 1_772_323_200_000_000_000 + day * 86_400_000_000_000
+            times = base + np.sort(chance.integers(0, 86_400_000_000_000, each))
+            yield f"m{machine}", day, pa.table({
+                "capture": pa.array(np.full(each, f"{day:032}{machine:032}")), "time": pa.array(times // 1000).cast(pa.timestamp("us", "UTC")),
+                "time_ns": times, "bus": np.full(each, "can0"), "address": chance.integers(1, 5, each), "sequence": np.arange(each),
+                "position": chance.normal(0, 1e4, each), "speed": chance.normal(600, 200, each), "current": chance.normal(1, 0.2, each),
+                "voltage": chance.normal(24, 0.1, each), "temperature": chance.normal(40, 5, each),
+            })  # fmt: skip
+
+
+def questions(folder: Path, rows: int) -> None:
+    """Print what questions over many rows cost."""
+    import pyarrow.parquet as parquet
+
+    lake = Lake(Place(str(folder / "asked")), make=True)
+    made, schema = [], None
+    for machine, day, table in states(rows):
+        schema = table.schema
+        path = folder / "asked" / "states" / f"{machine}-{day}.parquet"
+        path.parent.mkdir(exist_ok=True)
+        parquet.write_table(table, path, compression="zstd", compression_level=1)
+        values = {"date": f"2026-03-{day + 1:02d}", "machine": machine}
+        made.append({"path": path.name, "size": path.stat().st_size, "values": values, "count": table.num_rows})
+    lake.table("states", schema)
+    lake._commit_files("made", "states", made)
+    for name, query in (("one day of thirty", QUESTION), ("all rows", WHOLE)):
+        question = Question(lake)
+        seconds = clock(lambda question=question, query=query: question.sql(query).to_arrow_table())
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(
+            f"| a question, {name} | {rows:,} rows, {sum(each['size'] for each in made) / 1e9:.2f} GB | {seconds:.2f} s | {peak:.0f} MiB |"
+        )
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=500_000)
+    parser.add_argument("--files", type=int, default=4)
+    parser.add_argument("--small", type=int, default=10_000)
+    parser.add_argument("--rows", type=int, default=100_000_000)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        print("| work | size | cost | ratio |\n| --- | --- | --- | --- |")
+        long_captures(Path(folder), arguments.files, arguments.frames)
+        small_captures(Path(folder), arguments.small)
+        questions(Path(folder), arguments.rows)
+
+
+if __name__ == "__main__":
+    main()
