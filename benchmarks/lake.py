@@ -4,8 +4,8 @@
 
 Captures are made: candump logs of four drives that are polled, with values that the manual allows. Long ones are ingested by
 one and by two workers of Dask, and decoded by `servotap decode --to parquet --jobs 1`; seconds of the clock, so the machine
-should have nothing else to do. Small ones are taken here, without Dask: CPU seconds of decoding alone, of taking them into files
-of a lake, and of committing. For the question, rows of `states` are generated as they come from the drives of 100 machines.
+should have nothing else to do. Small ones are taken here, without Dask: CPU seconds of decoding alone, of taking them into
+files of a lake, and of committing. For the question, rows of `states` are generated as drives of 100 machines would give them.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def long_captures(folder: Path, files: int, count: int) -> None:
     for number in range(files):
         capture(source / f"m{number}" / "2026-03-01" / "a.log", count, number)
     every = sorted(source.rglob("*.log"))
-    command = [sys.executable, "-m", "analyzer", "decode", "--to", "parquet", "--jobs", "1", "--force"]
+    command = [sys.executable, "-m", "analyzer", "decode", "--to", "parquet", "--jobs", "1", "--force", "-o", str(folder)]
     alone = clock(lambda: [subprocess.run([*command, path], check=True, stdout=subprocess.DEVNULL, cwd=ROOT) for path in every])
     print(f"| decode --to parquet, one process | {files * count:,} frames | {alone:.2f} s | |")
     taken = {}
@@ -125,12 +125,22 @@ def states(rows: int) -> Iterator[tuple[str, int, pa.Table]]:
         for machine in range(100):
             base = 1_772_323_200_000_000_000 + day * 86_400_000_000_000
             times = base + np.sort(chance.integers(0, 86_400_000_000_000, each))
-            yield f"m{machine}", day, pa.table({
-                "capture": pa.array(np.full(each, f"{day:032}{machine:032}")), "time": pa.array(times // 1000).cast(pa.timestamp("us", "UTC")),
-                "time_ns": times, "bus": np.full(each, "can0"), "address": chance.integers(1, 5, each), "sequence": np.arange(each),
-                "position": chance.normal(0, 1e4, each), "speed": chance.normal(600, 200, each), "current": chance.normal(1, 0.2, each),
-                "voltage": chance.normal(24, 0.1, each), "temperature": chance.normal(40, 5, each),
-            })  # fmt: skip
+            table = {
+                "capture": np.full(each, f"{day:032}{machine:032}"),
+                "time": pa.array(times // 1000).cast(pa.timestamp("us", "UTC")),
+                "time_ns": times,
+                "bus": np.full(each, "can0"),
+                "address": chance.integers(1, 5, each),
+                "sequence": np.arange(each),
+            }
+            normal = {
+                "position": (0, 1e4),
+                "speed": (600, 200),
+                "current": (1, 0.2),
+                "voltage": (24, 0.1),
+                "temperature": (40, 5),
+            }
+            yield f"m{machine}", day, pa.table(table | {name: chance.normal(*of, each) for name, of in normal.items()})
 
 
 def questions(folder: Path, rows: int) -> None:

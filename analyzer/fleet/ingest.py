@@ -15,13 +15,15 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date
+from pathlib import Path
 from typing import Any
 
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UsageError
 from analyzer.fleet.lake import Lake
-from analyzer.fleet.place import Place
+from analyzer.fleet.place import Found, Place
 from analyzer.fleet.rows import TAKEN, Taken, Work, take
+from analyzer.live.spool import spool_folder
 from analyzer.table.extras import needed
 from analyzer.values import quote
 
@@ -29,6 +31,8 @@ from analyzer.values import quote
 TASK_BYTES, TASK_FILES = 64 << 20, 200
 #: A batch is committed after so many bytes or seconds.
 BATCH_BYTES, BATCH_SECONDS = 1 << 30, 60.0
+#: Endings of folders that hold what was made of captures.
+_MADE = (".parquet", spool_folder(Path("log")).suffix)
 #: Workers that a task may take with it before it is split.
 DEATHS = 2
 _PARTS = {"machine": r"(?P<machine>[^/]+)", "date": r"(?P<date>\d{4}-?\d\d-?\d\d)", "**": r".*", "*": r"[^/]*"}
@@ -104,7 +108,7 @@ def works(sources: Sequence[Place], lake: Lake, pattern: Pattern | None, retry: 
             known.setdefault(row["size"], set()).add(row["capture"])
     found = []
     for source in sources:
-        for each in source.files():
+        for each in _captures(source, lake.place):
             outcome.files += 1
             if (source.url, each.name, each.size, each.mark) in there:
                 outcome.known += 1
@@ -114,6 +118,18 @@ def works(sources: Sequence[Place], lake: Lake, pattern: Pattern | None, retry: 
     outcome.wanted = len(found)
     outcome.size = sum(work.found.size for work in found)
     return found
+
+
+def _captures(source: Place, lake: Place) -> Iterator[Found]:
+    """Yield the files of a source that are captures: no tables, spools and logs that `decode` made of its neighbours."""
+    files = source.files()
+    names = {each.name for each in files}
+    own = f"{lake.root}/" if type(lake.fs) is type(source.fs) else ""
+    for each in files:
+        folders = each.name.split("/")[:-1]
+        made = each.name.removesuffix(".mcap") in names and each.name.endswith(".mcap")
+        if not made and not any(name.endswith(_MADE) for name in folders) and not (own and each.key.startswith(own)):
+            yield each
 
 
 def tasks(found: Sequence[Work]) -> list[list[Work]]:

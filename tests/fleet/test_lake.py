@@ -101,6 +101,16 @@ def test_copies_in_one_ingest_come_once(captures, clean, tmp_path, monkeypatch):
     assert rows(made) == clean
 
 
+def test_what_was_made_of_captures_is_none(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "a.log").write_text(candump(1))
+    for to in ("mcap", "parquet"):
+        assert main(["decode", str(folder / "a.log"), "--to", to]) == 0
+    made = lake(folder / "lake")
+    assert [ingest(made, folder).files for _ in range(2)] == [1, 1]
+
+
 def taken(made, captures):
     found = works([Place(str(captures))], made, Pattern("{machine}/{date}/*"), False, Outcome())
     return [take(task, made.place, options()) for task in tasks(found)]
