@@ -17,11 +17,13 @@ import contextlib
 import hashlib
 import tempfile
 import uuid
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from analyzer import __version__
 from analyzer.cli.decode import LONG_CAPTURE
@@ -134,17 +136,13 @@ def _type(pa: Any, kind: Any) -> Any:
     return pa.decimal128(20, 0) if kind == pa.uint64() else kind
 
 
-def _rows(pieces: list[pyarrow.Table], schema: pyarrow.Schema, capture: str) -> pyarrow.Table:
-    """Return rows of a capture as the lake has them."""
+def _as_lake(rows: pyarrow.Table, schema: pyarrow.Schema) -> pyarrow.Table:
+    """Return rows of captures, with their `capture`, as the lake has them."""
     pa, compute = needed("pyarrow"), needed("pyarrow.compute")
-    whole = pa.concat_tables(pieces)
-    count = len(whole)
-    columns = {"capture": pa.repeat(capture, count)}
-    for name in whole.column_names:
-        columns[name] = whole[name]
-    times = columns["time_ns"] = whole["time"].cast(pa.int64())
+    columns = {name: rows[name] for name in rows.column_names}
+    times = columns["time_ns"] = rows["time"].cast(pa.int64())
     dated = compute.and_(compute.greater(times, DATED[0]), compute.less(times, DATED[1]))
-    columns["time"] = compute.if_else(dated, whole["time"], None)
+    columns["time"] = compute.if_else(dated, rows["time"], None)
     shown = [columns[each.name].cast(each.type, safe=each.name != "time") for each in schema]
     return pa.Table.from_arrays(shown, schema=schema)
 
@@ -155,7 +153,7 @@ class _Held:
     def __init__(self, capture: _Capture, name: str, schema: pyarrow.Schema) -> None:
         self._capture = capture
         self.name = name
-        self.schema = lake_schema(schema)
+        self.schema = schema
         self.pieces: list[pyarrow.Table] = []
 
     def write(self, rows: pyarrow.Table) -> None:
@@ -168,42 +166,42 @@ class _Held:
 
 
 class _File:
-    """A data file that is being written, locally; `finish` brings it to the lake."""
+    """A data file that is being written, locally; `finish` brings it to the lake. `schema`: of the lake's table."""
 
     def __init__(self, folder: Path, table: str, schema: pyarrow.Schema, values: Mapping[str, str | None]) -> None:
-        self._table, self._schema, self._values = table, schema, dict(values)
+        self.table, self.values = table, dict(values)
+        self._schema = schema
         self.name = f"{uuid.uuid4().hex}.parquet"
         self._path = folder / self.name
-        self._waiting: list[pyarrow.Table] = []
-        self._rows = 0
         self._writer: Any = None
         self._count = 0
         self._captures: dict[str, None] = {}
 
-    def write(self, rows: pyarrow.Table, capture: str) -> None:
-        """Take rows of a capture."""
-        self._waiting.append(rows)
-        self._rows += len(rows)
-        self._captures[capture] = None
-        if self._rows >= GROUP:
-            self._flush()
-
-    def _flush(self) -> None:
-        pa, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+    def write(self, rows: pyarrow.Table, captures: Iterable[str]) -> None:
+        """Write rows as the lake has them, as one row group. `captures`: whose they are."""
         if self._writer is None:
+            parquet = needed("pyarrow.parquet")
             self._writer = parquet.ParquetWriter(self._path, self._schema, compression="zstd", compression_level=1)
-        whole = pa.concat_tables(self._waiting)
-        self._writer.write_table(whole)
-        self._count += len(whole)
-        self._waiting, self._rows = [], 0
+        self._writer.write_table(rows)
+        self._count += len(rows)
+        self._captures |= dict.fromkeys(captures)
 
     def finish(self, lake: Place) -> Added:
         """Bring the file to the lake."""
-        self._flush()
         self._writer.close()
         size = self._path.stat().st_size
-        lake.put(self._path, f"{self._table}/{self.name}")
-        return Added(self._table, self.name, self._schema, size, self._values, self._count, tuple(self._captures))
+        lake.put(self._path, f"{self.table}/{self.name}")
+        return Added(self.table, self.name, self._schema, size, self.values, self._count, tuple(self._captures))
+
+
+class _Waiting:
+    """Rows of captures that are through, which wait until there are enough of them for a file."""
+
+    def __init__(self, file: _File, schema: pyarrow.Schema) -> None:
+        self.file, self.schema = file, schema
+        self.pieces: list[pyarrow.Table] = []
+        self.count = 0
+        self.captures: dict[str, None] = {}
 
 
 class Files:
@@ -211,20 +209,43 @@ class Files:
 
     def __init__(self, lake: Place, folder: Path) -> None:
         self.lake, self.folder = lake, folder
-        self._open: dict[tuple[str, str | None, str | None, bytes], _File] = {}
+        self._waiting: dict[tuple[str, str | None, str | None, bytes], _Waiting] = {}
+        self._transactions: dict[tuple[str | None, str | None], _File] = {}
 
-    def add(self, table: str, rows: pyarrow.Table, values: Mapping[str, str | None], capture: str) -> None:
-        """Take rows of a capture that is through."""
+    def add(self, name: str, rows: pyarrow.Table, values: Mapping[str, str | None], capture: str) -> None:
+        """Take rows of a capture's table."""
         # Two versions of a package may have two schemas for one table.
-        key = (table, values["date"], values["machine"], rows.schema.serialize().to_pybytes())
-        file = self._open.get(key)
-        if file is None:
-            file = self._open[key] = _File(self.folder, table, rows.schema, values)
-        file.write(rows, capture)
+        key = (name, values["date"], values["machine"], rows.schema.serialize().to_pybytes())
+        waiting = self._waiting.get(key)
+        if waiting is None:
+            schema = lake_schema(rows.schema)
+            waiting = self._waiting[key] = _Waiting(_File(self.folder, table_of(name), schema, values), schema)
+        waiting.pieces.append(rows.append_column("capture", needed("pyarrow").repeat(capture, len(rows)).cast("string")))
+        waiting.captures[capture] = None
+        waiting.count += len(rows)
+        if waiting.count >= GROUP:
+            self._write(waiting)
+
+    def _write(self, waiting: _Waiting) -> None:
+        if not waiting.pieces:
+            return
+        file = waiting.file
+        rows = _as_lake(needed("pyarrow").concat_tables(waiting.pieces), waiting.schema)
+        file.write(rows, waiting.captures)
+        done = transactions(file.table, rows)
+        if done is not None:
+            key = (file.values["date"], file.values["machine"])
+            if key not in self._transactions:
+                self._transactions[key] = _File(self.folder, "transactions", done.schema, file.values)
+            self._transactions[key].write(done, waiting.captures)
+        waiting.pieces, waiting.count, waiting.captures = [], 0, {}
 
     def finish(self) -> list[Added]:
         """Bring all files to the lake, and return them."""
-        return [file.finish(self.lake) for file in self._open.values()]
+        for waiting in self._waiting.values():
+            self._write(waiting)
+        files = (*(waiting.file for waiting in self._waiting.values()), *self._transactions.values())
+        return [file.finish(self.lake) for file in files]
 
 
 class _Capture:
@@ -256,22 +277,12 @@ class _Capture:
 
     def release(self, files: Files) -> None:
         """Give what is held to files."""
-        pa = needed("pyarrow")
         self._dates()
         values = {"date": self.day, "machine": self.work.machine or None}
-        made: dict[str, tuple[pyarrow.Schema, list[pyarrow.Table]]] = {}
         for held in self.held:
             if held.pieces and held.name != "metadata":
-                rows = _rows(held.pieces, held.schema, self.sha256)
-                table = table_of(held.name)
-                files.add(table, rows, values, self.sha256)
-                done = transactions(table, rows)
-                if done is not None:
-                    made.setdefault("transactions", (done.schema, []))[1].append(done)
+                files.add(held.name, needed("pyarrow").concat_tables(held.pieces), values, self.sha256)
             held.pieces = []
-        for table, (_, pieces) in made.items():
-            whole = pa.concat_tables(pieces)
-            files.add(table, whole.sort_by([("bus", "ascending"), ("sequence", "ascending")]), values, self.sha256)
         self._rows = 0
 
     def _dates(self) -> None:
@@ -333,21 +344,10 @@ def transactions(table: str, rows: pyarrow.Table) -> pyarrow.Table | None:
 def _with_any(lists: Any, words: tuple[str, ...]) -> Any:
     """Say of each list of texts whether one of some words stands in it."""
     pa, compute = needed("pyarrow"), needed("pyarrow.compute")
-    hits = [False] * len(lists)
-    if lists.null_count < len(lists):
-        for chunk_start, chunk in _chunks(lists):
-            for place, hit in zip(
-                compute.list_parent_indices(chunk), compute.is_in(chunk.flatten(), pa.array(words)), strict=True
-            ):
-                hits[chunk_start + place.as_py()] |= hit.as_py()
+    whole, hits = lists.combine_chunks(), np.zeros(len(lists), dtype=np.bool_)
+    found = compute.is_in(compute.list_flatten(whole), pa.array(words))
+    hits[compute.list_parent_indices(whole).filter(found).to_numpy()] = True
     return pa.array(hits)
-
-
-def _chunks(lists: Any) -> Iterator[tuple[int, Any]]:
-    start = 0
-    for chunk in lists.chunks:
-        yield start, chunk
-        start += len(chunk)
 
 
 def only(lake: Place, added: Sequence[Added], captures: Collection[str]) -> list[Added]:
@@ -362,8 +362,7 @@ def only(lake: Place, added: Sequence[Added], captures: Collection[str]) -> list
             with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
                 file = _File(Path(folder), each.table, each.schema, each.values)
                 rows = parquet.read_table(pa.BufferReader(lake.read(f"{each.table}/{each.path}")), schema=each.schema)
-                for capture in wanted:
-                    file.write(rows.filter(compute.equal(rows["capture"], capture)), capture)
+                file.write(rows.filter(compute.is_in(rows["capture"], pa.array(wanted))), wanted)
                 kept.append(file.finish(lake))
     return kept
 
