@@ -43,6 +43,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "wireshark": ("analyzer.cli.wireshark", "print a dissector for Wireshark, made from the manuals"),
     "ingest": ("analyzer.fleet.cli.ingest", "take the captures of a fleet into one lake of tables"),
     "ask": ("analyzer.fleet.cli.ask", "ask a lake in SQL"),
+    "fleet": ("analyzer.fleet.cli.fleet", "write a page about a lake: drives by health, and what got worse"),
     "compact": ("analyzer.fleet.cli.compact", "join the small files of a lake, and remove what no table needs"),
     "completion": ("analyzer.cli.completion", "print what makes your shell complete these commands"),
 }
@@ -59,7 +60,7 @@ _PURPOSES: dict[str, tuple[str, ...]] = {
     "record": ("record", "tap", "ports", "recover", "cut", "merge", "export"),
     "drive": ("scan", "init", "send", "stop", "frame", "replay", "emulate"),
     "test": ("test", "check", "rerun", "restore"),
-    "fleet": ("ingest", "ask", "compact"),
+    "fleet": ("ingest", "ask", "fleet", "compact"),
 }
 
 _EPILOG = """\

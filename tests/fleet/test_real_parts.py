@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-import os
-import signal
 import subprocess
 import sys
 
@@ -61,18 +60,36 @@ def test_a_bucket_that_fails_one_call_in_five_brings_the_same_rows(bucket, captu
     assert capsys.readouterr().out.split() == ["n", str(len(clean["states"]))]
 
 
-def test_a_worker_that_is_killed_costs_time_alone(captures, clean, tmp_path, monkeypatch):
+@pytest.fixture
+def scheduler():
+    """A scheduler of Dask and two workers, each a process of its own, as on a cluster; their address and the workers."""
+    with contextlib.ExitStack() as processes:
+
+        def start(*words):
+            command = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
+            process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+            processes.callback(lambda: (process.kill(), process.stderr.close(), process.wait()))
+            return process
+
+        told = start("scheduler", "--host", "127.0.0.1", "--port", "0").stderr
+        address = next(line.split()[-1] for line in told if "Scheduler at:" in line)
+        yield address, [start("worker", address, "--nthreads", "1", "--no-nanny") for _ in range(2)]
+
+
+def test_a_worker_that_is_killed_costs_time_alone(scheduler, captures, clean, tmp_path, monkeypatch):
     monkeypatch.setattr(ingesting, "TASK_FILES", 1)
+    address, processes = scheduler
     made = Lake(Place(str(tmp_path / "lake")), make=True)
     outcome = Outcome()
     found = works([Place(str(captures))], made, Pattern("{machine}/{date}/*"), False, outcome)
-    with workers("local", 2) as client:
-        victims = list(client.run(os.getpid).values())[:1]
+    victims = processes[:1]
+    with workers(address, 2) as client:
+        client.wait_for_workers(2)
 
         class Killing(Ingest):
             def ended(self, task, future):
-                if victims:
-                    os.kill(victims.pop(), signal.SIGKILL)
+                while victims:
+                    victims.pop().kill()
                 return super().ended(task, future)
 
         Killing(made, options(), outcome, Interrupt()).run(client, found)
@@ -97,5 +114,8 @@ def test_the_commands(captures, tmp_path, capsys):
     assert main(["ask", made]) == 0
     assert "mks_can.read_speed_reply" in capsys.readouterr().out
     assert main(["compact", made]) == 0
+    page = tmp_path / "fleet.html"
+    assert [main(["fleet", made, "-o", str(page)]) for _ in range(2)] == [0, 2]
+    assert "Machines and drives" in page.read_text()
     opened = servotap.lake(made)
     assert opened.table("states").select("speed").collect().height == opened.sql("from states").num_rows > 0
