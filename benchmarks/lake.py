@@ -162,9 +162,8 @@ def questions(folder: Path, rows: int) -> None:
         question = Question(lake)
         seconds = clock(lambda question=question, query=query: question.sql(query).to_arrow_table())
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(
-            f"| a question, {name} | {rows:,} rows, {sum(each['size'] for each in made) / 1e9:.2f} GB | {seconds:.2f} s | {peak:.0f} MiB |"
-        )
+        size = sum(each["size"] for each in made) / 1e9
+        print(f"| a question, {name} | {rows:,} rows, {size:.2f} GB | {seconds:.2f} s | {peak:.0f} MiB |")
 
 
 def main() -> None:
