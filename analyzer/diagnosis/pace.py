@@ -219,7 +219,7 @@ def _split(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _split_replies(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect replies that come in two reads where the host then fails: the first part checks, or it asks again."""
+    """Suspect replies that come in several reads where the host then fails: the first part checks, or it asks again."""
     found: list[tuple[Turn, Turn]] = []
     again: list[tuple[Turn, Turn]] = []
     for chain in chains(scene):
@@ -227,11 +227,11 @@ def _split_replies(scene: Scene) -> Iterator[Suspicion]:
             message, reads = exchange.request.message, exchange.received
             if (
                 message is None
-                or len(reads) != 2
+                or len(reads) < 2
                 or not any(a.size == len(exchange.data) and a.stands(exchange.data, 0) for a in awaited(message))
             ):
                 continue
-            one, other = reads
+            one, other = reads[0], reads[1]._replace(data=b"".join(turn.data for turn in reads[1:]))
             if any(c.ok and len(c.expected) > 1 for c in message.frame.dialect.link.checks(one.data)):
                 found.append((one, other))
             elif after is not None and after.request.data == exchange.request.data:
@@ -242,7 +242,7 @@ def _split_replies(scene: Scene) -> Iterator[Suspicion]:
     one, other = found[0]
     yield Suspicion(
         "split_frame", Confidence.LIKELY, [Trouble("damaged", one.offset) for one, _ in found],
-        "A reply comes in two reads, and the host takes the first for the whole.",
+        "A reply comes in several reads, and the host takes the first for the whole.",
         f"{shown(one.data)} + {shown(other.data)} at byte {one.offset} are one reply; {counted(len(found), 'time')}",
         "Join what is read until the length of the reply is there: its byte count tells it",
         tuple(Shown(a.offset, shown(a.data), shown(a.data + b.data)) for a, b in found),

@@ -175,6 +175,8 @@ _FLAGGED = 0xFFFF_FFFF
 _SLCAN_ID = {"t": 3, "T": 8, "r": 3, "R": 8}
 _SLCAN_STAMP = 4
 _SAMPLE_LINES, _NAMED_LINES = 400, 50
+#: Strokes between the columns of a table.
+_COLUMNS = range(1, 12)
 _LEAST_SHARE = 0.1
 
 
@@ -319,10 +321,21 @@ def _joined(lines: Iterable[str], program: Program | None = None) -> Iterator[st
         if len(line) <= _LONGEST_LINE and _ONLY_ID.fullmatch(line):
             held = line
         else:
-            yield line
+            yield from _cells(line)
     if held:
         yield held
     yield from call
+
+
+def _cells(line: str) -> Iterator[str]:
+    """Yield the frames of a row of a table that has several, as a column of requests and one of replies; or the line."""
+    cells = line.split("|") if line.count("|") in _COLUMNS and len(line) <= _LONGEST_LINE else []
+    frames = [cell for cell in cells if frame_of(cell) is not None]
+    if len(frames) < 2:
+        yield line
+        return
+    words = " ".join(cell.strip() for cell in cells if cell not in frames)
+    yield from (f"// {words}", *frames) if words.strip() else frames
 
 
 def can_name(name: str | None) -> str | None:

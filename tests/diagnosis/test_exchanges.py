@@ -120,6 +120,8 @@ def test_a_reply_in_two_reads_whose_first_part_checks():
     asked = [(">", READS[0])] + [("<", part) for part in (b"\xfb\x01\x30\x00\x00", b"\x00\x01\x20\x00\x4d")]
     assert told(*asked) == []
     assert first(*asked * 3) == "split_frame"
+    whole = asked[1][1] + asked[2][1]
+    assert first(*[asked[0], *(("<", part) for part in (whole[:4], whole[4:8], whole[8:]))] * 3) == "split_frame"
 
 
 def burst(pause_ms, gap_ms):

@@ -125,6 +125,8 @@ def value(frame: str, words: str) -> str:
             "h.StdId = 0x01;\nuint8_t d[5] = {0xF6, 0x01, 0x40, 0x02};\nh.DLC = 4;\nHAL_CAN_AddTxMessage(&c, &h, d, &b);",
             "missing_checksum",
         ),
+        # A table with a column of requests and one of replies.
+        ("name | sent | received\nspeed | 001#3233 | 001#32006497\nenable | 001#F301F5 | 001#F301F5\n", None),
         # Byte by byte, also into an array that is declared alone; what is known at run time only tells nothing.
         ("byte b[8];\nb[0] = 0xF3;\nb[1] = 0x01;\nCAN.sendMsgBuf(0x01, 0, 2, b);\n// does not enable", "missing_checksum"),
         ("byte b[8];\nb[0] = 0xF3; b[1] = 0x01; b[2] = 0xF5;\nCAN.sendMsgBuf(0x01, 0, 3, b);", None),
