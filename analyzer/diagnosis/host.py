@@ -22,6 +22,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
 
 def _cut(scene: Scene) -> Iterator[Suspicion]:
     cut: list[tuple[Trouble, bytes, int]] = []
+    known = scene.directed
     heads = Counter(t.stretch.data[:_HEAD] for t in scene.damaged if t.stretch is not None)
     for trouble in scene.damaged:
         stretch = trouble.stretch
@@ -34,6 +35,7 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
         # What the capture ends in may have gone on; what goes on in the reads behind it was not cut.
         if wanted and not _goes_on(scene, stretch, wanted) and (scene.directed or stretch.stop != scene.pieces[-1].stop):
             cut.append((trouble, stretch.data, wanted))
+            known |= asked is not None
     # A single byte can be anything, unless it is all that comes of each reply.
     if any(len(data) == 1 for _, data, _ in cut) and len(cut) < _SINGLE:
         cut = [row for row in cut if len(row[1]) > 1]
@@ -41,7 +43,7 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
         return
     first, data, wanted = cut[0]
     yield Suspicion(
-        "reply_cut", Confidence.CERTAIN if len(cut) > 1 else Confidence.LIKELY, [t for t, _, _ in cut],
+        "reply_cut", Confidence.CERTAIN if len(cut) > 1 and known else Confidence.LIKELY, [t for t, _, _ in cut],
         "The host reads only a part of the reply.",
         f"{shown(data)} at byte {first.offset} has {counted(len(data), 'byte')} of {wanted}; {counted(len(cut), 'time')}",
         f"Read until {wanted} bytes are there or a timeout has passed, not what has come by the time of one read",

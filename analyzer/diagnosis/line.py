@@ -206,6 +206,11 @@ def _side(scene: Scene, side: Role, all_garbled: list[_Garbled]) -> Iterator[Sus
     garbled = _most_met(all_garbled) if side is Role.UNKNOWN else all_garbled[:_MOST_STRETCHES]
     ways = [
         _Way("wrong_parity", 1.0, list(_of_seven(garbled))),
+        _Way(
+            "inverted_lines",
+            1.0,
+            [_Fit(*each[:2], frame, len(each.data)) for each in garbled if (frame := _inverted().get(each.data))],
+        ),
         *_of_what_was_sent(scene, garbled),
         *(_back(scene.reader, garbled, cause, line) for cause, line in _LINES),
     ]
@@ -423,7 +428,10 @@ def _lower(frame: bytes) -> bytes:
 def _of_what_was_sent(scene: Scene, garbled: Sequence[_Garbled]) -> Iterator[_Way]:
     """Yield the ways in which what the capture shows as sent becomes what it shows as read."""
     known = [r.link.completed(r.head) for each in garbled for r in each.replies if len(r.head) + 2 == r.size]
-    sent = list(dict.fromkeys((*known, *(b.data for b in scene.bursts if _SAME <= len(b.data) <= _READ))))[:_MOST_STRETCHES]
+    # What came spoiled tells nothing of what else came.
+    spoiled = {t.offset for t in scene.damaged if t.stretch is not None and t.stretch.direction is not Role.REQUEST}
+    whole = (b.data for b in scene.bursts if _SAME <= len(b.data) <= _READ and b.offset not in spoiled)
+    sent = list(dict.fromkeys((*known, *whole)))[:_MOST_STRETCHES]
     lines = [*_LINES, *(("wrong_baud", Line(ratio)) for ratio in _ratios())]
     for cause, line in lines:
         fits = {}
@@ -483,6 +491,13 @@ def _levels() -> tuple[tuple[str, ...], Rows]:
 
 
 @cache
+def _inverted() -> dict[bytes, bytes]:
+    """Return the likely frames by what a receiver reads of them whose lines are swapped."""
+    line = Line(inverted=True)
+    return {came: frame for frame in _likely() if len(came := read(levels(frame, line), line)) >= _LEAST}
+
+
+@cache
 def _ratios() -> tuple[float, ...]:
     """Return the ratios of a sender's speed to a receiver's."""
     found: dict[float, tuple[int, int]] = {}
@@ -530,23 +545,38 @@ def _of_replies(garbled: Sequence[_Garbled]) -> Iterator[_Way]:
     """Yield the settings with which all that came begins as the replies do that were asked for."""
     asked = [each for each in garbled if each.replies]
     for cause, line in (("inverted_lines", Line(inverted=True)), *(("wrong_baud", Line(ratio)) for ratio in _ratios())):
-        fits, different = [], set()
+        fits, different, least = [], set(), _FEWEST
         for trouble, data, replies in asked:
-            begun = max(
-                ((start, r.head) for r in replies for start in _starts(r.head, line) if data.startswith(start)), default=None
-            )
-            if begun is not None:
-                fits.append(_Fit(trouble, data, begun[1], len(begun[0])))
-                different.add(begun[0])
-        if len(fits) >= max(_FEWEST, _ALMOST_ALL * len(asked)) and len(different) >= _DISTINCT:
+            begun = [(value, r.head, m) for r in replies for value, m in _starts(r.head, line) if _has(data, value, m)]
+            if begun:
+                value, head, mask = max(begun)
+                fits.append(_Fit(trouble, data, head, len(value)))
+                different.add(value)
+                # Of some bits of a byte more must agree.
+                least = max(least, _FEWEST if mask.count(0xFF) == len(mask) else 2 * _FEWEST)
+        if len(fits) >= max(least, _ALMOST_ALL * len(asked)) and len(different) >= _DISTINCT:
             yield _Way(cause, line.ratio, fits)
 
 
 @cache
-def _starts(head: bytes, line: Line) -> frozenset[bytes]:
-    """Return what is read of the beginning of a frame, as far as what follows has no part in it."""
+def _starts(head: bytes, line: Line) -> frozenset[tuple[bytes, bytes]]:
+    """Return what is read of the beginning of a frame, whatever follows: bytes, and their known bits."""
     found = set()
     for late in _lates(line.ratio):
-        some, other = (read(levels(head + tail, line), line, late) for tail in (bytes(8), b"\xff" * 8))
-        found.add(bytes(a for a, b in takewhile(lambda pair: pair[0] == pair[1], zip(some, other, strict=False))))
-    return frozenset(found - {b""})
+        pair = [read(levels(head + tail, line), line, late) for tail in (bytes(8), b"\xff" * 8)]
+        same = bytes(0xFF & ~(a ^ b) for a, b in zip(*pair, strict=False))
+        whole = sum(1 for _ in takewhile(lambda bits: bits == 0xFF, same))
+        # A first byte that is known but for few bits tells something, too.
+        size = whole or (1 if same and same[0].bit_count() >= _KNOWN_BITS else 0)
+        if size:
+            found.add((bytes(a & b for a, b in zip(pair[0], same, strict=False))[:size], same[:size]))
+    return frozenset(found)
+
+
+#: Bits of a first byte that tell whose it is.
+_KNOWN_BITS = 5
+
+
+def _has(data: bytes, value: bytes, mask: bytes) -> bool:
+    """Say whether bytes begin with a value, in the bits of its mask."""
+    return len(data) >= len(value) and all(a & m == b for a, b, m in zip(data, value, mask, strict=False))

@@ -265,9 +265,7 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     known = list(dict.fromkeys(sound))[:_MOST_ALIKE]
     # One damaged frame in long traffic must resemble a whole one.
     told = len(sound) <= _FEW or len(spoiled) >= _REPLIES
-    alike = [
-        (each, frame) for each in spoiled if (frame := (_meant(each) if told else None) or _alike(each, known)) is not None
-    ]
+    alike = [(each, frame) for each in spoiled if (frame := _meant(each, told) or _alike(each, known)) is not None]
     if len(alike) < _ALIKE * len(spoiled):
         return
     first, frame = alike[0]
@@ -284,10 +282,10 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     )  # fmt: skip
 
 
-def _meant(spoiled: _Spoiled) -> bytes | None:
+def _meant(spoiled: _Spoiled, alike: bool) -> bytes | None:
     """Return the beginning of the reply that damaged bytes should be, where the request before tells its head and length.
 
-    Of the head two bytes in a row are there, or most of its bits; or noise has hit nothing else.
+    Noise has hit its head alone; or, where `alike` is enough, two bytes in a row of the head are there, or most of its bits.
     """
     data = spoiled.stretch.data
     for reply in replies_to(spoiled.asked):
@@ -295,9 +293,8 @@ def _meant(spoiled: _Spoiled) -> bytes | None:
         pairs = (reply.head[at : at + 2] for at in range(size - 1))
         begun = data[: size + _GAINED]
         mended = reply.head + data[size:]
-        if abs(len(data) - reply.size) <= _GAINED and (
-            any(pair in begun for pair in pairs) or _near(reply.head, data[:size]) or reply.stands(mended, 0)
-        ):
+        begins = alike and (any(pair in begun for pair in pairs) or _near(reply.head, data[:size]))
+        if reply.stands(mended, 0) or (begins and abs(len(data) - reply.size) <= _GAINED):
             return mended
     return None
 

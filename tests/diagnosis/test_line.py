@@ -252,6 +252,19 @@ def test_polls_whose_values_change(case, cause, name):
     assert swept(case, name, f"{case} {name}") == cause
 
 
+@pytest.mark.parametrize(
+    ("case", "name", "cause"),
+    [
+        ("inverted listener", "mks-modbus", "inverted_lines"),
+        ("read at 4 of the speed host", "lk-rs485", "wrong_baud"),
+        ("read at 1/4 of the speed host", "lk-rs485", "wrong_baud"),
+        ("read at 1/2 of the speed listener", "mks-rs485", "wrong_baud"),
+    ],
+)
+def test_a_wrong_line_is_not_taken_for_another(case, name, cause):
+    assert swept(case, name, f"{case} {name} 1") == cause
+
+
 def test_bytes_of_one_parity_by_chance_are_no_format():
     # A few bytes of one parity, as small numbers have.
     assert "wrong_parity" not in [each.cause for each in told("< FB 01 30 03 05", "< FB 01 30 06 05")]
