@@ -159,7 +159,7 @@ def _two_drives(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion
 
 
 def _all_doubled(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
-    """Suspect two drives of each address: all heads are right, for both send them, and what differs is damaged."""
+    """Suspect two drives of each address: replies begin as they should, for both send their heads, and then are damaged."""
     good = sum(piece.is_reply and piece.sound for piece in scene.pieces)
     right = sum(map(_head_is_right, spoiled))
     if right < _HEADS or right < _ALMOST_ALL * len(spoiled) or len(spoiled) < _MOST_OF * (len(spoiled) + good):
@@ -179,20 +179,20 @@ def _all_doubled(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
 def _head_is_right(spoiled: _Spoiled) -> bool:
     """Say whether a reply begins as it should, or as two do that begin a little apart."""
     assert spoiled.asked is not None  # of one address
-    begun = spoiled.stretch.data[:_BEGUN]
-    return any(begun == reply.head[:_BEGUN] or begun in _overlaid(reply.head) for reply in replies_to(spoiled.asked))
+    data = spoiled.stretch.data
+    return any(data[:_BEGUN] == reply.head[:_BEGUN] or data[0] in _overlaid(reply.head) for reply in replies_to(spoiled.asked))
 
 
 @cache
-def _overlaid(head: bytes) -> frozenset[bytes]:
-    """Return what is read of the beginning of two frames with one head at once, up to a byte apart: a low level wins."""
+def _overlaid(head: bytes) -> bytes:
+    """Return the first bytes that are read of two frames with one head at once, up to a byte apart: a low level wins."""
     one = "".join(cell * _STEPS for cell in levels(head))
     idle = "1" * len(one)
-    found = set()
+    found = bytearray()
     for late in range(_STEPS * CELLS):
         both = "".join(min(pair) for pair in zip(one + idle, idle[:late] + one + idle[late:], strict=True))
-        found.add(read(both, Line(_STEPS))[:_BEGUN])
-    return frozenset(found)
+        found += read(both, Line(_STEPS))[:1]
+    return bytes(found)
 
 
 #: Bytes of a beginning that are compared, and steps of a cell by which two senders are apart.

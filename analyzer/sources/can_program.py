@@ -2,6 +2,7 @@
 
     byte stop[3] = {0xF7, 0x02, 0xFA};  CAN.sendMsgBuf(0x01, 0, 3, stop);            Arduino: identifier, extended, length, data
     const uint8_t ON[8] = {0x88};  msg.id = 0x141;  memcpy(msg.buf, ON, 8);          a message field by field
+    byte b[8];  b[0] = 0x94;  b[1] = 0x00;  CAN.sendMsgBuf(0x01, 0, 2, b);          an array, element by element
     CAN.beginPacket(0x01);  CAN.write(0x30);  CAN.write(0x31);  CAN.endPacket();     byte by byte
     canMsg.can_id = 0x01;  canMsg.can_dlc = 2;  canMsg.data[0] = 0x31;  ...          the fields of SocketCAN's struct
 
