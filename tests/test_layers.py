@@ -174,3 +174,12 @@ def test_help_needs_nothing_heavy():
     packages = ("can", "rich", "textual", "foxglove", "mcap", "numpy", "serial", "msgspec", "fastcrc", "hypothesis", "jinja2")
     for heavy in (*packages, "analyzer.catalogue"):
         assert f"'{heavy}'" not in done.stderr, heavy
+
+
+def test_a_format_is_found_without_numpy():
+    # Bytes without a certain format: each format is asked.
+    code = "import sys; from analyzer.sources import open_source; open_source(sys.argv[1]); print('numpy' in sys.modules)"
+    for name in ("mks_rs485.log", "mks_rs485.bin"):
+        words = [sys.executable, "-c", code, f"captures/{name}"]
+        done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+        assert done.stdout == "False\n", name

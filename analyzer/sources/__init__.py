@@ -4,13 +4,14 @@
         for record in source: ...
 
 A format is found by content, not by name. Each format is one module with `score` and `read` (see `source.py`), imported
-only when it is asked; libraries that a format needs are imported only when it is read.
+only when it is asked; libraries that a format needs are imported only when it is read. Formats of levels need NumPy all over,
+so what scores them stands in one module of its own.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -18,6 +19,7 @@ from typing import NamedTuple
 
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.sources.lines import head_lines, is_text
+from analyzer.sources.logic.heads import SCORES
 from analyzer.sources.source import Problem, Record, Source, quote
 from analyzer.sources.stream import BLOCK
 from analyzer.values import storable
@@ -173,6 +175,12 @@ def _module(name: str) -> ModuleType:
     return import_module(f"{__name__}.{FORMATS[name].module}")
 
 
+def _score(name: str, head: bytes) -> float:
+    """Say how sure a format is of the first bytes of a capture, 0..1."""
+    score: Callable[[bytes], float] = SCORES[name] if FORMATS[name].levels else _module(name).score
+    return score(head)
+
+
 def _more(source: Source) -> bool:
     """Let the head grow by what comes next; say whether anything came."""
     block = source.stream.block()
@@ -213,7 +221,7 @@ def _find(source: Source) -> str:
             raise UnreadableError(f"{source.name} is {other}")
         scores: dict[str, float] = {}
         for name in FORMATS:
-            scores[name] = _module(name).score(head)
+            scores[name] = _score(name, head)
             # Nothing fits better, and the first of two wins: what comes behind it need not be loaded.
             if scores[name] >= _CERTAIN_SCORE:
                 break

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from analyzer.columns.codec import Integers
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk, Event
+from analyzer.sources.logic.heads import MAGIC, SAMPLE_LIMIT, word_size
 from analyzer.sources.logic.traffic import records
 from analyzer.sources.logic.waveform import Stretch, Waveform, changes, of_bit
 from analyzer.sources.source import SECOND_NS, Source
 from analyzer.sources.stream import BLOCK
 from analyzer.values import counted
 
-_MAGIC = b"<SALEAE>"
 _HEAD = struct.Struct("<8sii")  # identifier, version, type
 _CHUNK = (struct.Struct("<IddQ"), struct.Struct("<IdddQ"))  # state, (samples a second,) begin, end, transitions
 _COUNT = struct.Struct("<Q")
@@ -37,27 +37,6 @@ _VERSIONS = (0, 1)
 _TIME, _PIECE = 8, 1 << 20
 #: Times of a capture in seconds, either way.
 _LONGEST_S = 1e9
-#: Widths of the words of Logic 1, the rows by which it is told, and its greatest sample number.
-_WIDTHS, _ROWS, _LAST_SAMPLE = (1, 2, 4, 8), 16, 1 << 48
-
-
-def score(head: bytes) -> float:
-    """Say how sure it is that these bytes are such an export, 0..1."""
-    if head.startswith(_MAGIC):
-        return 1.0
-    return 0.9 if _width(head) else 0.0
-
-
-def _width(head: bytes) -> int:
-    """Return the bytes of a word of Logic 1, 0 where the bytes are no such rows."""
-    for width in _WIDTHS:
-        rows = _rows(head[: (8 + width) * (len(head) // (8 + width))], width)
-        if len(rows) < _ROWS:
-            continue
-        numbers, words = rows["number"], rows["word"]
-        if numbers[-1] < _LAST_SAMPLE and (numbers[1:] > numbers[:-1]).all() and (words[1:] != words[:-1]).all():
-            return width
-    return 0
 
 
 def _rows(data: bytes, width: int) -> NDArray[np.void]:
@@ -66,7 +45,7 @@ def _rows(data: bytes, width: int) -> NDArray[np.void]:
 
 def read(source: Source) -> Iterator[Chunk | CanFrame | Event]:
     """Read the traffic. Raises UnreadableError for another type of export, and where the head is damaged."""
-    if not source.head.startswith(_MAGIC):
+    if not source.head.startswith(MAGIC):
         return _read_changes(source)
     if len(source.head) < _HEAD.size:
         raise UnreadableError(f"{source.name}: the Saleae export breaks off at byte {len(source.head)}, in its head")
@@ -147,7 +126,7 @@ def _stretches(source: Source, wave: Waveform, version: int) -> Iterator[Stretch
 
 
 def _read_changes(source: Source) -> Iterator[Chunk | CanFrame | Event]:
-    width = _width(source.head)
+    width = word_size(source.head)
     if not width:
         shown = source.head[:8].hex(" ").upper()
         raise UnreadableError(f"{source.name}: expected <SALEAE>, or rows of a sample number and a word, got {shown}")
@@ -168,7 +147,7 @@ def _changes(source: Source, wave: Waveform, width: int) -> Iterator[Stretch]:
         rows = _rows(data, width)
         numbers, words = rows["number"].astype(np.int64), np.ascontiguousarray(rows["word"])
         wrong = np.flatnonzero(np.diff(numbers, prepend=number) <= 0)
-        if len(wrong) or numbers[-1] >= _LAST_SAMPLE:
+        if len(wrong) or numbers[-1] >= SAMPLE_LIMIT:
             place = at + size * int(wrong[0] if len(wrong) else len(numbers) - 1)
             raise UnreadableError(f"{source.name}: byte {place}: expected a sample number behind the one before")
         if before is None:

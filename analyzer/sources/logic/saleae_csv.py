@@ -11,69 +11,26 @@ are all moved to begin at zero. Sample numbers become times by a line on the sam
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk, Event
 from analyzer.sources.lines import Lines, head_lines
+from analyzer.sources.logic.heads import LEVELS, Heading, heading_of
 from analyzer.sources.logic.traffic import records
 from analyzer.sources.logic.waveform import CHANNEL_LIMIT, Stretch, Waveform
 from analyzer.sources.saleae import time_of
 from analyzer.sources.source import SECOND_NS, Source, quote
 
-_TIMES, _SAMPLES = ("time [s]", "time[s]", "time(s)", "time (s)"), ("sample", "samples", "sample number", "sample #")
-_RATE = re.compile(r"\bsample\s*rate\W*(\d+(?:\.\d+)?)\s*([kMG]?)(?:Hz|S/s|sps)?\b", re.IGNORECASE)
-_SCALES = {"": 1, "k": 1000, "m": 1_000_000, "g": 1_000_000_000}
-_LEVELS = ("0", "1", "X", "x", "")
-#: Lines before the heading, rows that are looked at, and rows of one stretch.
-_BEFORE, _ROWS, _TOGETHER = 8, 20, 1 << 16
-#: Share of the cells there that must be levels.
-_MOST = 0.9
-
-
-class _Heading(NamedTuple):
-    """Where the heading stands, how its cells are divided, the channels, and the samples a second where numbers are given."""
-
-    line: int
-    delimiter: str
-    names: list[str]
-    numbered: bool
-    rate: int
-
-
-def _heading(lines: Sequence[str]) -> _Heading | None:
-    rate = 0
-    for number, line in enumerate(lines[:_BEFORE]):
-        delimiter = "\t" if "\t" in line else ","
-        cells = [cell.strip().strip('"') for cell in line.lstrip("\ufeff").split(delimiter)]
-        if len(cells) > 1 and cells[0].lower() in _TIMES + _SAMPLES:
-            names = [name or f"Channel {at}" for at, name in enumerate(cells[1:])]
-            return _Heading(number, delimiter, names, cells[0].lower() in _SAMPLES, rate)
-        found = _RATE.search(line)
-        if found is not None:
-            rate = round(float(found[1]) * _SCALES[found[2].lower()])
-    return None
-
-
-def score(head: bytes) -> float:
-    """Say how sure it is that this text has levels, 0..1."""
-    lines = head_lines(head)
-    heading = _heading(lines)
-    if heading is None:
-        return 0.0
-    rows = [line.split(heading.delimiter)[1:] for line in lines[heading.line + 1 :][:_ROWS]]
-    cells = [cell.strip() for row in rows for cell in row]
-    # One damaged level does not make it something else: that is told with its line.
-    return 0.97 if cells and sum(cell in _LEVELS for cell in cells) >= _MOST * len(cells) else 0.0
+#: Rows of one stretch.
+_TOGETHER = 1 << 16
 
 
 def read(source: Source) -> Iterator[Chunk | CanFrame | Event]:
     """Read the traffic. Raises UnreadableError for a text without such a heading."""
-    heading = _heading(head_lines(source.head))
+    heading = heading_of(head_lines(source.head))
     if heading is None:
         raise UnreadableError(f"{source.name}: expected a heading as in Time [s],Channel 0,Channel 1")
     if len(heading.names) > CHANNEL_LIMIT:
@@ -87,7 +44,7 @@ def read(source: Source) -> Iterator[Chunk | CanFrame | Event]:
     return records(source, wave)
 
 
-def _stretches(source: Source, wave: Waveform, heading: _Heading) -> Iterator[Stretch]:
+def _stretches(source: Source, wave: Waveform, heading: Heading) -> Iterator[Stretch]:
     lines = Lines(source)
     rows = iter(lines)
     for _ in range(heading.line + 1):
@@ -136,7 +93,7 @@ def _taken(wave: Waveform, first: list[int], edges: list[list[int]], end_ns: int
     return stretch
 
 
-def _time(text: str, heading: _Heading) -> int:
+def _time(text: str, heading: Heading) -> int:
     """Return the time of a row. Raises ValueError for a text that is none."""
     if not heading.numbered:
         return time_of(text)
@@ -152,7 +109,7 @@ def _levels(cells: Sequence[str], before: Sequence[int]) -> list[tuple[int, int]
     changed = []
     for channel, cell in enumerate(cells):
         cell = cell.strip()
-        if cell not in _LEVELS:
+        if cell not in LEVELS:
             raise ValueError(f"a level that is not 0, 1 or X: {quote(cell)}")
         if cell in ("0", "1") and int(cell) != before[channel]:
             changed.append((channel, int(cell)))

@@ -29,7 +29,6 @@ from analyzer.sources.logic.waveform import CHANNEL_LIMIT, Stretch, Waveform, Wo
 from analyzer.sources.source import SECOND_NS, Source, quote
 from analyzer.values import counted
 
-_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
 _METADATA = "metadata"
 #: Bytes of the metadata, and of the samples that are unpacked at once.
 _METADATA_LIMIT, _PIECE = 1 << 20, 1 << 20
@@ -40,11 +39,6 @@ _WORDS = (1, 2, 4, 8)
 #: What zipfile raises for archives that are damaged, or packed in a way it does not know.
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, KeyError, OSError)
 _SALEAE = "meta.json"
-
-
-def score(head: bytes) -> float:
-    """Say how sure it is that these bytes are a session, 0..1: any zip archive is, so that `read` can say what is wrong."""
-    return 1.0 if head.startswith(_MAGICS) else 0.0
 
 
 def read(source: Source) -> Iterator[Chunk | CanFrame | Event]:

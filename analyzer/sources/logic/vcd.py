@@ -24,7 +24,6 @@ from analyzer.sources.logic.traffic import records
 from analyzer.sources.logic.waveform import CHANNEL_LIMIT, Stretch, Waveform
 from analyzer.sources.source import LATEST_NS, Source, quote
 
-_SECTIONS = (b"$date", b"$version", b"$comment", b"$timescale", b"$scope", b"$var", b"$upscope", b"$enddefinitions")
 _SCALE = re.compile(r"(1|10|100)\s*(s|ms|us|ns|ps|fs)")
 #: Femtoseconds of each unit, and of one nanosecond.
 _UNITS = {"s": 10**15, "ms": 10**12, "us": 10**9, "ns": 10**6, "ps": 10**3, "fs": 1}
@@ -33,14 +32,6 @@ _NS = 10**6
 _HEADER_LIMIT, _WORD_LIMIT = 1 << 22, 1 << 16
 _IGNORED = (b"$dumpvars", b"$dumpall", b"$dumpon", b"$dumpoff", b"$end")
 _UNKNOWN = b"xXzZ"
-
-
-def score(head: bytes) -> float:
-    """Say how sure it is that these bytes are VCD, 0..1."""
-    first = head.lstrip(b"\xef\xbb\xbf \t\r\n")
-    if not first.startswith(_SECTIONS):
-        return 0.0
-    return 1.0 if b"$end" in head else 0.6
 
 
 def read(source: Source) -> Iterator[Chunk | CanFrame | Event]:
