@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import logging
 import re
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +34,11 @@ from analyzer.values import quote
 TASK_BYTES, TASK_FILES = 64 << 20, 200
 #: A batch is committed after so many bytes or seconds.
 BATCH_BYTES, BATCH_SECONDS = 1 << 30, 60.0
+#: Seconds in which a scheduler has to answer, and the level of logs of Dask that are shown.
+_SECONDS, _QUIET = 30, logging.CRITICAL
+_DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 #: Endings of folders that hold what was made of captures.
 _MADE = (".parquet", spool_folder(Path("log")).suffix)
-#: Workers that a task may take with it before it is split.
-DEATHS = 2
 _PARTS = {"machine": r"(?P<machine>[^/]+)", "date": r"(?P<date>\d{4}-?\d\d-?\d\d)", "**": r".*", "*": r"[^/]*"}
 _PART = re.compile(r"\{(\w+)\}|\*\*|\*")
 
@@ -148,30 +152,29 @@ def tasks(found: Sequence[Work]) -> list[list[Work]]:
 
 @contextlib.contextmanager
 def workers(scheduler: str, count: int) -> Iterator[Any]:
-    """Yield a client of Dask: of a scheduler that runs (`tcp://…`), or of processes of this machine."""
+    """Yield a client of Dask: of a scheduler that runs (`tcp://…`), or of processes of this machine.
+
+    Raises UsageError where no scheduler answers.
+    """
     distributed = needed("distributed")
-    if scheduler == "local":
-        # A worker that has died is noticed after seconds, not minutes.
-        needed("dask").config.set({"distributed.comm.timeouts.connect": "10s"})
-        cluster: Any = distributed.LocalCluster(
-            n_workers=count, threads_per_worker=1, processes=True, dashboard_address=_dashboard(), silence_logs=40
-        )
-    else:
-        cluster = contextlib.nullcontext(scheduler)
-    with cluster as address:
+    # A worker that has died is noticed after seconds, not minutes. Ctrl-C is for the client, which ends them.
+    settings = {"distributed.comm.timeouts.connect": "10s", "distributed.worker.preload": [_DEAF]}
+    needed("dask").config.set(settings)
+    with contextlib.ExitStack() as opened:
+        address: Any = scheduler
+        if scheduler == "local":
+            address = opened.enter_context(
+                distributed.LocalCluster(
+                    n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=_QUIET
+                )
+            )
+            if find_spec("bokeh"):
+                print(f"Dask's dashboard: {address.dashboard_link}", file=sys.stderr)
         try:
-            client = distributed.Client(address, timeout=30)
+            client = opened.enter_context(distributed.Client(address, timeout=_SECONDS))
         except (OSError, ValueError, TimeoutError) as error:
             raise UsageError(f"--scheduler {scheduler}: no scheduler of Dask answers there: {error}") from None
-        with client:
-            yield client
-
-
-def _dashboard() -> str | None:
-    """Return where Dask's dashboard is to be; None where bokeh, which it needs, is not installed."""
-    from importlib.util import find_spec
-
-    return ":0" if find_spec("bokeh") else None
+        yield client
 
 
 class Ingest:
