@@ -21,9 +21,9 @@ from analyzer.sources import Source, open_source
 from analyzer.sources.times import ShownTime
 
 #: What asks for another decoding than the one that a log holds.
-_DECODING = ("model", "baud", "group", "ids", "late")
+_DECODING = ("dbc", "modbus_map", "model", "baud", "group", "ids", "late")
 #: Topics of decoded traffic, and how many records are looked through for the first one.
-_DECODED = re.compile(r"/[^/]*/([^/]*/[^/]*/(request|reply)|unknown|foreign|junk)")
+_DECODED = re.compile(r"/[^/]*/([^/]*/[^/]*/(request|reply|message)|unknown|foreign|junk)")
 _LOOKED = 20_000
 
 

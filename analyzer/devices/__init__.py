@@ -46,7 +46,7 @@ def load(dbc: Sequence[str], modbus_map: Sequence[str], note: Callable[[str], No
 
         for path in modbus_map:
             text, name = _read(path), _name(path, found)
-            found.append(_file(text, "Modbus registers", slaves(text, name)))
+            found.append(_file(text, "Modbus registers", slaves(text, name, note)))
     _check_apart(found)
     return found
 

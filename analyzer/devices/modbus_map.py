@@ -6,11 +6,12 @@
     5,3,pump,coil
 
 The heading names the columns, in any order; `unit`, `address`, `name` and `type` must be there. A column that is not known is
-passed over. Commas, semicolons or tabs stand between values; a line that begins with # is a comment.
+passed over. Commas, semicolons or tabs stand between values; beside semicolons and tabs a number may have a decimal comma.
+A line that begins with # is a comment; empty rows, and Excel's line `sep=;`, are passed over.
 
 - `unit`: the address of the slave, 1 to 247. `address`: the first register as a frame has it, counted from 0.
-- `type`: u16 i16 u32 i32 u64 i64 f32 f64, `bool` or `coil`, `string N` of N characters.
-- `table`: coil, discrete, holding, input, or the function 1 to 4 that reads it. Without it `holding`, of a bit `coil`.
+- `type`: u16 i16 u32 i32 u64 i64 f32 f64 (also uint16, int16, float32 ...), `bool` or `coil`, `string N` of N characters.
+- `table`: coil, discrete, holding, input (also `input register` ...), or the function 1 to 4 that reads it. Without it `holding`, of a bit `coil`.
 - `word_order`: big (the high register first), or little.
 - A value is the number sent, times `scale`, plus `offset`.
 """
@@ -37,6 +38,9 @@ _TABLES = {table.value: table for table in Table} | dict(zip("1234", Table, stri
 _ORDERS = {"": False, "big": False, "little": True}
 _NUMBER = re.compile(r"[+-]?\d{1,12}(\.\d{0,12})?([eE][+-]?\d{1,2})?|[+-]?\.\d{1,12}|[+-]?\d{1,12}/\d{1,12}")
 _WHOLE = re.compile(r"0[xX][0-9a-fA-F]{1,8}|\d{1,8}")
+_TYPE_WORDS = re.compile(r"(u|)int(?=(?:16|32|64)$)|float(?=(?:32|64)$)")
+_TABLE_WORDS = re.compile(r"(?<=\w)[ _](registers?|inputs?)$|(?<=coil)s$")
+_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 _TEXT = re.compile(r"string\s*(\d{1,3})")
 #: Registers that one frame can carry.
 _MOST_REGISTERS = 125
@@ -47,8 +51,11 @@ class _Wrong(ValueError):
     """A cell that is not what it should be."""
 
 
-def slaves(text: Text, name: str) -> tuple[Dialect, ...]:
-    """Return a dialect for each slave of a file. Raises UnreadableError, with the row, for one that is wrong."""
+def slaves(text: Text, name: str, note: Callable[[str], None]) -> tuple[Dialect, ...]:
+    """Return a dialect for each slave of a file. `note`: takes what a reader should know of it.
+
+    Raises UnreadableError, with the row, for a file that is wrong.
+    """
     units: dict[int, list[Value]] = {}
     places: dict[tuple[int, Table, int], str] = {}
     names: dict[tuple[int, str], int] = {}
@@ -68,12 +75,24 @@ def slaves(text: Text, name: str) -> tuple[Dialect, ...]:
     if not units:
         raise text.error("expected rows with registers, got none")
     title = printable(Path(text.path).name)
+    for unit, values in units.items():
+        if all(_is_numbered(value.address) for value in values):
+            first = values[0].address
+            note(
+                f"{title}: unit {unit}: addresses count from 0, as frames have them; if {first} is meant as manuals number "
+                f"registers, write {first % 10_000 - 1}"
+            )
     manual = f"CSV file {title}"
     several = len(units) > 1
     return tuple(
         slave(f"{name}-{unit}" if several else name, f"{title}, unit {unit}", manual, (unit,), values)
         for unit, values in units.items()
     )
+
+
+def _is_numbered(address: int) -> bool:
+    """Say whether an address looks like a number of a manual: 10001, 30001 or 40001 is the first of its table."""
+    return address // 10_000 in (1, 3, 4) and address % 10_000 > 0
 
 
 def _twins(value: Value) -> tuple[str, ...]:
@@ -86,7 +105,7 @@ def _rows(text: Text) -> Iterator[tuple[int, dict[str, str]]]:
     heading: list[str] = []
     between = ","
     for number, line in enumerate(lines, 1):
-        if not line.strip() or line.lstrip().startswith("#"):
+        if not line.strip() or line.lstrip().startswith("#") or _SEPARATOR.fullmatch(line.strip()):
             continue
         if not heading:
             between = next((each for each in ";\t" if each in line), ",")
@@ -100,19 +119,24 @@ def _rows(text: Text) -> Iterator[tuple[int, dict[str, str]]]:
             if missing:
                 raise text.error(f"expected a heading with {', '.join(_NEEDED)}, got {quote(line)}", number)
             continue
+        if not any(cells):
+            continue
         if len(cells) > len(heading) and any(cells[len(heading) :]):
             raise text.error(f"expected {len(heading)} values as in the heading, got {len(cells)}", number)
-        yield number, dict(zip(heading, cells, strict=False))
+        row = dict(zip(heading, cells, strict=False))
+        if between != ",":
+            row |= {name: row[name].replace(",", ".") for name in ("scale", "offset") if name in row}
+        yield number, row
 
 
 def _value(row: Mapping[str, str]) -> tuple[int, Value]:
     """Return the unit and the value of a row. Raises _Wrong."""
     unit = _cell(row, "unit", "an address from 1 to 247", lambda cell: _whole(cell, 1, 247))
     address = _cell(row, "address", "0 to 65535, as 16 or 0x10", lambda cell: _whole(cell, 0, _LAST_REGISTER))
-    name = _cell(row, "name", "letters, digits and _", _name)
+    name = _cell(row, "name", f"letters, digits and _{_proposed(row.get('name', ''))}", _name)
     kind, count = _cell(row, "type", "u16 i16 u32 i32 u64 i64 f32 f64 bool coil, or string N", _type)
     usual = Table.COIL if kind == "bool" else Table.HOLDING
-    table = _cell(row, "table", "coil, discrete, holding or input", lambda cell: _TABLES[cell.lower()] if cell else usual)
+    table = _cell(row, "table", "coil, discrete, holding or input", lambda cell: _TABLES[_TABLE_WORDS.sub("", cell.lower())] if cell else usual)
     if table.of_bits is not (kind == "bool"):
         raise _Wrong(f"type: {'bool' if table.of_bits else 'a number or a string'} expected for {table}, got {row['type']}")
     if address + count - 1 > _LAST_REGISTER:
@@ -150,8 +174,17 @@ def _name(cell: str) -> str:
     return cell
 
 
+def _proposed(cell: str) -> str:
+    """Return the name that is near to a text, in words; nothing where there is none."""
+    near = re.sub(r"\W+", "_", cell).strip("_")
+    try:
+        return f", as {_name(near)}"
+    except ValueError:
+        return ""
+
+
 def _type(cell: str) -> tuple[str, int]:
-    word = cell.lower()
+    word = _TYPE_WORDS.sub(lambda found: "f" if found[1] is None else found[1] or "i", cell.lower())
     if word in ("bool", "coil"):
         return "bool", 1
     if word in NUMBERS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from functools import cached_property
 
@@ -10,6 +11,8 @@ from analyzer.values import printable
 
 #: A larger file is none that people or their tools write for one bus.
 MOST_BYTES = 4 << 20
+#: How text of 16 bits a character begins.
+_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 #: Characters of a message of another library that are shown.
 _LONGEST = 200
 
@@ -22,12 +25,14 @@ class Text:
         self.data = data
         if len(data) > MOST_BYTES:
             raise UnreadableError(f"{path}: expected at most {MOST_BYTES >> 20} MiB, got more")
-        if b"\0" in data:
+        if b"\0" in data and not data.startswith(_UTF16):
             raise UnreadableError(f"{path}: expected text, got a zero byte at {data.index(0)}")
 
     @cached_property
     def text(self) -> str:
-        """The text; what is no UTF-8 is taken for Windows-1252, as older tools write it."""
+        """The text: UTF-8, or UTF-16 as Excel writes "Unicode text"; anything else is taken for Windows-1252."""
+        if self.data.startswith(_UTF16):
+            return self.data.decode("utf-16", "replace")
         try:
             return self.data.decode("utf-8-sig")
         except UnicodeDecodeError:

@@ -32,6 +32,7 @@ _CURVES, _BINS = 6, 16
 #: A pause breaks a line: so many usual steps, and this share of the whole time. Pauses that part a capture into stretches.
 _PAUSE_STEPS, _PAUSE_SHARE, _PARTING, _STRETCHES = 20, 0.005, 0.05, 24
 _COLOURS = {"position": "--blue", "speed": "--teal", "current": "--amber", "voltage": "--violet", "temperature": "--rose"}
+_ORDER = {name: place for place, name in enumerate(STATE_UNITS)}
 _LOOKS = {Severity.ERROR: "bad", Severity.WARNING: "doubt", Severity.INFO: "seen"}
 
 
@@ -159,6 +160,7 @@ class _Section:
         traffic = self.traffic
         self.drives = sorted(traffic.drives.values(), key=lambda drive: drive.order)
         self.with_values = [drive for drive in busiest(self.drives) if drive.states]
+        self.has_messages = any(drive.messages for drive in self.drives)
         self.shown_drives = self.with_values[: max(1, int(_DRAWN * self.cut))] if self.cut else []
         lines = sum(len(drive.states) for drive in self.shown_drives) + 3 * len(traffic.buses)
         self.points = int(min(_MOST_POINTS, max(_LEAST_POINTS * min(1, 4 * self.cut), _POINTS * self.cut / max(1, lines))))
@@ -194,7 +196,7 @@ class _Section:
         for each in traffic.breaches.values():
             found[each.severity] += each.count
         worst = next((s for s in (Severity.ERROR, Severity.WARNING) if found[s]), None)
-        drives = [drive for drive in self.drives if drive.replies]
+        drives = [drive for drive in self.drives if drive.replies and drive.is_drive]
         tiles = [("frames", f"{traffic.frames:,}", f"on {_counted(len(traffic.buses), 'bus', 'buses')}", "")]
         if self.axis.timed and traffic.frames:
             span = (traffic.last_ns - traffic.first_ns) / SECOND
@@ -283,12 +285,12 @@ class _Section:
 
     def _drawn(self, drive: Drive) -> _Drawn:
         charts = []
-        for name in STATE_UNITS:
-            if name in drive.states:
-                t_ns, sequence, values = drive.states[name].columns()
-                kept = extremes(values, self.points)
-                x = self.axis(t_ns[kept], sequence[kept])
-                charts.append(self._chart(x, values[kept], name, STATE_UNITS[name], _COLOURS[name]))
+        for number, name in enumerate(sorted(drive.states, key=lambda name: _ORDER.get(name, len(_ORDER)))):
+            t_ns, sequence, values = drive.states[name].columns()
+            kept = extremes(values, self.points)
+            x = self.axis(t_ns[kept], sequence[kept])
+            colour = _COLOURS.get(name) or list(_COLOURS.values())[number % len(_COLOURS)]
+            charts.append(self._chart(x, values[kept], name, drive.units[name], colour))
         to_all = [
             each for one in self.drives if one.bus == drive.bus and one.address in ("0", "all") for each in one.marks.values()
         ]

@@ -141,7 +141,7 @@ def series(
 
 def _is_field_topic(topic: str) -> bool:
     parts = topic.split("/")
-    return (len(parts), parts[-1]) in ((5, "request"), (5, "reply"), (4, _STATE))
+    return (len(parts), parts[-1]) in ((5, "request"), (5, "reply"), (5, "message"), (4, _STATE))
 
 
 def _properties(schema: bytes) -> Mapping[str, Any]:
@@ -161,7 +161,7 @@ def _chosen(name: str, topics: Sequence[_Topic]) -> list[Series]:
         there = sorted({known for topic in topics for known in topic.fields if topic.meant})
         commands = {f"{topic.command}.{known}" for topic in topics for known in topic.fields}
         if any(asked == name for topic in topics for asked, *_ in topic.wanted):
-            raise UsageError(f"{quote(name)} has no values here, there may be {_listed(there)}")
+            raise UsageError(f"{quote(name)} has no values here, there may be {_listed([each for each in there if each != name])}")
         raise UsageError(f"no field here is {quote(name)}{near(name, {*there, *commands})}; there are {_listed(there)}")
     return (states or [each for _, each in found])[:MOST]
 

@@ -11,6 +11,7 @@ from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
 import msgspec
@@ -44,6 +45,8 @@ _MARKS_KEPT, _LEAST_MARKS, _MOST_MARKS = 60_000, 64, 4096
 FIRST_FEW, _COMMENTS, _EVENTS, _OTHERS = 4, 200, 500, 2000
 #: Drives, commands and rules of a log; one with more is damaged or hostile.
 _DRIVES, _COMMANDS, _RULES = 5000, 5000, 200
+#: Values of another device that are drawn, and numbers of its frames that are none.
+_VALUES, _NO_VALUES = 24, frozenset(("register", "quantity", "exception"))
 #: Characters of a finding that are kept beside its mark.
 _LONGEST = 200
 _LEVELS = {4: Severity.ERROR, 3: Severity.WARNING, 2: Severity.INFO}
@@ -187,7 +190,11 @@ class Marks:
 
 @dataclass
 class Drive:
-    """An address of a bus. `address`: as topics have it; `who`: as people read it; `bytes`: in its frames, of both sides."""
+    """An address of a bus: a drive, or another device that a file describes.
+
+    `address`: as topics have it; `who`: as people read it; `bytes`: in its frames, of both sides. `states`: values over time,
+    with their `units`: of a drive the quantities of its state, of another device its fields.
+    """
 
     bus: str
     address: str
@@ -195,16 +202,23 @@ class Drive:
     dialects: dict[str, None] = field(default_factory=dict)
     requests: int = 0
     replies: int = 0
+    messages: int = 0
     unknown: int = 0
     bytes: int = 0
     severities: Counter[Severity] = field(default_factory=Counter)
     states: dict[str, Track] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
     marks: dict[str, Marks] = field(default_factory=dict)
 
     @property
     def frames(self) -> int:
         """How many frames it sent or was sent."""
-        return self.requests + self.replies + self.unknown
+        return self.requests + self.replies + self.messages + self.unknown
+
+    @property
+    def is_drive(self) -> bool:
+        """Whether a dialect of drives is spoken with it."""
+        return any(map(_is_of_drives, self.dialects))
 
     @property
     def order(self) -> tuple[str, int, str]:
@@ -277,12 +291,14 @@ class _Topic:
         self.name = channel.topic
         self.bus, self.address = bus, rest[0]
         self.is_request = channel.topic.endswith("/request")
+        self.is_message = channel.topic.endswith("/message")
         self.can = channel.metadata.get("bus_kind") == "can"
         self.dialect = channel.metadata.get("dialect", "")
         self.command = channel.metadata.get("command", rest[1])
         self.take = take
         self.units = units
         self.mark = _mark_of(self.dialect, self.command) if self.is_request else ""
+        self.is_of_device = self.is_message or not (self.is_request or _is_of_drives(self.dialect))
         self.highest = -1
         self.empty()
 
@@ -291,6 +307,12 @@ class _Topic:
         self.times: list[int] = []
         self.sequences: list[int] = []
         self.data: list[bytes] = []
+
+
+@cache
+def _is_of_drives(dialect: str) -> bool:
+    """Say whether drives speak a dialect. Those of device files are not registered."""
+    return any(each.name == dialect and each.of_drives for each in dialects.every())
 
 
 def _mark_of(dialect: str, name: str) -> str:
@@ -425,7 +447,7 @@ class Traffic:
                 return self._take_raw
             case ["", _, _, "state"]:
                 return self._take_states
-            case ["", _, _, _, "request" | "reply"]:
+            case ["", _, _, _, "request" | "reply" | "message"]:
                 return self._take_frames
         return None
 
@@ -482,11 +504,30 @@ class Traffic:
     def _take_states(self, topic: _Topic) -> None:
         rows = self._states(topic)
         t_ns, sequence = np.array(topic.times, np.int64), np.array(topic.sequences, np.int64)
-        states = self._drive(topic.bus, topic.address).states
+        drive = self._drive(topic.bus, topic.address)
+        drive.units |= STATE_UNITS
+        states = drive.states
         for name in STATE_UNITS:
             values = np.array([getattr(row, name) for row in rows], np.float64)
             if np.isfinite(values).any():
                 states.setdefault(name, Track()).add(t_ns, sequence, values)
+
+    def _take_values(self, topic: _Topic, drive: Drive) -> None:
+        """Take the numbers of another device's frames that have no names of their own (a mode is no curve)."""
+        found: dict[str, list[tuple[int, int, float]]] = {}
+        for t_ns, sequence, data in zip(topic.times, topic.sequences, topic.data, strict=True):
+            fields = _fields(data)
+            if fields.get("_checksum_ok") is False:
+                continue
+            for name, value in _own(fields).items():
+                if isinstance(value, (int, float)) and name not in _NO_VALUES and f"{name}_name" not in fields:
+                    found.setdefault(name, []).append((t_ns, sequence, value))
+        for name, points in found.items():
+            if name in drive.states or len(drive.states) < _VALUES:
+                t_ns, sequence, value = zip(*points, strict=True)
+                drive.units[name] = topic.units.get(name, "")
+                track = drive.states.setdefault(name, Track())
+                track.add(np.array(t_ns, np.int64), np.array(sequence, np.int64), np.array(value, np.float64))
 
     def _take_frames(self, topic: _Topic) -> None:
         rows = self._frames(topic)
@@ -496,6 +537,11 @@ class Traffic:
         drive = self._drive(topic.bus, topic.address, can=topic.can)
         drive.bytes += sum((len(row.raw) + 1) // 3 for row in rows)
         drive.dialects.setdefault(topic.dialect)
+        if topic.is_of_device:
+            self._take_values(topic, drive)
+        if topic.is_message:
+            drive.messages += count
+            return
         key = (topic.bus, topic.command)
         if key not in self.talks and len(self.talks) >= _COMMANDS:
             key = topic.bus, "further"

@@ -247,7 +247,7 @@ BAD = {
     "5,70000,b,u16": ":4: address: expected 0 to 65535, as 16 or 0x10, got '70000'",
     "5,0x,b,u16": ":4: address: expected 0 to 65535",
     "5,65535,b,u32": ":4: address: expected 2 registers up to 0xFFFF, got 0xFFFF",
-    "5,5,b c,u16": ":4: name: expected letters, digits and _, got 'b c'",
+    "5,5,b c,u16": ":4: name: expected letters, digits and _, as b_c, got 'b c'",
     "5,5,role,u16": ":4: name: expected letters",
     "5,5,a,u16": ":4: name: a of unit 5 stands in row 2 already",
     "5,1,b,u16": ":4: address: holding 0x0001 of unit 5 is a (row 2) already",
@@ -281,6 +281,27 @@ def test_a_wrong_row_is_told_in_one_line_and_nothing_is_written(wrong, tmp_path,
 def test_a_file_that_is_no_list(text, said, tmp_path):
     with pytest.raises(ServotapError, match=said):
         slaves(tmp_path, text)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_a_list_as_excel_writes_it(encoding, tmp_path):
+    """With a line for the separator, decimal commas, empty rows and the words of other tools."""
+    path = tmp_path / "excel.csv"
+    rows = ["unit;address;name;type;scale;table", "5;0;Länge;UINT16;0,1;Input Register", ";;;;;", "5;1;b;float32;;", "5;3;c;int16;;"]
+    path.write_bytes("\r\n".join(["sep=;", *rows, ""]).encode(encoding))
+    (dialect,) = load([], [str(path)], print)[0].dialects
+    assert shown((dialect,), "05 04 00 00 00 01", "05 04 02 08 FC")[1]["Länge"] == 230
+    assert shown((dialect,), "05 03 00 01 00 03", "05 03 06 3F 80 00 00 FF FF")[1] == {
+        "register": 1, "quantity": 3, "b": 1, "c": -1
+    }  # fmt: skip
+
+
+def test_numbers_of_a_manual_are_told(tmp_path):
+    notes = []
+    load([], [meter(tmp_path, "unit,address,name,type\n5,40001,a,u16\n5,40003,b,u16\n6,40001,a,u16\n6,7,b,u16\n")], notes.append)
+    assert notes == [
+        "meter.csv: unit 5: addresses count from 0, as frames have them; if 40001 is meant as manuals number registers, write 0"
+    ]
 
 
 def test_two_lists_of_one_slave(tmp_path):

@@ -45,6 +45,15 @@ def test_a_field_goes_by_its_command_and_a_latency_is_in_ms(log):
         values(log, "read_enabled.latency")
 
 
+def test_a_log_is_decoded_again_with_a_file_of_other_devices(tmp_path, capsys):
+    devices, log = ROOT / "captures" / "devices", tmp_path / "x.mcap"
+    assert main(["decode", str(devices / "battery.log"), "-o", str(log)]) == 0
+    assert main(["plot", str(log), "voltage", "--dbc", str(devices / "battery.dbc")]) == 0
+    assert "can0/291/battery_status/message.voltage  47.9 to 48 V" in capsys.readouterr().out
+    assert main(["plot", str(log), "voltage"]) == 2
+    assert "'voltage' has no values here, there may be current, latency, position, speed, temperature" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

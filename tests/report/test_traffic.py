@@ -37,9 +37,9 @@ def test_of_many_marks_each_so_many_th_is_kept(batches, most):
     assert [marks.text(n) for n in range(len(marks.t_ns))] == [str(t) for t in marks.t_ns]
 
 
-def traffic_of(capture, folder):
+def traffic_of(capture, folder, *words):
     log = folder / "x.mcap"
-    assert main(["decode", str(capture), "-o", str(log), "--force"]) == 0
+    assert main(["decode", str(capture), "-o", str(log), "--force", *words]) == 0
     with open_source(log) as source:
         traffic = Traffic(source, -(1 << 63), 1 << 63)
         traffic.read()
@@ -67,3 +67,20 @@ def test_a_drive_on_can_goes_by_its_identifier(tmp_path):
     traffic = traffic_of(ROOT / "captures" / "mks_can.asc", tmp_path)
     assert "0x001" in {drive.who for drive in traffic.drives.values()}
     assert traffic.breaches["unknown_choice"].first[0].raw.startswith("001 ")
+
+
+def test_values_of_other_devices_are_kept_with_their_units(tmp_path):
+    devices = ROOT / "captures" / "devices"
+    battery = traffic_of(devices / "battery.log", tmp_path, "--dbc", str(devices / "battery.dbc")).drives["can0", "291"]
+    assert (battery.is_drive, battery.messages, battery.replies) == (False, 2, 0)
+    values = {name: (track.columns()[2].tolist(), battery.units[name]) for name, track in battery.states.items()}
+    # Of the multiplexed signals each frame has its own; a mode is no curve.
+    assert values == {
+        "voltage": ([48, 479 * 0.1], "V"), "current": ([-0.12, -0.16], "A"), "page": ([0, 1], ""),
+        "cell_temperature": ([25], "degC"), "charge": ([82.5], "%"),
+    }  # fmt: skip
+    traffic = traffic_of(devices / "meter.log", tmp_path, "--modbus-map", str(devices / "meter.csv"))
+    meter = traffic.drives["serial", "5"]
+    assert {name: meter.units[name] for name in meter.states} == {"voltage": "V", "power": "W", "energy": "kWh", "relay": ""}
+    assert not meter.is_drive
+    assert traffic.drives["serial", "1"].is_drive
