@@ -80,6 +80,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_recording_arguments(parser)
 
 
+class _Later(argparse.Action):
+    """Refuses a file of other devices: a recording keeps their frames as they came."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: object, values: object, option_string: str | None = None
+    ) -> None:
+        parser.error(
+            f"{option_string}: a recording keeps the frames of other devices as they came; give it when the log is read, "
+            f"as in servotap show week.mcap {option_string} {values}"
+        )
+
+
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that records."""
     parser.add_argument(
@@ -92,6 +104,9 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         help="a group address: several drives listen, none answers; may be repeated",
     )  # fmt: skip
     add_ids_argument(parser)
+    parser.add_argument(
+        "--dbc", "--modbus-map", action=_Later, metavar="FILE", help="not here: give it when the log is read (servotap show)"
+    )
     parser.add_argument("--late", type=milliseconds, default=1000.0, metavar="MS", help="late replies: after MS (default 1000)")
     parser.add_argument("--duration", metavar="TIME", help="stop after 10s, 5min, 2h")
     parser.add_argument("--rotate", metavar="SIZE|TIME", help="a new file every 100MB or 10min, or both: 100MB,10min")

@@ -11,7 +11,8 @@ A line that begins with # is a comment; empty rows, and Excel's line `sep=;`, ar
 
 - `unit`: the address of the slave, 1 to 247. `address`: the first register as a frame has it, counted from 0.
 - `type`: u16 i16 u32 i32 u64 i64 f32 f64 (also uint16, int16, float32 ...), `bool` or `coil`, `string N` of N characters.
-- `table`: coil, discrete, holding, input (also `input register` ...), or the function 1 to 4 that reads it. Without it `holding`, of a bit `coil`.
+- `table`: coil, discrete, holding, input (also `input register` ...), or the function 1 to 4 that reads it. Without it
+  `holding`, of a bit `coil`.
 - `word_order`: big (the high register first), or little.
 - A value is the number sent, times `scale`, plus `offset`.
 """
@@ -136,7 +137,12 @@ def _value(row: Mapping[str, str]) -> tuple[int, Value]:
     name = _cell(row, "name", f"letters, digits and _{_proposed(row.get('name', ''))}", _name)
     kind, count = _cell(row, "type", "u16 i16 u32 i32 u64 i64 f32 f64 bool coil, or string N", _type)
     usual = Table.COIL if kind == "bool" else Table.HOLDING
-    table = _cell(row, "table", "coil, discrete, holding or input", lambda cell: _TABLES[_TABLE_WORDS.sub("", cell.lower())] if cell else usual)
+    table = _cell(
+        row,
+        "table",
+        "coil, discrete, holding or input",
+        lambda cell: _TABLES[_TABLE_WORDS.sub("", cell.lower())] if cell else usual,
+    )
     if table.of_bits is not (kind == "bool"):
         raise _Wrong(f"type: {'bool' if table.of_bits else 'a number or a string'} expected for {table}, got {row['type']}")
     if address + count - 1 > _LAST_REGISTER:

@@ -49,7 +49,12 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     yield from _miscounted(scene)
     yield from _other_quantity(scene)
     found: dict[tuple[str, str], list[_Wrong]] = {}
+    answers = {p.asked_by for p in scene.pieces if p.is_reply and not _refuses(p)}
+    answered = {p.data for p in scene.pieces if p.is_request and p.sequence in answers}
     for troubles, piece, refusal in _failing(scene):
+        # The same bytes met with a good reply, so the device has this function and this register.
+        if refusal not in (None, piece) and piece.data in answered and _about_register(refusal):
+            continue
         why = _why(scene, piece, refusal)
         if why is not None:
             key = (why.cause, why.say if why.by_exception else "")

@@ -161,7 +161,9 @@ def _chosen(name: str, topics: Sequence[_Topic]) -> list[Series]:
         there = sorted({known for topic in topics for known in topic.fields if topic.meant})
         commands = {f"{topic.command}.{known}" for topic in topics for known in topic.fields}
         if any(asked == name for topic in topics for asked, *_ in topic.wanted):
-            raise UsageError(f"{quote(name)} has no values here, there may be {_listed([each for each in there if each != name])}")
+            raise UsageError(
+                f"{quote(name)} has no values here, there may be {_listed([each for each in there if each != name])}"
+            )
         raise UsageError(f"no field here is {quote(name)}{near(name, {*there, *commands})}; there are {_listed(there)}")
     return (states or [each for _, each in found])[:MOST]
 

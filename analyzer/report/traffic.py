@@ -524,10 +524,10 @@ class Traffic:
                     found.setdefault(name, []).append((t_ns, sequence, value))
         for name, points in found.items():
             if name in drive.states or len(drive.states) < _VALUES:
-                t_ns, sequence, value = zip(*points, strict=True)
+                times, sequences, values = zip(*points, strict=True)
                 drive.units[name] = topic.units.get(name, "")
                 track = drive.states.setdefault(name, Track())
-                track.add(np.array(t_ns, np.int64), np.array(sequence, np.int64), np.array(value, np.float64))
+                track.add(np.array(times, np.int64), np.array(sequences, np.int64), np.array(values, np.float64))
 
     def _take_frames(self, topic: _Topic) -> None:
         rows = self._frames(topic)

@@ -176,6 +176,15 @@ def test_a_wrong_option_is_told_in_one_line_with_the_near_one(capsys):
     assert err.count("\n") == 1
 
 
+def test_a_recording_says_where_files_of_other_devices_are_given(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["record", "can:virtual:x", "--dbc", "battery.dbc"])
+    assert ended.value.code == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "give it when the log is read, as in servotap show week.mcap --dbc battery.dbc" in err
+
+
 def test_two_captures_of_one_name_have_a_log_each(tmp_path, capsys):
     paths = []
     for name, text in (("a", "TX: FA 01 32 2D\n"), ("b", "TX: FA 01 30 2B\n")):

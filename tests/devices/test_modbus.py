@@ -287,7 +287,13 @@ def test_a_file_that_is_no_list(text, said, tmp_path):
 def test_a_list_as_excel_writes_it(encoding, tmp_path):
     """With a line for the separator, decimal commas, empty rows and the words of other tools."""
     path = tmp_path / "excel.csv"
-    rows = ["unit;address;name;type;scale;table", "5;0;Länge;UINT16;0,1;Input Register", ";;;;;", "5;1;b;float32;;", "5;3;c;int16;;"]
+    rows = [
+        "unit;address;name;type;scale;table",
+        "5;0;Länge;UINT16;0,1;Input Register",
+        ";;;;;",
+        "5;1;b;float32;;",
+        "5;3;c;int16;;",
+    ]
     path.write_bytes("\r\n".join(["sep=;", *rows, ""]).encode(encoding))
     (dialect,) = load([], [str(path)], print)[0].dialects
     assert shown((dialect,), "05 04 00 00 00 01", "05 04 02 08 FC")[1]["Länge"] == 230
@@ -298,7 +304,9 @@ def test_a_list_as_excel_writes_it(encoding, tmp_path):
 
 def test_numbers_of_a_manual_are_told(tmp_path):
     notes = []
-    load([], [meter(tmp_path, "unit,address,name,type\n5,40001,a,u16\n5,40003,b,u16\n6,40001,a,u16\n6,7,b,u16\n")], notes.append)
+    load(
+        [], [meter(tmp_path, "unit,address,name,type\n5,40001,a,u16\n5,40003,b,u16\n6,40001,a,u16\n6,7,b,u16\n")], notes.append
+    )
     assert notes == [
         "meter.csv: unit 5: addresses count from 0, as frames have them; if 40001 is meant as manuals number registers, write 0"
     ]

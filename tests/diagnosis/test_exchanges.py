@@ -46,6 +46,12 @@ def test_one_exception_in_good_traffic_is_an_answer():
     assert told(*good, *refused, *good) == []
 
 
+def test_a_request_that_is_answered_elsewhere_asks_for_no_wrong_register():
+    asked = (">", rtu("11 03 01 00 00 01"))
+    assert told(asked, ("<", rtu("11 03 02 00 07")), asked, ("<", rtu("11 83 02"))) == []
+    assert first(asked, ("<", rtu("11 03 02 00 07")), asked, ("<", rtu("11 83 06"))) == "too_fast"
+
+
 def test_a_register_of_another_device_is_in_order():
     assert told((">", rtu("11 03 01 00 00 01")), ("<", rtu("11 03 02 00 07"))) == []
 

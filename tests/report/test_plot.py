@@ -51,7 +51,9 @@ def test_a_log_is_decoded_again_with_a_file_of_other_devices(tmp_path, capsys):
     assert main(["plot", str(log), "voltage", "--dbc", str(devices / "battery.dbc")]) == 0
     assert "can0/291/battery_status/message.voltage  47.9 to 48 V" in capsys.readouterr().out
     assert main(["plot", str(log), "voltage"]) == 2
-    assert "'voltage' has no values here, there may be current, latency, position, speed, temperature" in capsys.readouterr().err
+    assert (
+        "'voltage' has no values here, there may be current, latency, position, speed, temperature" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(
