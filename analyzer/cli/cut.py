@@ -15,7 +15,8 @@ from typing import IO, Any
 import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.log_copy import DAMAGED, TAGGED, Copy, Log, Taken, write_or_drop
+from analyzer.cli.log_copy import DAMAGED, TAGGED, Copy, Log, Taken
+from analyzer.cli.output import free_target, whole
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import WARM_NS, add_time_range_arguments
@@ -54,7 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
         if target.exists() and any(target.samefile(file) for file in log.files):
             raise UsageError(f"{target} is the log itself; choose another name with -o")
         cut = _Cut(log, arguments)
-        write_or_drop(target, arguments.force, cut.write)
+        with whole(free_target(target, arguments.force), replace=arguments.force) as stream:
+            cut.write(stream)
         print(f"wrote {target}: {cut.said}")
         for note in log.notes:
             print(f"note: {printable(note)}", file=sys.stderr)

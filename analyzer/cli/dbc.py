@@ -13,7 +13,7 @@ from pathlib import Path
 from analyzer import dialects as registry
 from analyzer.catalogue import Role
 from analyzer.cli.option_types import address
-from analyzer.cli.output import target_of, write_whole
+from analyzer.cli.output import free_target, write_whole
 from analyzer.errors import UsageError
 from analyzer.reference.dbc import dbc, shapes
 
@@ -52,16 +52,11 @@ def run(arguments: argparse.Namespace) -> int:
         sys.stdout.buffer.write(text.encode())
         sys.stdout.buffer.flush()
     else:
-        _write(target_of(Path(arguments.output)), text, arguments.force)
+        target = free_target(Path(arguments.output), arguments.force)
+        write_whole(target, text.encode(), replace=arguments.force)
     print("left out, for DBC cannot express it:", file=sys.stderr)
     if dialect.link.checked:
         print("  checksums: their place depends on the length of the frame", file=sys.stderr)
     for line in dict.fromkeys(map(str, shapes(dialect, chosen[0], role)[1])):
         print(f"  {line}", file=sys.stderr)
     return 0
-
-
-def _write(target: Path, text: str, force: bool) -> None:
-    if target.exists() and not force:
-        raise UsageError(f"{target} exists: name another file, or replace it with --force")
-    write_whole(target, text.encode(), replace=force)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO
 
 from analyzer.cli.export_table import export_table
-from analyzer.cli.output import Output, target_of
+from analyzer.cli.output import free_target, target_of, whole
 from analyzer.cli.reading import add_reading_arguments, progress, source_options
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import TimeRange
@@ -110,19 +110,10 @@ def run(arguments: argparse.Namespace) -> int:
             told = export(arguments, sys.stdout.buffer, interrupt, None)
             sys.stdout.buffer.flush()
         else:
-            output = Output(target, arguments.force)
-            try:
-                told = export(arguments, output.stream, interrupt, target)
+            with whole(target, replace=arguments.force) as stream:
+                told = export(arguments, stream, interrupt, target)
                 if interrupt.asked:
                     raise KeyboardInterrupt
-                output.stream.flush()
-                output.keep()
-            except OSError as error:
-                output.drop()
-                raise UsageError(f"cannot write {target}: {error.strerror or error}; the incomplete file was removed") from None
-            except BaseException:
-                output.drop()
-                raise
         if interrupt.asked:
             raise KeyboardInterrupt
     # Beside data on standard output, on standard error.
@@ -158,13 +149,7 @@ def _target(arguments: argparse.Namespace) -> Path | None:
         if target.is_dir():
             name = "standard_input" if arguments.file == "-" else Path(arguments.file).name
             target = target / (name.removesuffix(".mcap") + ending)
-    if target.exists() and not target.is_file():
-        raise UsageError(f"{target} is not a regular file: cannot export to it")
-    if arguments.file != "-" and target.exists() and Path(arguments.file).exists() and target.samefile(arguments.file):
-        raise UsageError(f"{target} is the capture itself; choose another name with -o")
-    if target.exists() and not arguments.force:
-        raise UsageError(f"{target} exists; --force replaces it")
-    return target
+    return free_target(target, arguments.force, [arguments.file])
 
 
 # --- raw bytes --------------------------------------------------------------------------------------------------------

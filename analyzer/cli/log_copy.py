@@ -17,7 +17,6 @@ from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 
 from analyzer import __version__
-from analyzer.cli.output import Output, target_of
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.sources import Source, open_source
 from analyzer.sources.mcap_records import bounds, records, records_of_part, skips_of, summary_of
@@ -213,23 +212,3 @@ class Copy:
     def finish(self) -> None:
         """Make it whole."""
         self._writer.finish()  # type: ignore[no-untyped-call]
-
-
-def write_or_drop(target: Path, replace: bool, write: Callable[[IO[bytes]], None]) -> None:
-    """Write a file that takes its name only when it is whole. Raises UsageError where it cannot be written."""
-    target = target_of(target)
-    if target.exists() and not target.is_file():
-        raise UsageError(f"{target} is not a regular file: cannot write a log there")
-    if target.exists() and not replace:
-        raise UsageError(f"{target} exists; --force replaces it")
-    output = Output(target, replace)
-    try:
-        write(output.stream)
-        output.stream.flush()
-        output.keep()
-    except OSError as error:
-        output.drop()
-        raise UsageError(f"cannot write {target}: {error.strerror or error}; the incomplete log was removed") from None
-    except BaseException:
-        output.drop()
-        raise

@@ -18,7 +18,8 @@ from typing import IO, Any
 import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.log_copy import DAMAGED, TAGGED, Copy, Log, Taken, write_or_drop
+from analyzer.cli.log_copy import DAMAGED, TAGGED, Copy, Log, Taken
+from analyzer.cli.output import free_target, whole
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UsageError
@@ -56,7 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"{target} is one of the logs; choose another name with -o")
         _refuse_twice(logs)
         merge = _Merge(logs)
-        write_or_drop(target, arguments.force, merge.write)
+        with whole(free_target(target, arguments.force), replace=arguments.force) as stream:
+            merge.write(stream)
         print(f"wrote {target}: {merge.said}")
         for note in merge.notes:
             print(f"note: {printable(note)}", file=sys.stderr)

@@ -7,7 +7,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO
 
@@ -25,6 +25,23 @@ def target_of(path: Path) -> Path:
         return path.resolve()
     except (RuntimeError, OSError):
         raise UsageError(f"{path} is a symbolic link that leads back to itself: remove it, or name another file") from None
+
+
+def free_target(path: Path, replace: bool, captures: Iterable[str] = ()) -> Path:
+    """Return the file that is to be written, behind symbolic links, before any work is done for it.
+
+    Raises UsageError for what is no regular file, for one of the `captures` that are read (`-` is standard input), and for a
+    file that exists, unless it may be replaced.
+    """
+    target = target_of(path)
+    if target.exists():
+        if not target.is_file():
+            raise UsageError(f"{target} is {'a folder' if target.is_dir() else 'not a regular file'}: name a file")
+        if any(each != "-" and Path(each).exists() and target.samefile(each) for each in captures):
+            raise UsageError(f"{target} is the capture itself; choose another name with -o")
+        if not replace:
+            raise UsageError(f"{target} exists; --force replaces it")
+    return target
 
 
 def write_whole(path: Path, data: bytes, *, replace: bool = True) -> None:
@@ -45,7 +62,7 @@ def whole(path: Path, *, replace: bool = True) -> Iterator[IO[bytes]]:
         output.keep()
     except OSError as error:
         output.drop()
-        raise UsageError(f"cannot write {path}: {error.strerror or error}") from None
+        raise UsageError(f"cannot write {path}: {error.strerror or error}; the incomplete file was removed") from None
     except BaseException:
         output.drop()
         raise

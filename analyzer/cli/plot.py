@@ -15,7 +15,7 @@ from pathlib import Path
 
 from analyzer.cli.as_log import AsLog, as_log
 from analyzer.cli.filter import Filter, vocabulary
-from analyzer.cli.output import target_of, write_whole
+from analyzer.cli.output import free_target, write_whole
 from analyzer.cli.reading import add_reading_arguments
 from analyzer.dialects import every
 from analyzer.errors import UsageError
@@ -77,11 +77,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _target(arguments: argparse.Namespace) -> Path:
     """Return the picture to write, once it is known that it can be drawn. Raises UsageError where it cannot."""
-    target = target_of(Path(arguments.output))
+    target = free_target(Path(arguments.output), arguments.force, [arguments.file])
     if target.suffix.lower() not in _ENDINGS:
         raise UsageError(f"-o {arguments.output}: expected a name that ends in {', '.join(_ENDINGS)}")
-    if target.exists() and not arguments.force:
-        raise UsageError(f"{target} exists; --force replaces it")
     needed("matplotlib")
     return target
 

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from analyzer.cli.as_log import as_log
-from analyzer.cli.output import target_of, write_whole
+from analyzer.cli.output import free_target, write_whole
 from analyzer.cli.reading import add_reading_arguments, open_reading
 from analyzer.diagnosis.diagnose import Diagnosis, diagnosis
 from analyzer.diagnosis.watch import Watch
@@ -73,18 +73,12 @@ def run(arguments: argparse.Namespace) -> int:
 def _target(arguments: argparse.Namespace) -> Path:
     """Return the file to write. Raises UsageError where it cannot be."""
     if arguments.output is not None:
-        target = target_of(Path(arguments.output))
+        target = Path(arguments.output)
     elif len(arguments.files) > 1 or arguments.files[0] == "-":
         raise UsageError("name the page with -o OUT.html")
     else:
         target = Path(str(Path(arguments.files[0])).removesuffix(".mcap") + ".html")
-    if target.is_dir():
-        raise UsageError(f"{target} is a folder: name a file")
-    if target.exists() and any(Path(each).exists() and target.samefile(each) for each in arguments.files):
-        raise UsageError(f"{target} is the capture itself; choose another name with -o")
-    if target.exists() and not arguments.force:
-        raise UsageError(f"{target} exists; --force replaces it")
-    return target
+    return free_target(target, arguments.force, arguments.files)
 
 
 def _log(path: str, arguments: argparse.Namespace) -> Log:

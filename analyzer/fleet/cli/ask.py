@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from analyzer.cli.option_types import positive
-from analyzer.cli.output import whole
+from analyzer.cli.output import free_target, whole
 from analyzer.errors import UsageError
 from analyzer.fleet.ask import Question
 from analyzer.fleet.cli.stores import add_store_argument, place
@@ -42,11 +42,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Answer; return 0."""
     for package in ("pyarrow", "deltalake", "duckdb"):
         needed(package)
-    target = None if arguments.output is None else Path(arguments.output)
+    target = None if arguments.output is None else free_target(Path(arguments.output), arguments.force)
     if target is not None and target.suffix not in _SUFFIXES:
         raise UsageError(f"-o {target}: expected a name that ends in {' or '.join(_SUFFIXES)}")
-    if target is not None and target.exists() and not arguments.force:
-        raise UsageError(f"{target} exists; --force replaces it")
     question = Question(Lake(place(arguments.lake, arguments)))
     query = arguments.query
     if query is None:

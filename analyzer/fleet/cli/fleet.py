@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from analyzer.cli.output import target_of, write_whole
-from analyzer.errors import UsageError
+from analyzer.cli.output import free_target, write_whole
 from analyzer.fleet.ask import Question
 from analyzer.fleet.cli.stores import add_store_argument, place
 from analyzer.fleet.health import health, html
@@ -33,9 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Write the page; return 0."""
     for package in ("pyarrow", "deltalake", "duckdb"):
         needed(package)
-    target = target_of(Path(arguments.output))
-    if target.exists() and not arguments.force:
-        raise UsageError(f"{target} exists; --force replaces it")
+    target = free_target(Path(arguments.output), arguments.force)
     found = health(Question(Lake(place(arguments.lake, arguments))))
     data = html(found).encode(errors="backslashreplace")
     write_whole(target, data, replace=arguments.force)
