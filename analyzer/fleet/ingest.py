@@ -14,7 +14,8 @@ import logging
 import re
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from datetime import date
 from importlib.util import find_spec
@@ -36,6 +37,8 @@ TASK_BYTES, TASK_FILES = 64 << 20, 200
 BATCH_BYTES, BATCH_SECONDS = 1 << 30, 60.0
 #: Seconds in which a scheduler has to answer, and the level of logs of Dask that are shown.
 _SECONDS, _QUIET = 30, logging.CRITICAL
+#: States of a task that a scheduler took with it; seconds between two looks for them.
+_GONE, _LOOK = ("lost", "cancelled"), 2.0
 _DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 #: Endings of folders that hold what was made of captures.
 _MADE = (".parquet", spool_folder(Path("log")).suffix)
@@ -177,6 +180,19 @@ def workers(scheduler: str, count: int) -> Iterator[Any]:
         yield client
 
 
+def _ended(client: Any, running: Collection[Any]) -> list[Any]:
+    """Wait for tasks that have ended, or are gone with their scheduler; it may be back. Raises UsageError where it is not."""
+    while True:
+        # With its scheduler, a task is gone without an end.
+        found = [future for future in running if future.done() or future.status in _GONE]
+        if found:
+            return found
+        if client.status == "closed":
+            raise UsageError("the scheduler of Dask is gone: what was committed stays, ingest again for the rest")
+        with contextlib.suppress(TimeoutError, CancelledError):
+            needed("distributed").wait(list(running), timeout=_LOOK, return_when="FIRST_COMPLETED")
+
+
 class Ingest:
     """An ingest that runs. `options`: of reading, as `decode` has them; `interrupt`: a signal ends it between two commits."""
 
@@ -187,44 +203,39 @@ class Ingest:
 
     def run(self, client: Any, found: Sequence[Work]) -> None:
         """Take captures. What was taken when a signal ends this is committed."""
-        distributed = needed("distributed")
         running: dict[Any, list[Work]] = {}
         left = tasks(found)[::-1]
         most = 2 * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-        ended = distributed.as_completed()
         while left or running:
             while left and len(running) < most:
-                self._begin(client, left.pop(), running, ended)
+                task = left.pop()
+                running[client.submit(take, task, self.lake.place, self._options, pure=False)] = task
             try:
-                future = self._interrupt.opened(ended.next)
+                ended = self._interrupt.opened(lambda: _ended(client, running))
             except KeyboardInterrupt:
                 client.cancel(list(running), force=True)
                 break
-            left += self.ended(running.pop(future), future)
-            future.release()
+            for future in ended:
+                left += self.ended(running.pop(future), future)
+                future.release()
             if sum(each.read for each in self._waiting) >= BATCH_BYTES or time.monotonic() - self._since >= BATCH_SECONDS:
                 self.commit()
         self.commit()
-
-    def _begin(self, client: Any, task: list[Work], running: dict[Any, list[Work]], ended: Any) -> None:
-        future = client.submit(take, task, self.lake.place, self._options, pure=False)
-        running[future] = task
-        ended.add(future)
 
     def ended(self, task: list[Work], future: Any) -> list[list[Work]]:
         """Take what a task brought. Return the tasks that come in its place where it failed."""
         if future.status == "finished":
             self._take(future.result())
             return []
-        return self._failed(task, future)
+        return [task] if future.status in _GONE else self._failed(task, future)
 
     def _failed(self, task: list[Work], future: Any) -> list[list[Work]]:
         error = future.exception()
+        if isinstance(error, OSError):
+            raise UsageError(f"{self.lake.place.url} cannot be written: {error.strerror or error}") from None
         if len(task) > 1:
             middle = len(task) // 2
             return [task[:middle], task[middle:]]
-        if isinstance(error, OSError):
-            raise UsageError(f"{self.lake.place.url} cannot be written: {error.strerror or error}") from None
         work, reason = task[0], f"its worker died or failed: {type(error).__name__}"
         self._take(Taken([work.row(status="failed", reason=reason)], read=work.found.size))
         return []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import socket
 import subprocess
 import sys
 
@@ -60,40 +61,59 @@ def test_a_bucket_that_fails_one_call_in_five_brings_the_same_rows(bucket, captu
     assert capsys.readouterr().out.split() == ["n", str(len(clean["states"]))]
 
 
+class Cluster:
+    """A scheduler of Dask and its workers, each a process of its own."""
+
+    def __init__(self, processes):
+        self._processes = processes
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self.address = f"tcp://127.0.0.1:{self.port}"
+
+    def _start(self, *words):
+        command = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
+        self._processes.callback(lambda: (process.kill(), process.wait()))
+        return process
+
+    def schedule(self):
+        return self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port))
+
+    def work(self):
+        return self._start("worker", self.address, "--nthreads", "1", "--no-nanny")
+
+
 @pytest.fixture
-def scheduler():
-    """A scheduler of Dask and two workers, each a process of its own, as on a cluster; their address and the workers."""
+def cluster():
     with contextlib.ExitStack() as processes:
-
-        def start(*words):
-            command = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
-            process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
-            processes.callback(lambda: (process.kill(), process.stderr.close(), process.wait()))
-            return process
-
-        told = start("scheduler", "--host", "127.0.0.1", "--port", "0").stderr
-        address = next(line.split()[-1] for line in told if "Scheduler at:" in line)
-        yield address, [start("worker", address, "--nthreads", "1", "--no-nanny") for _ in range(2)]
+        yield Cluster(processes)
 
 
-def test_a_worker_that_is_killed_costs_time_alone(scheduler, captures, clean, tmp_path, monkeypatch):
+@pytest.mark.parametrize("victim", ["worker", "scheduler"])
+def test_a_process_that_is_killed_costs_time_alone(victim, cluster, captures, clean, tmp_path, monkeypatch):
     monkeypatch.setattr(ingesting, "TASK_FILES", 1)
-    address, processes = scheduler
     made = Lake(Place(str(tmp_path / "lake")), make=True)
     outcome = Outcome()
     found = works([Place(str(captures))], made, Pattern("{machine}/{date}/*"), False, outcome)
-    victims = processes[:1]
-    with workers(address, 2) as client:
+    processes = {"scheduler": cluster.schedule(), "worker": cluster.work()}
+    cluster.work()
+    with workers(cluster.address, 2) as client:
         client.wait_for_workers(2)
 
         class Killing(Ingest):
             def ended(self, task, future):
-                while victims:
-                    victims.pop().kill()
+                process = processes.pop(victim, None)
+                if process is not None:
+                    process.kill()
+                    process.wait()
+                    if victim == "scheduler":
+                        cluster.schedule()
+                        # The workers of the first one end with it.
+                        cluster.work()
                 return super().ended(task, future)
 
         Killing(made, options(), outcome, Interrupt()).run(client, found)
-    assert victims == []
+    assert victim not in processes
     assert outcome.new == 6
     assert rows(made) == clean
 
