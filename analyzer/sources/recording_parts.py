@@ -106,7 +106,8 @@ def in_folder(folder: Path) -> tuple[list[Part], list[str]]:
     logs = [look(path) for path in sorted(folder.glob("*.mcap"))]
     if not logs:
         raise UnreadableError(
-            f"{folder} is a directory, expected a capture file, or a folder with the parts of a recording (*.mcap)"
+            f"{folder} is a directory, expected a capture file, or a folder with the parts of a recording (*.mcap); "
+            "servotap decode reads a folder of captures"
         )
     recordings: dict[str, list[Part]] = {}
     for part in logs:
@@ -116,7 +117,9 @@ def in_folder(folder: Path) -> tuple[list[Part], list[str]]:
         each = "; ".join(f"{base_of(parts[0].path)} ({counted(len(parts), 'part')})" for parts in recordings.values())
         raise UnreadableError(f"{folder} holds {counted(len(recordings), 'recording')}, name one of them: {each}")
     if not recordings:
-        return logs, []
+        # It may be a folder of captures, among them a log.
+        files = sum(path.is_file() and path.suffix != ".mcap" for path in folder.iterdir())
+        return logs, [f"only the logs (*.mcap) of {folder} are read, not {counted(files, 'other file')}"] if files else []
     (parts,) = recordings.values()
     notes = []
     if len(logs) > len(parts):

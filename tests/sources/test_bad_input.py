@@ -86,6 +86,14 @@ def test_a_directory(tmp_path: Path) -> None:
         open_source(tmp_path)
 
 
+def test_of_a_folder_with_captures_and_a_log_it_is_told_that_the_log_alone_is_read(tmp_path):
+    captures = Path(__file__).parents[2] / "captures"
+    for name in ("mks_rs485.mcap", "mks_rs485.log", "mks_can.asc"):
+        (tmp_path / name).write_bytes((captures / name).read_bytes())
+    with open_source(tmp_path) as source:
+        assert f"only the logs (*.mcap) of {tmp_path} are read, not 2 other files" in source.notes
+
+
 def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(UnreadableError, match="No such file or directory") as raised:
         open_source(tmp_path / "none.log")
