@@ -139,7 +139,7 @@ def explain(
 def lake(url: str | PathLike[str], **store: Any) -> Lake:
     """Open a lake that `servotap ingest` made: a folder, or a URL. `store`: options of fsspec, as `endpoint_url`.
 
-    Raises UnreadableError for what is no lake, UsageError for a store that cannot be used.
+    Raises UnreadableError for a place without a lake, UsageError for a store that cannot be used.
     """
     from servotap.lakes import Lake
 

@@ -1,4 +1,4 @@
-"""A capture as a log, whatever it is: a log as it is, anything else decoded into one that is gone afterwards."""
+"""Any capture as a log: a log as it is, anything else decoded into a temporary one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from analyzer.diagnosis.watch import Watch
 from analyzer.sources import Source, open_source
 from analyzer.sources.times import ShownTime
 
-#: What asks for another decoding than the one that a log holds.
+#: Options that ask for another decoding than the one in a log.
 _DECODING = ("dbc", "modbus_map", "model", "baud", "group", "ids", "late")
 #: Topics of decoded traffic, and how many records are looked through for the first one.
 _DECODED = re.compile(r"/[^/]*/([^/]*/[^/]*/(request|reply|message)|unknown|foreign|junk)")

@@ -85,7 +85,7 @@ def _target(arguments: argparse.Namespace) -> Path:
 
 
 def _drives(given: Sequence[str]) -> Callable[[str, str], bool]:
-    """Return what says whether a drive of a bus is meant. Raises UsageError for what is no address."""
+    """Return a predicate: is a drive, by bus and address, among those given? Raises UsageError for a wrong address."""
     chosen: set[tuple[str, str]] = set()
     for text in given:
         bus, _, number = text.rpartition("/")

@@ -1,7 +1,7 @@
 """How the machines of a fleet are, and what got worse: a page over a lake.
 
-Each drive has quantities by day: what share of its requests nobody answered, or failed, or came damaged; how long replies took;
-how warm it was, what current it took; what share of a machine's bytes was junk. The last days are compared with the weeks
+Each drive has quantities by day: the shares of its requests that had no reply, failed or came damaged; the latency of replies;
+temperature and current. Each machine has the share of its bytes that was junk. The last days are compared with the weeks
 before by the median and the median absolute deviation, so a single bad day counts neither way.
 """
 

@@ -8,12 +8,12 @@ Delta commits one table at a time. So a batch is committed in this order:
 
 1. Its data files lie in the lake; no table knows of them.
 2. The journal names them all.
-3. `captures` takes the rows of the batch. From here on the batch counts. This commit succeeds only if nobody else committed
-   since the table was read. Who comes second looks again, and leaves out what the first has taken: no content comes twice.
+3. `captures` takes the rows of the batch. From here on the batch counts. This commit succeeds only if no other one came since
+   the table was read. The second of two clients reads it again and leaves out what the first has taken: no content comes twice.
 4. All other tables take their files; each remembers the batch, so that no file is taken twice. The journal is removed.
 
-A client that dies before 3 leaves files that nobody knows (`compact` removes them). One that dies in 4 is followed by the
-next ingest, which goes on by the journal. Who asks leaves out batches of which a journal stands.
+If a client dies before 3, its files belong to no table (`compact` removes them). If it dies in 4, the next ingest goes on
+by the journal. Questions leave out batches whose journal still stands.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Journal(msgspec.Struct):
 
 
 class Lake:
-    """A lake. `make`: make it where there is none; without it, raises UnreadableError for what is no lake."""
+    """A lake in a place. `make`: make it if it is not there. Raises UnreadableError for a place without a lake otherwise."""
 
     def __init__(self, place: Place, *, make: bool = False) -> None:
         self.place = place

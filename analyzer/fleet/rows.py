@@ -4,7 +4,7 @@
 
 The tables are those of `decode --to parquet`, with the columns that a lake needs. Delta Lake knows microseconds, no unsigned
 numbers and no dictionaries, so `time` is exact to a microsecond, `time_ns` to a nanosecond. A time that is none of the epoch
-is in `time_ns` alone. `transactions` are the replies with what became of them, and the requests that nobody answered.
+is in `time_ns` alone. `transactions` are replies with their outcomes, and requests without a reply.
 
 Rules: rows of a capture that fails half way reach no table. A small capture is held until it has ended; a long one has files of
 its own. So a file holds many small captures, and memory does not grow with a long one.
@@ -68,7 +68,7 @@ class Work:
 
     @property
     def unseen(self) -> str:
-        """What stands in place of the SHA-256 while nobody could read it."""
+        """The name of a capture that cannot be read, in place of its SHA-256."""
         return UNSEEN + hashlib.sha256(f"{self.source.url} {self.found.name}".encode()).hexdigest()
 
     def row(self, **values: Any) -> dict[str, Any]:
@@ -309,9 +309,9 @@ def transactions_schema() -> pyarrow.Schema:
 
 
 def transactions(table: str, rows: pyarrow.Table) -> pyarrow.Table | None:
-    """Return what the rows of a table say of requests and what became of them; None where they say nothing.
+    """Return the requests that rows of a table tell of, with their outcomes; None for a table that tells of none.
 
-    `outcome`: answered, failed, damaged (its checksum is wrong), unanswered; the dialect of those is not said.
+    `outcome`: answered, failed, damaged (the reply's checksum is wrong), or unanswered, where the dialect stays empty.
     """
     pa, compute = needed("pyarrow"), needed("pyarrow.compute")
     parts = table.split("/")
@@ -408,7 +408,7 @@ def _take_one(work: Work, shared: Files, seen: set[str], options: argparse.Names
     except (ServotapError, OSError) as error:
         return row | {"status": "unreadable", "reason": printable(str(error))}, []
     except Exception as error:
-        # Whatever one capture does to the decoder, the others are taken, and it can be tried again.
+        # One capture may bring out a fault of the decoder: the others are taken all the same, and it can be tried again.
         return row | {"status": "failed", "reason": printable(f"a fault of servotap: {type(error).__name__}: {error}")}, []
     capture.release(capture.own or shared)
     row |= {"date": None if capture.day is None else date.fromisoformat(capture.day)}
@@ -422,7 +422,7 @@ def _sha256(path: Path) -> str:
 
 
 class _Nowhere:
-    """A table that nobody keeps."""
+    """A table that is not kept."""
 
     def write(self, rows: pyarrow.Table) -> None:
         """Forget the rows."""
@@ -432,12 +432,12 @@ class _Nowhere:
 
 
 def decoded_alone(path: str, options: argparse.Namespace) -> dict[str, Any]:
-    """Decode a capture into tables that nobody keeps, and return what a row of `captures` says of it."""
+    """Decode a capture without keeping its tables. Return values for its row of `captures`. Raises UnreadableError."""
     return _decoded(path, lambda name, schema: _Nowhere(), options)
 
 
 def _decoded(path: str, target: Callable[[str, pyarrow.Schema], Target], options: argparse.Namespace) -> dict[str, Any]:
-    """Decode a capture into its tables, and return what the row says of it. Raises UnreadableError."""
+    """Decode a capture into its tables. Return values for its row of `captures`. Raises UnreadableError."""
     reading = open_reading(path, options)
     source, status, reason = reading.source, "decoded", ""
     with contextlib.closing(source):

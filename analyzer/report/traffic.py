@@ -50,7 +50,7 @@ _VALUES, _NO_VALUES = 24, frozenset(("register", "quantity", "exception"))
 #: Characters of a finding that are kept beside its mark.
 _LONGEST = 200
 _LEVELS = {4: Severity.ERROR, 3: Severity.WARNING, 2: Severity.INFO}
-#: What is no news of a recording.
+#: Events of a recording that a page leaves out.
 _UNTOLD = frozenset(("part", "port", "dialect", "resumed", "clock_drift"))
 _KINDS = {
     **dict.fromkeys((Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF), "enable"),

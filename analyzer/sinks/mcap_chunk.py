@@ -2,7 +2,7 @@
 
     batch: messages | rows of a block | messages ...   ->   chunks   ->   packed: chunk record, message indexes
 
-A batch is all that its chunks need. So any thread or process can make them, and whoever does makes the same.
+A batch is all that its chunks need. So any thread or process can make them, and all make the same.
 """
 
 from __future__ import annotations
