@@ -22,7 +22,8 @@ from tests.fuzz.__main__ import Session
 from tests.fuzz.corpus import INPUT, captures
 from tests.fuzz.engine import Finding, made, outcomes, shrunk
 from tests.fuzz.mutators import kind_of, mutated, packed
-from tests.fuzz.targets import TARGETS, Fault, Target, key_of, recordings, samples
+from tests.fuzz.seeds import recordings, samples
+from tests.fuzz.targets import TARGETS, Fault, Target, key_of
 
 ROUNDS = 24
 
