@@ -44,6 +44,12 @@ def complete(commands: Mapping[str, tuple[str, str]]) -> None:
     """Answer the shell, which has called servotap to complete a line, and end. `commands`: name -> (module, help)."""
     import argcomplete
 
+    from analyzer.errors import UsageError
+    from analyzer.values import quote
+
+    for name in ("COMP_POINT", "COMP_TYPE", "_ARGCOMPLETE"):
+        if not (given := os.environ.get(name, "0")).isdecimal():
+            raise UsageError(f"{name}: expected a number, as shells set it, got {quote(given)}")
     words = os.environ.get("COMP_LINE", "").split()
     parser = argparse.ArgumentParser(prog="servotap")
     below = parser.add_subparsers(metavar="COMMAND")

@@ -5,6 +5,7 @@ A table of messages is `"mks-can".read_speed_reply`, or mks_can.read_speed_reply
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,6 +24,16 @@ def sql_name(table: str) -> str:
     """Return the name of a table in SQL: messages/mks-can/read_speed/reply is mks_can.read_speed_reply."""
     parts = table.replace("@", "_v").split("/")
     return table.replace("@", "_v") if len(parts) == 1 else f"{parts[1].replace('-', '_')}.{'_'.join(parts[2:])}"
+
+
+@contextlib.contextmanager
+def answering() -> Iterator[None]:
+    """Raise UsageError where a question cannot be answered; much of that shows only as its rows are fetched."""
+    try:
+        yield
+    # Python's dates end with the year 9999, those of SQL do not.
+    except (needed("duckdb").Error, needed("pyarrow").ArrowException, OverflowError) as error:
+        raise UsageError(f"the question cannot be answered: {printable(str(error))}") from None
 
 
 class Column(NamedTuple):
@@ -61,9 +72,8 @@ class Question:
 
     def sql(self, query: str) -> duckdb.DuckDBPyRelation:
         """Return the answer to a query. Raises UsageError for what is none, or names no table."""
-        duck = needed("duckdb")
-        connection = duck.connect()
-        try:
+        connection = needed("duckdb").connect()
+        with answering():
             parsed = json.loads(connection.execute("select json_serialize_sql(?)", [query]).fetchall()[0][0])
             if parsed["error"]:
                 raise UsageError(f"the question cannot be read: {printable(parsed['error_message'])}")
@@ -72,9 +82,9 @@ class Question:
             for schema, name in sorted(named):
                 if schema or name not in own:
                     self._offer(connection, schema, name)
-            answer: duckdb.DuckDBPyRelation = connection.sql(query)
-        except duck.Error as error:
-            raise UsageError(f"the question cannot be answered: {printable(str(error))}") from None
+            answer: duckdb.DuckDBPyRelation | None = connection.sql(query)
+        if answer is None:
+            raise UsageError("the question is empty: expected a select")
         return answer
 
     def _offer(self, connection: Any, schema: str, name: str) -> None:

@@ -30,6 +30,7 @@ from analyzer.errors import UnreadableError, UsageError
 from analyzer.fleet.place import Place, again
 from analyzer.fleet.rows import PARTITIONS, TAKEN, UNSEEN, Added, Taken, captures_schema, only
 from analyzer.table.extras import needed
+from analyzer.values import printable
 
 if TYPE_CHECKING:
     import deltalake
@@ -79,6 +80,9 @@ class Lake:
         if protocol not in _STORES:
             stores = ", ".join(sorted({f"{name}://" for name in _STORES if name not in ("file", "local")}))
             raise UsageError(f"{place.url}: a lake can be in a folder or at {stores}; {protocol}:// cannot commit")
+        if not place.root.isprintable() or "%" in place.root:
+            # Delta Lake would read %41 as A: its log and our files would be in two places.
+            raise UsageError(f"{place.url}: a lake needs a name of printable text without %")
         scheme = _STORES[protocol]
         self._base = f"{scheme}://{place.root}" if scheme else place.root
         self._options = _store_options(place.options) if scheme else None
@@ -104,10 +108,13 @@ class Lake:
     def open(self, table: str) -> deltalake.DeltaTable:
         """Return a table as it is now."""
         opened = self._open.get(table)
-        if opened is None:
-            opened = self._open[table] = self._delta.DeltaTable(self._uri(table), storage_options=self._options)
-        else:
-            opened.update_incremental()
+        try:
+            if opened is None:
+                opened = self._open[table] = self._delta.DeltaTable(self._uri(table), storage_options=self._options)
+            else:
+                opened.update_incremental()
+        except self._delta.exceptions.DeltaError as error:
+            raise UnreadableError(f"{self._uri(table)} cannot be read: {printable(str(error))}") from None
         return opened
 
     def table(self, name: str, schema: pyarrow.Schema, partitions: Sequence[str] = PARTITIONS) -> deltalake.DeltaTable:
@@ -160,7 +167,11 @@ class Lake:
 
     def rows(self, *columns: str) -> list[dict[str, Any]]:
         """Return some columns of all captures."""
-        found: list[dict[str, Any]] = self.open(CAPTURES).to_pyarrow_dataset().to_table(columns=list(columns)).to_pylist()
+        opened = self.open(CAPTURES)
+        try:
+            found: list[dict[str, Any]] = opened.to_pyarrow_dataset().to_table(columns=list(columns)).to_pylist()
+        except OSError as error:
+            raise UnreadableError(f"{self._uri(CAPTURES)} cannot be read: {printable(str(error))}") from None
         return found
 
     def known(self) -> Mapping[str, str]:
@@ -261,8 +272,15 @@ class Lake:
         for path in again(lambda: place.fs.glob(place.path(f"{JOURNAL}/*.json"))):
             name = path.rpartition("/")[2]
             # Its client may have removed it meanwhile.
-            with contextlib.suppress(FileNotFoundError):
-                yield name.removesuffix(".json"), msgspec.json.decode(place.read(f"{JOURNAL}/{name}"), type=Journal)
+            try:
+                journal = msgspec.json.decode(place.read(f"{JOURNAL}/{name}"), type=Journal)
+            except FileNotFoundError:
+                continue
+            except msgspec.MsgspecError as error:
+                raise UnreadableError(
+                    f"{path} is damaged, so its batch cannot be finished: {error}; restore it, or ingest into a new lake"
+                ) from None
+            yield name.removesuffix(".json"), journal
 
     def compact(self, days: float) -> tuple[int, int]:
         """Join small files, and remove those that no table has needed for some days; return how many of both."""

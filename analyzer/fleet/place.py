@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import posixpath
 import shutil
+import stat
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -67,6 +68,8 @@ class Place:
             self.fs, self.root = fsspec.url_to_fs(self.url, **self.options)
         except (ValueError, ImportError, OSError) as error:
             raise UsageError(f"{quote(self.url)}: expected a folder, or a URL as s3://bucket/folder: {error}") from None
+        # Names of files need not be text; what is shown and stored of them is.
+        self.url = _as_text(self.url)
         self.local = "file" in ((self.fs.protocol,) if isinstance(self.fs.protocol, str) else self.fs.protocol)
 
     def path(self, name: str) -> str:
@@ -99,7 +102,11 @@ class Place:
     def as_file(self, found: Found) -> Iterator[Path]:
         """Yield a local file with the content of one; a download is removed afterwards."""
         if self.local:
-            yield Path(found.key)
+            path = Path(found.key)
+            if not stat.S_ISREG(path.stat().st_mode):
+                # A pipe or a device may never end.
+                raise UnreadableError("a pipe, a socket or a device: expected a file")
+            yield path
             return
         with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
             target = Path(folder) / posixpath.basename(found.name)
@@ -142,8 +149,12 @@ class Place:
             again(lambda: self.fs.rm_file(self.path(name)))
 
 
+def _as_text(name: str) -> str:
+    return name.encode(errors="backslashreplace").decode()
+
+
 def _found(key: str, name: str, about: Mapping[str, Any]) -> Found:
     modified = about.get("mtime") or about.get("LastModified") or about.get("last_modified") or 0
     seconds = modified.timestamp() if hasattr(modified, "timestamp") else float(modified)
     mark = about.get("ETag") or about.get("etag") or about.get("md5Hash") or f"{seconds!r}/{about.get('ino', '')}"
-    return Found(key, name, int(about.get("size") or 0), str(mark), seconds)
+    return Found(key, _as_text(name), int(about.get("size") or 0), str(mark), seconds)

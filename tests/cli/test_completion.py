@@ -10,6 +10,8 @@ import sys
 import pytest
 
 from analyzer.cli import main
+from analyzer.cli.completion import complete
+from analyzer.errors import UsageError
 
 SERVOTAP = os.path.join(os.path.dirname(sys.executable), "servotap")
 
@@ -85,3 +87,10 @@ def test_bash_completes():
     """
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=30)
     assert done.stdout.split() == ["catalogue"], done.stderr
+
+
+def test_a_shell_that_sets_no_numbers_is_told(monkeypatch):
+    for name, value in {"COMP_LINE": "servotap de", "COMP_POINT": "abc"}.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(UsageError, match="COMP_POINT: expected a number"):
+        complete({})

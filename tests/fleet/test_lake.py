@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 
 import pyarrow as pa
@@ -326,3 +327,53 @@ def test_a_store_that_fails_now_and_then_is_asked_again():
     with pytest.raises(OSError, match="No space"):
         places.again(lambda: (_ for _ in ()).throw(OSError(28, "No space")), waits.append)
     assert len(waits) == 2
+
+
+def test_what_is_no_file_is_told_and_not_waited_for(tmp_path):
+    (tmp_path / "in").mkdir()
+    os.mkfifo(tmp_path / "in" / "pipe.log")
+    (tmp_path / "in" / "endless.log").symlink_to("/dev/zero")
+    outcome = ingest(lake(tmp_path / "lake"), tmp_path / "in")
+    assert outcome.unread == [(name, "a pipe, a socket or a device: expected a file") for name in ("endless.log", "pipe.log")]
+
+
+def test_a_name_that_is_no_text_is_taken_once(tmp_path):
+    folder = tmp_path / "in\udcff"
+    folder.mkdir()
+    (folder / "\udcfe.log").write_text(candump(1))
+    made = lake(tmp_path / "lake")
+    assert (ingest(made, folder).new, ingest(made, folder).known) == (1, 1)
+    assert Question(made).sql("select name from captures").fetchall() == [("\\udcfe.log",)]
+
+
+@pytest.mark.parametrize("name", ["a%41", "a\udcff", "a\nb"])
+def test_a_lake_whose_name_delta_lake_reads_otherwise_is_refused(tmp_path, name):
+    with pytest.raises(UsageError, match="without %"):
+        lake(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("query", "told"),
+    [("", "empty"), ("select error('x')", "x"), ("select 'x'::int", "convert"), ("select 'infinity'::timestamp", "range")],
+)
+def test_a_question_without_an_answer_is_told(tmp_path, capsys, query, told):
+    lake(tmp_path / "lake")
+    assert main(["ask", str(tmp_path / "lake"), query]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_lists_and_intervals_are_text_in_csv(tmp_path):
+    lake(tmp_path / "lake")
+    target = tmp_path / "answer.csv"
+    assert main(["ask", str(tmp_path / "lake"), "select [1, 2] l, interval 1 day i, 1.5 n", "-o", str(target)]) == 0
+    assert target.read_text().splitlines()[1] == '"[1, 2]","1 day","1.5"'
+
+
+@pytest.mark.parametrize("name", ["captures/_delta_log/00000000000000000000.json", "journal/batch.json"])
+def test_a_damaged_lake_is_told_in_a_line(tmp_path, name):
+    made = lake(tmp_path / "lake")
+    damaged = tmp_path / "lake" / name
+    damaged.parent.mkdir(exist_ok=True)
+    damaged.write_text("}{")
+    with pytest.raises(UnreadableError, match=damaged.parts[-2] if "journal" in name else "captures cannot be read"):
+        Question(Lake(made.place)).dataset("captures")

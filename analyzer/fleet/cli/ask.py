@@ -11,7 +11,7 @@ from typing import Any
 from analyzer.cli.option_types import positive
 from analyzer.cli.output import free_target, whole
 from analyzer.errors import UsageError
-from analyzer.fleet.ask import Question
+from analyzer.fleet.ask import Question, answering
 from analyzer.fleet.cli.stores import add_store_argument, place
 from analyzer.fleet.lake import Lake
 from analyzer.table.extras import needed
@@ -26,6 +26,11 @@ examples:
   servotap ask s3://plant/lake "from states limit 5" --store endpoint_url=http://minio:9000
 """
 _SUFFIXES = (".csv", ".parquet")
+#: Types of DuckDB that a table of CSV has as they are.
+_PLAIN = frozenset(
+    {"tinyint", "smallint", "integer", "bigint", "utinyint", "usmallint", "uinteger", "ubigint"}
+    | {"boolean", "float", "double", "varchar", "date", "timestamp", "timestamp with time zone"}
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,17 +58,23 @@ def run(arguments: argparse.Namespace) -> int:
         _show(["column", "type", "unit", "note"], [list(each) for each in question.columns(query)])
     elif target is None:
         answer = question.sql(query)
-        rows = answer.limit(arguments.rows + 1).to_arrow_table().to_pylist()
+        with answering():
+            rows = answer.limit(arguments.rows + 1).to_arrow_table().to_pylist()
         _show(answer.columns, [[_text(value) for value in row.values()] for row in rows[: arguments.rows]])
         if len(rows) > arguments.rows:
             print(f"the first {arguments.rows} rows are shown: --rows N shows more, -o FILE.csv writes all", file=sys.stderr)
     else:
-        _write(question, f"from {query}" if query in question.tables else query, target)
+        with answering():
+            _write(question, f"from {query}" if query in question.tables else query, target)
     return 0
 
 
 def _write(question: Question, query: str, target: Path) -> None:
-    reader: Any = question.sql(query).to_arrow_reader(1 << 16)
+    answer = question.sql(query)
+    if target.suffix == ".csv":
+        # A cell of CSV holds no list, structure or interval: it holds their text.
+        answer = answer.project(", ".join(_cell(*each) for each in zip(answer.columns, answer.types, strict=True)))
+    reader: Any = answer.to_arrow_reader(1 << 16)
     with whole(target) as stream:
         if target.suffix == ".csv":
             writer = needed("pyarrow.csv").CSVWriter(stream, reader.schema)
@@ -72,6 +83,11 @@ def _write(question: Question, query: str, target: Path) -> None:
         with writer:
             for batch in reader:
                 writer.write_batch(batch)
+
+
+def _cell(name: str, kind: Any) -> str:
+    column = '"' + name.replace('"', '""') + '"'
+    return column if kind.id in _PLAIN else f"cast({column} as varchar) as {column}"
 
 
 def _text(value: Any) -> str:
