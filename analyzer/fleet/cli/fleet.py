@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from analyzer.cli.output import free_target, write_whole
-from analyzer.fleet.ask import Question
+from analyzer.fleet.ask import Question, answering
 from analyzer.fleet.cli.stores import add_store_argument, place
 from analyzer.fleet.health import health, html
 from analyzer.fleet.lake import Lake
@@ -33,7 +33,9 @@ def run(arguments: argparse.Namespace) -> int:
     for package in ("pyarrow", "deltalake", "duckdb"):
         needed(package)
     target = free_target(Path(arguments.output), arguments.force)
-    found = health(Question(Lake(place(arguments.lake, arguments))))
+    question = Question(Lake(place(arguments.lake, arguments)))
+    with answering():
+        found = health(question)
     data = html(found).encode(errors="backslashreplace")
     write_whole(target, data, replace=arguments.force)
     worse = sum(each.worse for each in found.changes)
