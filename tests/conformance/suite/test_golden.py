@@ -22,4 +22,6 @@ def test_a_fault_is_refuted_by_the_claims_that_refuted_it(line):
     kept = json.loads(line)
     targets = mutants.telling_targets([kept["dialect"]])
     (mutant,) = mutants.mutants(targets, only=[kept["fault"]], full=True, most=golden.LIKELIEST)
-    assert sorted(claim for claim, _ in mutant.refuted) == kept["refuted"]
+    found = sorted(claim for claim, _ in mutant.refuted)
+    # Against what can hurt, all claims may have been tried.
+    assert set(found) <= set(kept["refuted"]) if golden.hurts(kept["fault"]) else found == kept["refuted"]
