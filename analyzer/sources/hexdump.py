@@ -78,7 +78,7 @@ def _row(line: str) -> tuple[int, bytes] | None:
     if found is None:
         return None
     offset, colon, text = found.groups()
-    text = text.partition("  ")[0] if colon else _COLUMN.sub("", _FRAMED.sub("", text))
+    text = text.partition("  ")[0] if colon else _COLUMN.sub("", _FRAMED.sub("", text).rstrip())
     text = text.strip()
     if text and _GROUPS.fullmatch(text) is None:
         return None
