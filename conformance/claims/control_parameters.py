@@ -122,10 +122,10 @@ def _limited_speeds(probe: Probe, begin: Callable[[int], object]) -> tuple[_Limi
         if under_way:
             exchange = _set(probe, "speed_limit", _LIMIT)
             probe.wait(_HOLDS_NS)
-        rpm, _ = motion.mean_speed(probe, _SEEN_NS)
+        rpm, uncertain = motion.mean_speed(probe, _SEEN_NS)
         motion.stand_still(probe)
         _set(probe, "speed_limit", kept or 0)
-        found.append(_Limited(way, abs(rpm), _LIMIT_RPM, _LIMIT_NEAR, exchange, under_way))
+        found.append(_Limited(way, abs(rpm), _LIMIT_RPM, _LIMIT_NEAR + uncertain, exchange, under_way))
     return tuple(found)
 
 
