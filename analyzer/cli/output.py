@@ -30,8 +30,8 @@ def target_of(path: Path) -> Path:
 def free_target(path: Path, replace: bool, captures: Iterable[str] = ()) -> Path:
     """Return the file that is to be written, behind symbolic links, before any work is done for it.
 
-    `captures`: the files that are read; `-` is standard input. Raises UsageError for a target that is a folder, no regular
-    file, or one of the captures, and for one that exists, unless it may be replaced.
+    `captures`: the files that are read; `-` is standard input. Raises UsageError for a folder, for what is no regular file, and
+    for one of the captures. A file that exists is refused, too, unless `replace` is set.
     """
     target = target_of(path)
     if target.exists():

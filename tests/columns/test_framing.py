@@ -1,4 +1,4 @@
-"""Frames found by arrays are those that the framer finds, wherever a line is cut and whatever is wrong with it."""
+"""Arrays find the frames that the framer finds: cut anywhere, clean or damaged."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def _silent_if_active(drive: MksCore) -> None:
 
 
 def _refuses_aloud(drive: MksCore) -> None:
-    """Answer what is refused, whatever `respond` says."""
+    """Answer a refusal although `respond` is 0."""
     answer = drive.answer
 
     def say(request: Request, result: Values | None, answered: bool, address: int, at_ns: int) -> None:
