@@ -123,7 +123,7 @@ class OpenCapture:
         #: Dialects of a bus of another kind, which may come up late.
         kinds = {d.bus for d in self.dialects}
         every = self._known or self._by_name()
-        self._others = tuple(d for d in every.values() if d.bus not in kinds)
+        self.others = tuple(d for d in every.values() if d.bus not in kinds)
         #: Characters that an address takes: on CAN it is shown in hexadecimal.
         self.who_width = 5 if any(isinstance(item, CanFrame) for item in traffic) else 4
         self.options = self._options()
@@ -136,16 +136,16 @@ class OpenCapture:
         """Return the pipeline that decodes this capture into sinks."""
         on_setup: Callable[[Event], PortSetup | None] | None = self._set_up if self._known else None
         wanted = self.time_range.sinks(sinks)
-        return Pipeline(self.dialects, wanted, self.options, ports=self.ports, on_setup=on_setup, others=self._others)
+        return Pipeline(self.dialects, wanted, self.options, ports=self.ports, on_setup=on_setup, others=self.others)
 
     @property
     def possible(self) -> tuple[Dialect, ...]:
         """All dialects that may come up: a recording can say later that another has joined, or have a bus of another kind."""
-        return tuple(self._known.values()) or (*self.dialects, *self._others)
+        return tuple(self._known.values()) or (*self.dialects, *self.others)
 
     def _by_name(self) -> dict[str, Dialect]:
         """Return every dialect that may come up, by its name."""
-        return {d.name: d for d in (*self._devices, *registry.by_name(self.model).values(), *registry.of_no_drive())}
+        return dialects_by_name(self._devices, self.model)
 
     # --- the choice of dialects -----------------------------------------------------------------------------------
 
@@ -285,6 +285,11 @@ class OpenCapture:
             return self.source.time_source
         unit = "bit rate" if self.dialects[0].bus == "can" else "baud rate"
         return f"{ESTIMATED} from the {unit}: the capture has none"
+
+
+def dialects_by_name(devices: Sequence[Dialect], model: str) -> dict[str, Dialect]:
+    """Return every dialect that may come up in a capture, by its name. `devices`: those of files; `model`: as the user says."""
+    return {d.name: d for d in (*devices, *registry.by_name(model).values(), *registry.of_no_drive())}
 
 
 class _Said:

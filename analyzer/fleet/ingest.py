@@ -1,6 +1,7 @@
 """Take captures into a lake: find them, share them out to workers, commit batch by batch.
 
     files -> not known by place and mark -> tasks of one machine -> workers -> batches -> one commit each
+                                            huge ones in ranges ----'
 
 Rules: the client alone commits. A worker that dies takes its task with it, which another one begins anew. A task that kills
 workers is split until the capture that does it is alone; that one is noted as failed.
@@ -18,15 +19,17 @@ from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from datetime import date
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from analyzer.cli.signals import Interrupt
-from analyzer.errors import UsageError
+from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Found, Place
-from analyzer.fleet.rows import TAKEN, Taken, Work, take
+from analyzer.fleet.ranges import HUGE, Range, Scan, Task, do, is_split, joined, waiting, works_of
+from analyzer.fleet.rows import TAKEN, Taken, Work
 from analyzer.live.spool import spool_folder
 from analyzer.table.extras import needed
 from analyzer.values import quote
@@ -139,8 +142,8 @@ def _captures(source: Place, lake: Place) -> Iterator[Found]:
             yield each
 
 
-def tasks(found: Sequence[Work]) -> list[list[Work]]:
-    """Share captures out: those of one machine and day stand together, the greatest tasks come first."""
+def tasks(found: Sequence[Work]) -> list[Task]:
+    """Share captures out: those of one machine and day stand together, the greatest tasks come first, huge ones are split."""
     shared: list[list[Work]] = []
     size, before = 0, None
     for work in sorted(found, key=lambda each: (each.machine, str(each.date), each.found.name)):
@@ -150,7 +153,8 @@ def tasks(found: Sequence[Work]) -> list[list[Work]]:
             shared.append([])
             size, before = work.found.size, own
         shared[-1].append(work)
-    return sorted(shared, key=lambda task: -sum(work.found.size for work in task))
+    shared.sort(key=lambda task: -sum(work.found.size for work in task))
+    return [Scan(task[0]) if len(task) == 1 and task[0].found.size >= HUGE else task for task in shared]
 
 
 @contextlib.contextmanager
@@ -180,17 +184,31 @@ def workers(scheduler: str, count: int) -> Iterator[Any]:
         yield client
 
 
-def _ended(client: Any, running: Collection[Any]) -> list[Any]:
-    """Wait for tasks that have ended, or are gone with their scheduler; it may be back. Raises UsageError where it is not."""
+def _ended(client: Any, running: Collection[Any], *, patient: bool) -> list[Any]:
+    """Wait for tasks that have ended, or are gone with their scheduler; it may be back. Raises UsageError where it is not.
+
+    `patient`: until there are some.
+    """
+    looked = False
     while True:
         # With its scheduler, a task is gone without an end.
         found = [future for future in running if future.done() or future.status in _GONE]
-        if found:
+        if found or (looked and not patient):
             return found
+        looked = True
         if client.status == "closed":
             raise UsageError("the scheduler of Dask is gone: what was committed stays, ingest again for the rest")
         with contextlib.suppress(TimeoutError, CancelledError):
             needed("distributed").wait(list(running), timeout=_LOOK, return_when="FIRST_COMPLETED")
+
+
+@dataclass
+class _Split:
+    """A capture of which the ranges are taken. `begun`: those that were given to workers; `scanned`: what the scan brought."""
+
+    begun: int = 0
+    taken: list[Taken] = field(default_factory=list)
+    scanned: Taken | None = None
 
 
 class Ingest:
@@ -200,45 +218,98 @@ class Ingest:
         self.lake, self._options, self.outcome, self._interrupt = lake, options, outcome, interrupt
         self._waiting: list[Taken] = []
         self._since = time.monotonic()
+        self._splits: dict[str, _Split] = {}
 
     def run(self, client: Any, found: Sequence[Work]) -> None:
         """Take captures. What was taken when a signal ends this is committed."""
-        running: dict[Any, list[Work]] = {}
+        running: dict[Any, Task] = {}
         left = tasks(found)[::-1]
         most = 2 * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
         while left or running:
             while left and len(running) < most:
                 task = left.pop()
-                running[client.submit(take, task, self.lake.place, self._options, pure=False)] = task
+                running[client.submit(do, task, self.lake.place, self._options, pure=False)] = task
+            scans = [task for task in running.values() if isinstance(task, Scan)]
             try:
-                ended = self._interrupt.opened(lambda: _ended(client, running))
+                ended = self._interrupt.opened(partial(_ended, client, running, patient=not scans))
             except KeyboardInterrupt:
                 client.cancel(list(running), force=True)
                 break
+            for task in scans:
+                left += self._begin(task, waiting(self.lake.place, task))
             for future in ended:
                 left += self.ended(running.pop(future), future)
                 future.release()
             if sum(each.read for each in self._waiting) >= BATCH_BYTES or time.monotonic() - self._since >= BATCH_SECONDS:
                 self.commit()
+        for task in (*running.values(), *left):
+            if not isinstance(task, list):
+                self._forget(task.scan if isinstance(task, Range) else task)
         self.commit()
 
-    def ended(self, task: list[Work], future: Any) -> list[list[Work]]:
-        """Take what a task brought. Return the tasks that come in its place where it failed."""
-        if future.status == "finished":
-            self._take(future.result())
+    def ended(self, task: Task, future: Any) -> list[Task]:
+        """Take what a task brought. Return the tasks that come next, or in its place where it failed."""
+        if isinstance(task, Range) and task.scan.name not in self._splits:
+            # Its capture has failed, or is scanned anew.
             return []
-        return [task] if future.status in _GONE else self._failed(task, future)
+        if future.status == "finished":
+            return self._brought(task, future.result())
+        if future.status not in _GONE:
+            return self._failed(task, future)
+        if isinstance(task, Scan):
+            self._forget(task)
+            return [Scan(task.work)]
+        return [task]
 
-    def _failed(self, task: list[Work], future: Any) -> list[list[Work]]:
+    def _brought(self, task: Task, taken: Taken) -> list[Task]:
+        if isinstance(task, list):
+            self._take(taken)
+            return []
+        scan, more = task.scan if isinstance(task, Range) else task, []
+        split = self._splits.setdefault(scan.name, _Split())
+        if isinstance(task, Range):
+            split.taken.append(taken)
+        elif is_split(taken):
+            split.scanned = taken
+            more = self._begin(scan, taken.ranges)
+        else:
+            self._forget(scan)
+            self._take(taken)
+        if split.scanned is not None and len(split.taken) == split.scanned.ranges:
+            self._forget(scan)
+            try:
+                self._take(joined(split.scanned, split.taken))
+            except UnreadableError as error:
+                self._give_up(scan.work, str(error))
+        return more
+
+    def _begin(self, scan: Scan, written: int) -> list[Task]:
+        """Return the ranges that a scan has written and that no worker has."""
+        if not written:
+            return []
+        split = self._splits.setdefault(scan.name, _Split())
+        begun, split.begun = split.begun, max(split.begun, written)
+        return [Range(scan, number) for number in range(begun, split.begun)]
+
+    def _forget(self, scan: Scan) -> None:
+        self._splits.pop(scan.name, None)
+        self.lake.place.remove_folder(scan.folder)
+
+    def _failed(self, task: Task, future: Any) -> list[Task]:
         error = future.exception()
         if isinstance(error, OSError):
             raise UsageError(f"{self.lake.place.url} cannot be written: {error.strerror or error}") from None
-        if len(task) > 1:
+        if isinstance(task, list) and len(task) > 1:
             middle = len(task) // 2
             return [task[:middle], task[middle:]]
-        work, reason = task[0], f"its worker died or failed: {type(error).__name__}"
-        self._take(Taken([work.row(status="failed", reason=reason)], read=work.found.size))
+        if not isinstance(task, list):
+            self._forget(task.scan if isinstance(task, Range) else task)
+        why = str(error) if isinstance(error, ServotapError) else f"its worker died or failed: {type(error).__name__}"
+        self._give_up(works_of(task)[0], why)
         return []
+
+    def _give_up(self, work: Work, reason: str) -> None:
+        self._take(Taken([work.row(status="failed", reason=reason)], read=work.found.size))
 
     def _take(self, taken: Taken) -> None:
         outcome = self.outcome

@@ -3,6 +3,7 @@
     lake/captures               a row for each content: what became of it
     lake/states, findings, ...  a table each, messages/<dialect>/<command>/<role> too
     lake/journal/<batch>.json   a batch that is being committed: the files of all tables
+    lake/ranges/<scan>/         parts of huge captures on their way to workers
 
 Delta commits one table at a time. So a batch is committed in this order:
 
@@ -20,6 +21,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import time
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
 
 CAPTURES = "captures"
 JOURNAL = "journal"
+#: The folder of ranges of huge captures that wait for a worker.
+RANGES = "ranges"
 #: A later version of a table, of which a column has another meaning.
 _VERSION = "@"
 #: Protocols of stores that Delta Lake can commit to, by their names for it.
@@ -291,7 +295,13 @@ class Lake:
             removed += len(opened.vacuum(int(days * 24), dry_run=False, enforce_retention_duration=False, full=True))
             opened.create_checkpoint()
             opened.cleanup_metadata()
-        return joined, removed
+        before = time.time() - days * 86_400
+        # A client that died has left them.
+        there = self.place.files(RANGES) if self.place.count(f"{RANGES}/*") else []
+        left = [each for each in there if each.modified < before]
+        for each in left:
+            self.place.remove(f"{RANGES}/{each.name}")
+        return joined, removed + len(left)
 
     def recover(self) -> int:
         """Finish batches whose client died in the middle; return how many."""

@@ -6,6 +6,7 @@ Rules: a store may refuse or cut off any call; each is tried again, later each t
 from __future__ import annotations
 
 import contextlib
+import errno
 import posixpath
 import shutil
 import stat
@@ -26,8 +27,9 @@ T = TypeVar("T")
 ATTEMPTS, FIRST_WAIT = 6, 0.1
 #: What no further attempt changes.
 _FINAL = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
-#: Errors of the system that no further attempt changes: no room, no quota, a read-only place.
-_FULL = frozenset({28, 122, 30})
+#: Errors of the system that no further attempt changes, and that say nothing of a capture: no room, no quota, too long a file,
+#: a read-only place.
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 
 
 def again(call: Callable[[], T], wait: Callable[[float], None] = time.sleep) -> T:
@@ -38,10 +40,15 @@ def again(call: Callable[[], T], wait: Callable[[float], None] = time.sleep) -> 
         except _FINAL:
             raise
         except OSError as error:
-            if attempt == ATTEMPTS - 1 or error.errno in _FULL:
+            if attempt == ATTEMPTS - 1 or no_room(error):
                 raise
             wait(FIRST_WAIT * 2**attempt)
     raise AssertionError
+
+
+def no_room(error: Exception) -> bool:
+    """Say whether an error came because nothing can be written, here or at the lake."""
+    return isinstance(error, OSError) and error.errno in _FULL
 
 
 @dataclass(frozen=True)
@@ -76,27 +83,23 @@ class Place:
         """Return the store's path of what has a name below this place."""
         return posixpath.join(self.root, name) if name else self.root
 
-    def files(self) -> list[Found]:
-        """Return all files below this place, in the order of their names. Raises UnreadableError where it is not there."""
+    def files(self, folder: str = "") -> list[Found]:
+        """Return all files below this place, or a folder of it, by name. Raises UnreadableError where it is not there."""
         # What a listing held is of before; a store that is asked again has to look again.
         self.fs.invalidate_cache()
+        root = self.path(folder)
         try:
-            listed: dict[str, dict[str, Any]] = again(lambda: self.fs.find(self.root, detail=True))
+            listed: dict[str, dict[str, Any]] = again(lambda: self.fs.find(root, detail=True))
         except OSError as error:
             raise UnreadableError(f"{self.url} cannot be listed: {error}") from None
-        if not listed and not again(lambda: self.fs.exists(self.root)):
+        if not listed and not again(lambda: self.fs.exists(root)):
             raise UnreadableError(f"{self.url} does not exist")
         found = []
         for key, about in sorted(listed.items()):
-            name = posixpath.relpath(key, self.root) if key != self.root else posixpath.basename(key)
+            name = posixpath.relpath(key, root) if key != root else posixpath.basename(key)
             if not any(part.startswith(".") for part in name.split("/")):
                 found.append(_found(key, name, about))
         return found
-
-    def now(self, found: Found) -> Found:
-        """Return a file as it is now."""
-        self.fs.invalidate_cache(posixpath.dirname(found.key))
-        return _found(found.key, found.name, again(lambda: self.fs.info(found.key)))
 
     @contextlib.contextmanager
     def as_file(self, found: Found) -> Iterator[Path]:
@@ -142,6 +145,16 @@ class Place:
         """Return a small file."""
         data: bytes = again(lambda: self.fs.cat_file(self.path(name)))
         return data
+
+    def count(self, pattern: str) -> int:
+        """Return how many files fit a pattern."""
+        self.fs.invalidate_cache()
+        return len(again(lambda: self.fs.glob(self.path(pattern))))
+
+    def remove_folder(self, name: str) -> None:
+        """Remove a folder with its files, if it is there."""
+        with contextlib.suppress(FileNotFoundError):
+            again(lambda: self.fs.rm(self.path(name), recursive=True))
 
     def remove(self, name: str) -> None:
         """Remove a file, if it is there."""

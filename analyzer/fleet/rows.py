@@ -28,12 +28,14 @@ import numpy as np
 from analyzer import __version__
 from analyzer.cli.decode import LONG_CAPTURE
 from analyzer.cli.reading import OpenCapture, open_reading
+from analyzer.columns.block import ByteBlock, CanBlock
 from analyzer.diagnosis.diagnose import diagnosis, lines
 from analyzer.diagnosis.watch import Watch
 from analyzer.errors import ServotapError, UnreadableError
-from analyzer.fleet.place import Found, Place
+from analyzer.fleet.place import Found, Place, no_room
+from analyzer.pipeline import Item, Pipeline, Sink
 from analyzer.records import Severity
-from analyzer.sinks.parquet import ParquetTables, Target
+from analyzer.sinks.parquet import ParquetTables
 from analyzer.sinks.summary import Summary
 from analyzer.sources.times import DATED, Clock, is_dated
 from analyzer.table.extras import needed
@@ -103,12 +105,13 @@ class Added:
 
 @dataclass
 class Taken:
-    """What became of some captures. `captures`: a row of the table `captures` each."""
+    """What became of some captures. `captures`: a row of the table `captures` each; `ranges`: of one that was split."""
 
     captures: list[dict[str, Any]] = field(default_factory=list)
     added: list[Added] = field(default_factory=list)
     frames: int = 0
     read: int = 0
+    ranges: int = 0
 
 
 def table_of(name: str) -> str:
@@ -150,7 +153,7 @@ def _as_lake(rows: pyarrow.Table, schema: pyarrow.Schema) -> pyarrow.Table:
 class _Held:
     """A table of a capture: rows that wait until the capture is through."""
 
-    def __init__(self, capture: _Capture, name: str, schema: pyarrow.Schema) -> None:
+    def __init__(self, capture: Capture, name: str, schema: pyarrow.Schema) -> None:
         self._capture = capture
         self.name = name
         self.schema = schema
@@ -248,16 +251,17 @@ class Files:
         return [file.finish(self.lake) for file in files]
 
 
-class _Capture:
+class Capture:
     """A capture on its way into tables."""
 
     def __init__(self, work: Work, files: Files, sha256: str) -> None:
         self.work, self.files, self.sha256 = work, files, sha256
         self.held: list[_Held] = []
         self._rows = 0
-        #: Files of a long capture's own, and the day they are of.
+        #: Files of a long capture's own.
         self.own: Files | None = None
-        self.day: str | None = None if work.date is None else work.date.isoformat()
+        self._day = work.date
+        self._dated = work.date is not None
         self.first_ns: int | None = None
         self.last_ns: int | None = None
 
@@ -275,17 +279,30 @@ class _Capture:
                 self.own = Files(self.files.lake, self.files.folder)
             self.release(self.own)
 
+    def sees(self, item: Item) -> None:
+        """Take the day from the first item that has a time, where the path does not say it."""
+        if not self._dated:
+            first_ns = _first_ns(item)
+            if first_ns is not None:
+                self._dated = True
+                self._day = _day(first_ns // 1_000_000_000) if is_dated(first_ns) else None
+
+    @property
+    def day(self) -> date:
+        """The day that the path says, else of the first frame, else of the file."""
+        return self._day or _day(self.work.found.modified)
+
     def release(self, files: Files) -> None:
         """Give what is held to files."""
-        self._dates()
-        values = {"date": self.day, "machine": self.work.machine or None}
+        self._spans()
+        values = {"date": self.day.isoformat(), "machine": self.work.machine or None}
         for held in self.held:
             if held.pieces and held.name != "metadata":
                 files.add(held.name, needed("pyarrow").concat_tables(held.pieces), values, self.sha256)
             held.pieces = []
         self._rows = 0
 
-    def _dates(self) -> None:
+    def _spans(self) -> None:
         compute = needed("pyarrow.compute")
         for held in self.held:
             for piece in held.pieces if "time" in held.schema.names else ():
@@ -293,10 +310,16 @@ class _Capture:
                 if span["min"] is not None:
                     self.first_ns = span["min"] if self.first_ns is None else min(self.first_ns, span["min"])
                     self.last_ns = span["max"] if self.last_ns is None else max(self.last_ns, span["max"])
-        if self.day is None and self.first_ns is not None and is_dated(self.first_ns):
-            self.day = datetime.fromtimestamp(self.first_ns // 1_000_000_000, UTC).date().isoformat()
-        elif self.day is None:
-            self.day = datetime.fromtimestamp(self.work.found.modified, UTC).date().isoformat()
+
+
+def _first_ns(item: Item) -> int | None:
+    if isinstance(item, (CanBlock, ByteBlock)):
+        return None if item.t_ns is None else int(item.t_ns[0])
+    return item.t_ns
+
+
+def _day(seconds: float) -> date:
+    return datetime.fromtimestamp(seconds, UTC).date()
 
 
 def transactions_schema() -> pyarrow.Schema:
@@ -395,28 +418,30 @@ def _take_one(work: Work, shared: Files, seen: set[str], options: argparse.Names
     row = work.row()
     try:
         with work.source.as_file(work.found) as path:
-            row["capture"] = sha256 = _sha256(path)
+            row["capture"] = sha256 = sha256_of(path)
             if sha256 in work.before or sha256 in seen:
                 return row | {"status": "known"}, []
-            capture = _Capture(work, shared, sha256)
-            row |= _decoded(str(path), capture.target, options)
-            if _sha256(path) != sha256:
+            capture = Capture(work, shared, sha256)
+            row |= into_tables(str(path), capture, options)
+            if sha256_of(path) != sha256:
                 return row | {
                     "status": "failed",
                     "reason": "it changed while it was read: ingest it again when it is whole",
                 }, []
     except (ServotapError, OSError) as error:
+        if no_room(error):
+            raise
         return row | {"status": "unreadable", "reason": printable(str(error))}, []
     except Exception as error:
         # One capture may bring out a fault of the decoder: the others are taken all the same, and it can be tried again.
         return row | {"status": "failed", "reason": printable(f"a fault of servotap: {type(error).__name__}: {error}")}, []
     capture.release(capture.own or shared)
-    row |= {"date": None if capture.day is None else date.fromisoformat(capture.day)}
-    row |= {"first_ns": capture.first_ns, "last_ns": capture.last_ns}
+    row |= {"date": capture.day, "first_ns": capture.first_ns, "last_ns": capture.last_ns}
     return row, [] if capture.own is None else capture.own.finish()
 
 
-def _sha256(path: Path) -> str:
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -433,27 +458,52 @@ class _Nowhere:
 
 def decoded_alone(path: str, options: argparse.Namespace) -> dict[str, Any]:
     """Decode a capture without keeping its tables. Return values for its row of `captures`. Raises UnreadableError."""
-    return _decoded(path, lambda name, schema: _Nowhere(), options)
+    reading = open_reading(path, options)
+    tables = ParquetTables(lambda name, schema: _Nowhere(), reading.source.clock)
+    found = decoded(reading, (tables,), lambda pipeline, item: pipeline.feed(item))
+    tables.finish({})
+    return found
 
 
-def _decoded(path: str, target: Callable[[str, pyarrow.Schema], Target], options: argparse.Namespace) -> dict[str, Any]:
+def into_tables(path: str, capture: Capture, options: argparse.Namespace) -> dict[str, Any]:
     """Decode a capture into its tables. Return values for its row of `captures`. Raises UnreadableError."""
     reading = open_reading(path, options)
+    tables = ParquetTables(capture.target, reading.source.clock)
+
+    def feed(pipeline: Pipeline, item: Item) -> None:
+        capture.sees(item)
+        pipeline.feed(item)
+
+    found = decoded(reading, (tables,), feed)
+    tables.finish({})
+    return found
+
+
+def decoded(
+    reading: OpenCapture,
+    sinks: Sequence[Sink],
+    feed: Callable[[Pipeline, Item], None],
+    end: Callable[[Pipeline], None] = lambda pipeline: None,
+) -> dict[str, Any]:
+    """Decode a capture into sinks, each item by `feed`; `end` is called before the pipeline is closed.
+
+    Return values for its row of `captures`. Raises UnreadableError.
+    """
     source, status, reason = reading.source, "decoded", ""
     with contextlib.closing(source):
         source.in_blocks = source.gives_blocks and (source.size or 0) >= LONG_CAPTURE and not reading.time_range.wanted
-        tables, summary, watch = ParquetTables(target, source.clock), Summary(), Watch()
-        pipeline = reading.pipeline((tables, summary, watch))
+        summary, watch = Summary(), Watch()
+        pipeline = reading.pipeline((*sinks, summary, watch))
         try:
             for item in reading:
                 watch.take(item)
-                pipeline.feed(item)
+                feed(pipeline, item)
         except UnreadableError as error:
             if not pipeline.sequence:
                 raise
             status, reason = "incomplete", str(error)
+        end(pipeline)
         pipeline.close()
-        tables.finish({})
         return {"status": status, "reason": printable(reason)} | _about(reading, summary.settle(), watch)
 
 

@@ -13,7 +13,7 @@ from analyzer.fleet.ask import Question
 from analyzer.fleet.ingest import Ingest, Outcome, Pattern, tasks, works
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Place
-from analyzer.fleet.rows import take
+from analyzer.fleet.ranges import do
 from tests.columns.can_traffic import frames
 
 
@@ -64,8 +64,10 @@ def ingest(lake: Lake, *folders: Path | Place, retry: bool = False, pattern: str
     said = None if pattern is None else Pattern(pattern)
     found = works([each if isinstance(each, Place) else Place(str(each)) for each in folders], lake, said, retry, outcome)
     work = Ingest(lake, options(), outcome, Interrupt())
-    for task in tasks(found):
-        work.ended(task, Finished(take, task, lake.place, options()))
+    left = tasks(found)
+    while left:
+        task = left.pop(0)
+        left += work.ended(task, Finished(do, task, lake.place, options()))
     work.commit()
     return outcome
 

@@ -239,16 +239,16 @@ def test_a_capture_that_grows_while_it_is_read_is_not_taken(tmp_path, monkeypatc
     made = lake(tmp_path / "lake")
     from analyzer.fleet import rows as rows_module
 
-    decoded = rows_module._decoded
+    decoded = rows_module.decoded
 
-    def grows(name, target, given):
-        found = decoded(name, target, given)
+    def grows(*given):
+        found = decoded(*given)
         with path.open("a") as stream:
             stream.write(candump(2))
         return found
 
     with monkeypatch.context() as busy:
-        busy.setattr(rows_module, "_decoded", grows)
+        busy.setattr(rows_module, "decoded", grows)
         assert "changed while it was read" in ingest(made, path).unread[0][1]
     assert list(rows(made)) == ["captures"]
     assert ingest(made, path).new == 1

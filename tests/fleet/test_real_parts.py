@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -79,8 +81,22 @@ class Cluster:
     def schedule(self):
         return self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port))
 
-    def work(self):
-        return self._start("worker", self.address, "--nthreads", "1", "--no-nanny")
+    def work(self, name="another"):
+        return self._start("worker", self.address, "--nthreads", "1", "--no-nanny", "--name", name)
+
+
+def dies_in_the_middle():
+    """Have this worker kill itself in the middle of the next capture."""
+    from analyzer.pipeline import Pipeline
+
+    feed, left = Pipeline.feed, iter(range(20, -1, -1))
+
+    def last(self, item):
+        if not next(left):
+            os.kill(os.getpid(), signal.SIGKILL)
+        feed(self, item)
+
+    Pipeline.feed = last
 
 
 @pytest.fixture
@@ -89,31 +105,35 @@ def cluster():
         yield Cluster(processes)
 
 
-@pytest.mark.parametrize("victim", ["worker", "scheduler"])
-def test_a_process_that_is_killed_costs_time_alone(victim, cluster, captures, clean, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("victim", "huge"), [("worker", False), ("scheduler", False), ("worker", True), ("scheduler", True)])
+def test_a_process_that_is_killed_costs_time_alone(victim, huge, cluster, captures, clean, tmp_path, monkeypatch):
     monkeypatch.setattr(ingesting, "TASK_FILES", 1)
+    if huge:
+        monkeypatch.setattr(ingesting, "HUGE", 1)
     made = Lake(Place(str(tmp_path / "lake")), make=True)
     outcome = Outcome()
     found = works([Place(str(captures))], made, Pattern("{machine}/{date}/*"), False, outcome)
-    processes = {"scheduler": cluster.schedule(), "worker": cluster.work()}
+    scheduler, worker = cluster.schedule(), cluster.work("victim")
     cluster.work()
     with workers(cluster.address, 2) as client:
         client.wait_for_workers(2)
+        if victim == "worker":
+            known = client.scheduler_info(n_workers=-1)["workers"]
+            client.run(dies_in_the_middle, workers=[address for address, each in known.items() if each["name"] == "victim"])
 
-        class Killing(Ingest):
+        class Watching(Ingest):
             def ended(self, task, future):
-                process = processes.pop(victim, None)
-                if process is not None:
-                    process.kill()
-                    process.wait()
-                    if victim == "scheduler":
-                        cluster.schedule()
-                        # The workers of the first one end with it.
-                        cluster.work()
+                if victim == "scheduler" and scheduler.poll() is None:
+                    scheduler.kill()
+                    scheduler.wait()
+                    cluster.schedule()
+                    # The workers of the first one end with it.
+                    cluster.work()
                 return super().ended(task, future)
 
-        Killing(made, options(), outcome, Interrupt()).run(client, found)
-    assert victim not in processes
+        Watching(made, options(), outcome, Interrupt()).run(client, found)
+    assert {"scheduler": scheduler, "worker": worker}[victim].wait() == -signal.SIGKILL
+    assert made.place.count("ranges/*") == 0
     assert outcome.new == 6
     assert rows(made) == clean
 

@@ -1,0 +1,251 @@
+"""A huge capture in ranges, so that several workers decode it at once.
+
+    scan    capture -> items -> pipeline without tables -> its row of `captures`
+                        '-> ranges/<scan>/<number>.range: the state of the pipeline before them, and the items
+    range   state, items -> pipeline -> tables -> data files
+
+A frame may begin in one range and end in the next; a request may wait there for its reply; what was learnt of a drive counts
+from then on. So one worker reads the capture through and pairs its frames, which is about a quarter of the work. It hands the
+state of the pipeline over at each border. Another worker goes on from there as if it had read all before. The items lie in the
+range's file, so no format needs a way to begin in the middle, and no worker fetches the capture again.
+
+Rules: ranges are taken while the scan goes on. A capture whose scan or range fails reaches no table. A range's file is of this
+program: its key, which the client alone makes, says that nobody else wrote it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hmac
+import io
+import pickle
+import secrets
+import tempfile
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import zstandard
+
+from analyzer.cli.reading import OpenCapture, dialects_by_name, open_reading
+from analyzer.columns.block import ByteBlock, CanBlock
+from analyzer.devices import load
+from analyzer.errors import ServotapError, UnreadableError
+from analyzer.events import SETUPS
+from analyzer.fleet.lake import RANGES
+from analyzer.fleet.place import Place, no_room
+from analyzer.fleet.rows import TAKEN, Capture, Files, Taken, Work, decoded, sha256_of, take
+from analyzer.pipeline import Item, Pipeline, PortSetup
+from analyzer.records import Chunk, Event
+from analyzer.sinks.object_table import Table, TableUnpickler, dumped
+from analyzer.sinks.parquet import ParquetTables
+from analyzer.values import printable
+
+#: Bytes of a capture from which on it is split, and of a range's items, about.
+HUGE, RANGE_BYTES = 256 << 20, 32 << 20
+#: What an item takes beside its own bytes, about; a frame of a block.
+_ITEM, _ROW = 64, 40
+_CHECK = 32
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A huge capture that is read through. `key`: proves that its ranges are of this scan."""
+
+    work: Work
+    name: str = field(default_factory=lambda: uuid.uuid4().hex)
+    key: bytes = field(default_factory=lambda: secrets.token_bytes(_CHECK), repr=False)
+
+    @property
+    def folder(self) -> str:
+        """The folder of its ranges, below the lake."""
+        return f"{RANGES}/{self.name}"
+
+    def path(self, number: int) -> str:
+        """Return the name of a range, below the lake."""
+        return f"{self.folder}/{number:06}.range"
+
+
+@dataclass(frozen=True)
+class Range:
+    """A range of a scan."""
+
+    scan: Scan
+    number: int
+
+
+Task = list[Work] | Scan | Range
+
+
+def do(task: Task, lake: Place, options: argparse.Namespace) -> Taken:
+    """Do what a worker is given. Raises OSError where the lake cannot be written."""
+    if isinstance(task, Scan):
+        return scan(task, lake, options)
+    return take_range(task, lake, options) if isinstance(task, Range) else take(task, lake, options)
+
+
+def works_of(task: Task) -> list[Work]:
+    """Return the captures of a task."""
+    if isinstance(task, list):
+        return task
+    return [task.work if isinstance(task, Scan) else task.scan.work]
+
+
+def waiting(lake: Place, task: Scan) -> int:
+    """Return how many ranges a scan has written so far."""
+    return lake.count(f"{task.folder}/*.range")
+
+
+# --- the scan -----------------------------------------------------------------------------------------------------------
+
+
+class _Spool:
+    """Writes the items of a capture in ranges."""
+
+    def __init__(self, task: Scan, lake: Place, reading: OpenCapture, sha256: str) -> None:
+        self._task, self._lake, self._clock = task, lake, reading.source.clock
+        # What the pipeline begins with; later the buses may be set up otherwise.
+        self._start = (reading.dialects, reading.options, dict(reading.ports), reading.others)
+        self._model = reading.model
+        self._table = Table(reading.possible)
+        self.capture = Capture(task.work, Files(lake, Path()), sha256)
+        self._items: list[Item] = []
+        self._setups: list[PortSetup | None] = []
+        self._size = 0
+        self._before = b""
+        self.written = 0
+
+    def feed(self, pipeline: Pipeline, item: Item) -> None:
+        """Pass an item on to the pipeline, and keep it."""
+        self.capture.sees(item)
+        if not self._items:
+            self._before = self._state(pipeline)
+        # The pipeline notes in a block how far it is.
+        self._items.append(replace(item) if isinstance(item, ByteBlock) else item)
+        self._size += _weight(item)
+        pipeline.feed(item)
+        if isinstance(item, Event) and item.name in SETUPS:
+            port = pipeline.ports.get(item.port)
+            self._setups.append(None if port is None else port.setup)
+        if self._size >= RANGE_BYTES:
+            self._write(last=False)
+
+    def end(self, pipeline: Pipeline) -> None:
+        """Write the last range; what waits in the pipeline belongs to it."""
+        if not self._items:
+            self._before = self._state(pipeline)
+        self._write(last=True)
+
+    def _state(self, pipeline: Pipeline) -> bytes:
+        setups = {name: port.setup for name, port in pipeline.ports.items()}
+        return dumped((pipeline.state(), setups), self._table)
+
+    def _write(self, *, last: bool) -> None:
+        about = {
+            "sha256": self.capture.sha256, "day": self.capture.day, "clock": self._clock, "start": self._start,
+            "items": self._items, "setups": self._setups, "last": last,
+        }  # fmt: skip
+        names = [dialect.name for dialect in self._table.dialects]
+        outer = (names, self._model, self._table.digest, self._before, dumped(about, self._table))
+        data = zstandard.ZstdCompressor(level=1).compress(pickle.dumps(outer, pickle.HIGHEST_PROTOCOL))
+        self._lake.write(self._task.path(self.written), hmac.digest(self._task.key, data, "sha256") + data)
+        self.written += 1
+        self._items, self._setups, self._size = [], [], 0
+
+
+def _weight(item: Item) -> int:
+    if isinstance(item, CanBlock):
+        return _ROW * len(item)
+    rows = _ROW * len(item) if isinstance(item, ByteBlock) else 0
+    return _ITEM + rows + (len(item.data) if isinstance(item, (ByteBlock, Chunk)) else 0)
+
+
+def scan(task: Scan, lake: Place, options: argparse.Namespace) -> Taken:
+    """Read a huge capture through and write its ranges. Raises OSError where the lake cannot be written."""
+    work = task.work
+    row = work.row()
+    size, frames, ranges = work.found.size, 0, 0
+    try:
+        with work.source.as_file(work.found) as path:
+            row["capture"] = sha256 = sha256_of(path)
+            if sha256 in work.before:
+                return Taken([row | {"status": "known"}], read=size)
+            reading = open_reading(str(path), options)
+            if reading.time_range.wanted:
+                # What is decoded unseen belongs to no range.
+                reading.source.close()
+                return take([work], lake, options)
+            spool = _Spool(task, lake, reading, sha256)
+            row |= decoded(reading, (), spool.feed, spool.end)
+            frames, ranges = row["frames"], spool.written
+            if sha256_of(path) != sha256:
+                changed = "it changed while it was read: ingest it again when it is whole"
+                return Taken([row | {"status": "failed", "reason": changed}], read=size)
+            row["date"] = spool.capture.day
+    except (ServotapError, OSError) as error:
+        if no_room(error):
+            raise
+        return Taken([row | {"status": "unreadable", "reason": printable(str(error))}], read=size)
+    return Taken([row], frames=frames, read=size, ranges=ranges)
+
+
+# --- a range ------------------------------------------------------------------------------------------------------------
+
+
+def take_range(task: Range, lake: Place, options: argparse.Namespace) -> Taken:
+    """Decode a range into data files of a lake. The row of `captures` has the times of its frames alone.
+
+    Raises UnreadableError for a file that another program or version wrote, OSError where the lake cannot be written.
+    """
+    name = task.scan.path(task.number)
+    try:
+        whole = lake.read(name)
+    except FileNotFoundError:
+        raise UnreadableError(f"{lake.path(name)} is gone: ingest it again") from None
+    data = whole[_CHECK:]
+    if not hmac.compare_digest(whole[:_CHECK], hmac.digest(task.scan.key, data, "sha256")):
+        raise UnreadableError(f"{lake.path(name)} is damaged")
+    names, model, digest, before, rest = pickle.loads(zstandard.ZstdDecompressor().decompress(data))
+    devices = [d for file in load(options.dbc, options.modbus_map, lambda text: None) for d in file.dialects]
+    known = dialects_by_name(devices, model)
+    table = Table([known[each] for each in names])
+    if table.digest != digest:
+        raise UnreadableError(f"{lake.path(name)} is of another version of Servotap: all workers need the same")
+    state, setups = TableUnpickler(io.BytesIO(before), table).load()
+    about: dict[str, Any] = TableUnpickler(io.BytesIO(rest), table).load()
+    with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
+        capture = Capture(replace(task.scan.work, date=about["day"]), Files(lake, Path(folder)), about["sha256"])
+        capture.own = capture.files
+        tables = ParquetTables(capture.target, about["clock"])
+        said: Iterator[PortSetup | None] = iter(about["setups"])
+        dialects, given, ports, others = about["start"]
+        pipeline = Pipeline(dialects, (tables,), given, ports=ports, on_setup=lambda event: next(said), others=others)
+        pipeline.restore(state, setups)
+        for item in about["items"]:
+            pipeline.feed(item)
+        if about["last"]:
+            pipeline.close()
+        tables.finish({})
+        capture.release(capture.files)
+        added = capture.files.finish()
+    times = {"capture": capture.sha256, "first_ns": capture.first_ns, "last_ns": capture.last_ns}
+    return Taken([times], added)
+
+
+def joined(scanned: Taken, taken: list[Taken]) -> Taken:
+    """Return what became of a capture from its scan and its ranges. Raises UnreadableError where the content is not one."""
+    row = dict(scanned.captures[0])
+    parts = [each.captures[0] for each in taken]
+    if any(part["capture"] != row["capture"] for part in parts):
+        raise UnreadableError("it changed while it was read: ingest it again when it is whole")
+    row["first_ns"] = min((part["first_ns"] for part in parts if part["first_ns"] is not None), default=None)
+    row["last_ns"] = max((part["last_ns"] for part in parts if part["last_ns"] is not None), default=None)
+    added = [file for each in taken for file in each.added]
+    return Taken([row], added, scanned.frames, scanned.read)
+
+
+def is_split(scanned: Taken) -> bool:
+    """Say whether the ranges of a scan are wanted: it took the capture, and split it."""
+    return scanned.ranges > 0 and scanned.captures[0]["status"] in TAKEN
