@@ -19,7 +19,7 @@ from analyzer import __version__
 from analyzer.cli.decode_targets import Capture, captures
 from analyzer.cli.option_types import positive
 from analyzer.cli.output import Output, OutputFolder
-from analyzer.cli.reading import OpenCapture, add_reading_arguments, now_text, open_reading, progress
+from analyzer.cli.reading import LONG_CAPTURE, OpenCapture, add_reading_arguments, now_text, open_reading, progress
 from analyzer.cli.signals import Interrupt
 from analyzer.diagnosis.diagnose import diagnosis, lines
 from analyzer.diagnosis.watch import Watch
@@ -37,9 +37,6 @@ from analyzer.values import printable
 if TYPE_CHECKING:
     from analyzer.sinks.parquet import ParquetTables
     from analyzer.sinks.workers import Workers
-
-#: From this size on, in bytes, writing in a process of its own is worth starting one.
-LONG_CAPTURE = 1 << 20
 
 EXAMPLES = """\
 examples:
@@ -113,7 +110,7 @@ class _Sinks:
         self._process: SinkProcess | None = None
         self._workers: Workers | None = None
         long = source.size is not None and source.size >= LONG_CAPTURE
-        source.in_blocks = long and source.gives_blocks and not reading.time_range.wanted
+        source.in_blocks = long and not reading.time_range.wanted
         several = long and jobs > 1 and available()
         if several and source.in_blocks and isinstance(output, Output):
             from analyzer.sinks.workers import MOST, Workers

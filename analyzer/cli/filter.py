@@ -18,7 +18,7 @@ import ast
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
@@ -28,7 +28,7 @@ from analyzer.catalogue import Dialect, Role
 from analyzer.errors import UsageError
 from analyzer.findings import RULES
 from analyzer.layout import NOT_NUMERIC, Field, FieldKind
-from analyzer.records import Severity
+from analyzer.records import Frame, Severity
 from analyzer.values import factor, near, quote
 
 _LONGEST = 2000
@@ -40,6 +40,8 @@ _QUANTITY = re.compile(
     r"""("[^"]*"|'[^']*')|(?<![\w.])((?>0[xXbBoO][0-9a-fA-F]+|(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?))\s*"""
     r"""(?!(?:and|or|not|in|is|if|else|for)\b)([^\W\d_]+(?:/s)?|°C?)"""
 )
+#: What differs from message to message of one topic, besides the fields of its command.
+OWN = frozenset(("time", "findings", "raw", "offset", "sequence", "latency"))
 _MISSING = object()
 _Names = Mapping[str, Any]
 _Value = Callable[[_Names], Any]
@@ -154,6 +156,24 @@ _ARITHMETIC: dict[type, Callable[[Any, Any], Any]] = {
 }
 
 
+class _Differs(Exception):
+    """A name was asked for in which messages differ."""
+
+
+class _Shared(dict[str, Any]):
+    """The names that messages share."""
+
+    def __init__(self, names: _Names, differing: Collection[str]) -> None:
+        super().__init__(names)
+        self._differing = differing
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return what a name holds."""
+        if name in self._differing:
+            raise _Differs
+        return super().get(name, default)
+
+
 class Filter:
     """A compiled filter. Call it with the names of a message; it returns whether the message is wanted.
 
@@ -165,8 +185,9 @@ class Filter:
         self.text = text
         self._known = known
         tree = parsed(text)
-        #: The names that it uses.
-        self.used = frozenset(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
+        #: The names that it uses. A choice is compared by its name, a unit is of the dialect and the command.
+        written = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        self.used = frozenset((*written, *(f"{name}_name" for name in written), "dialect", "command"))
         self._test = self._condition(tree)
 
     def __call__(self, names: _Names) -> bool:
@@ -175,6 +196,17 @@ class Filter:
             return self._test(names)
         except (TypeError, ValueError, ArithmeticError):
             return False  # what two messages of one name hold may differ: bytes in one, a number in the other
+
+    def settled(self, names: _Names, differing: Collection[str]) -> bool | None:
+        """Return the answer for all messages that share these names; None where it depends on those in which they differ.
+
+        So one message answers for all of a topic: `command == "read_speed" and speed > 300` is False wherever the command is
+        another one.
+        """
+        try:
+            return self(_Shared(names, differing))
+        except _Differs:
+            return None
 
     def _condition(self, node: ast.AST) -> _Test:
         if isinstance(node, ast.BoolOp):
@@ -233,6 +265,14 @@ class Filter:
         if left.meaning is not None and right.constant is not _MISSING:
             return _checked(left, left.meaning, sign, compare, right)
         return partial(_holds, compare, left.value, right.value)
+
+
+def bytes_text(frame: Frame) -> str:
+    """Return what `raw` names: the bytes of a frame as hex, on CAN its identifier first."""
+    text = frame.data.hex(" ").upper()
+    if frame.can is None:
+        return text
+    return f"{frame.can.id:08X} {text}".rstrip() if frame.can.extended else f"{frame.can.id:02X} {text}".rstrip()
 
 
 def parsed(text: str) -> ast.expr:

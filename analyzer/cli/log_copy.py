@@ -121,7 +121,7 @@ class Log:
                     channels[record.id] = record if wanted(record) else None
                 elif isinstance(record, Metadata):
                     self.metadata[record.name] = dict(record.metadata)
-                else:
+                elif isinstance(record, Header):
                     self.header = record
             if lost:
                 source.problem(f"{counted(lost, 'message')} of topics whose declarations are lost: left out")

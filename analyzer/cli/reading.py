@@ -43,6 +43,8 @@ __all__ = [
     "source_options",
 ]
 
+#: From this size on, in bytes, a capture is read in blocks, and a process of its own is worth starting.
+LONG_CAPTURE = 1 << 20
 #: How much of a capture the choice of dialects looks at; of standard input less, so that a live pipe shows at once.
 SAMPLE_BYTES = 256 * 1024
 SAMPLE_ITEMS = 20_000

@@ -13,13 +13,13 @@ import shutil
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from analyzer.catalogue import Role
-from analyzer.cli.filter import Filter, vocabulary
-from analyzer.cli.reading import add_reading_arguments, open_reading, progress
+from analyzer.cli.filter import Filter, bytes_text, vocabulary
+from analyzer.cli.reading import LONG_CAPTURE, add_reading_arguments, open_reading, progress
 from analyzer.decoder import physical, units_of
 from analyzer.events import text_of
 from analyzer.live.lock import running
@@ -30,6 +30,10 @@ from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
 from analyzer.sources.times import ShownTime
 from analyzer.values import fields_text, printable
+
+if TYPE_CHECKING:
+    from analyzer.cli.sieve import Sieve
+    from analyzer.columns.pairs import Plain
 
 EXAMPLES = """\
 examples:
@@ -75,21 +79,41 @@ class Table:
         self._width = shutil.get_terminal_size().columns if self._color else 0
         self._flush: bool = self._color or arguments.follow
         self._who = who_width
+        self._sieve: Sieve | None = None
         self._shown: set[int] = set()
         #: Lines of frames and junk.
         self.lines = 0
         if not self._json:
             print(f"{'time':>15}  {'bus':<8} {'addr':>{self._who}} {'role':<7} {'command':<24} fields")
 
+    def begin(self, plain: Plain) -> None:
+        """Take the next block."""
+        self._plain = plain
+
+    def run(self, start: int, stop: int, sequence: int) -> None:
+        """Print the plain frames in some rows that are wanted."""
+        from analyzer.cli.sieve import Run, Sieve
+
+        run = Run(self._plain, start, stop, sequence)
+        if self._wanted is None:
+            rows = list(range(start, stop))
+        else:
+            self._sieve = self._sieve or Sieve(self._wanted, _filtered)
+            rows = self._sieve.rows(run)
+        for row in rows:
+            self._print(run.entry(row))
+
     def entry(self, entry: Entry) -> None:
         """Print a frame if it is wanted."""
+        if self._wanted is None or self._wanted(_filtered(entry)):
+            self._print(entry)
+
+    def _print(self, entry: Entry) -> None:
         fields = physical(entry.message)
-        names = names_of(entry, fields)
-        if self._wanted is not None and not self._wanted(names | _as_shown(entry)):
-            return
         self._shown = {entry.sequence}
         message = entry.message
         if self._json:
+            names = names_of(entry, fields)
             self._line(msgspec.json.encode({**names, **({"slots": fields["slots"]} if "slots" in fields else {})}).decode())
             return
         role = message.role.value
@@ -97,7 +121,7 @@ class Table:
         if entry.latency_ns is not None and entry.request_sequence is not None:
             shown += f"  ({entry.latency_ns / 1e6:.3f} ms)"
         if self._bytes or message.form is None:
-            shown += f"  [{_bytes_text(entry)}]"
+            shown += f"  [{bytes_text(message.frame)}]"
         command = "" if message.role is Role.FOREIGN else command_name(message)
         # An identifier of 29 bits is wider than the others; from here on there is room for it.
         self._who = max(self._who, len(message.who))
@@ -178,7 +202,7 @@ def names_of(entry: Entry, fields: Mapping[str, Any]) -> dict[str, Any]:
         command=command_name(message),
         checksum_ok=frame.checksum_ok,
         findings=[f.rule for f in entry.findings],
-        raw=_bytes_text(entry),
+        raw=bytes_text(frame),
         offset=frame.offset,
         sequence=entry.sequence,
         section=message.command.section if message.command is not None else "",
@@ -195,20 +219,13 @@ def command_name(message: Message) -> str:
     return "foreign" if message.role is Role.FOREIGN else "unknown"
 
 
-def _as_shown(entry: Entry) -> dict[str, Any]:
-    """Return what a filter names otherwise than the JSON does: the latency in ms, findings with their severities."""
-    shown: dict[str, Any] = {"findings": [word for found in entry.findings for word in (found.rule, found.severity)]}
-    if entry.latency_ns is not None and entry.request_sequence is not None:
-        shown["latency"] = entry.latency_ns / 1e6
-    return shown
-
-
-def _bytes_text(entry: Entry) -> str:
-    frame = entry.message.frame
-    text = frame.data.hex(" ").upper()
-    if frame.can is None:
-        return text
-    return f"{frame.can.id:08X} {text}".rstrip() if frame.can.extended else f"{frame.can.id:02X} {text}".rstrip()
+def _filtered(entry: Entry) -> dict[str, Any]:
+    """Return the names of a message as a filter means them: the latency in ms, findings with their severities."""
+    names = names_of(entry, physical(entry.message))
+    names["findings"] = [word for found in entry.findings for word in (found.rule, found.severity)]
+    if "latency" in names and entry.latency_ns is not None:
+        names["latency"] = entry.latency_ns / 1e6
+    return names
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -229,6 +246,9 @@ def _show(arguments: argparse.Namespace) -> int:
         wanted = None
         if arguments.filter:
             wanted = Filter(arguments.filter, vocabulary(reading.possible))
+        size = reading.source.size
+        whole = not (arguments.follow or reading.time_range.wanted)
+        reading.source.in_blocks = whole and size is not None and size >= LONG_CAPTURE
         table = Table(arguments, wanted, reading.time_range.shown, reading.who_width)
         pipeline = reading.pipeline((table,))
         with contextlib.suppress(_Enough):

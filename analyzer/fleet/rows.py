@@ -26,8 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analyzer import __version__
-from analyzer.cli.decode import LONG_CAPTURE
-from analyzer.cli.reading import OpenCapture, open_reading
+from analyzer.cli.reading import LONG_CAPTURE, OpenCapture, open_reading
 from analyzer.columns.block import ByteBlock, CanBlock
 from analyzer.diagnosis.diagnose import diagnosis, lines
 from analyzer.diagnosis.watch import Watch
@@ -491,7 +490,7 @@ def decoded(
     """
     source, status, reason = reading.source, "decoded", ""
     with contextlib.closing(source):
-        source.in_blocks = source.gives_blocks and (source.size or 0) >= LONG_CAPTURE and not reading.time_range.wanted
+        source.in_blocks = (source.size or 0) >= LONG_CAPTURE and not reading.time_range.wanted
         summary, watch = Summary(), Watch()
         pipeline = reading.pipeline((*sinks, summary, watch))
         try:

@@ -137,7 +137,7 @@ def open_source(
     try:
         name = _find(source) if format is None else _forced(source, format)
         entry = FORMATS[name]
-        source.format, source.title, source.kind, source.gives_blocks = name, entry.title, entry.kind, entry.kind != "log"
+        source.format, source.title, source.kind = name, entry.title, entry.kind
         if (channels or inverted) and not entry.levels:
             raise UsageError(
                 f"{source.name} is {entry.title}, without levels: --channel and --inverted are for logic analyzers"

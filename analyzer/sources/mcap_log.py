@@ -7,22 +7,24 @@ given on, so that another dialect starts afresh.
 Rules: each byte of a bus is given once, found by `_offset`, although `/<bus>/raw` repeats what the frames hold. Where a
 raw topic says that it is complete it alone is read, with the pauses that it notes: so the log of a live recording is
 decoded as it was while it ran. If frames are asked for instead (`Source.framed`), raw bytes are given only where there are
-none. A log that was not finished is read as far as it goes.
+none. A log that was not finished is read as far as it goes. Of a long log, plain CAN frames come as blocks (`mcap_blocks`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated, Any
 
 import msgspec
 
 from analyzer.catalogue import Role
+from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
 from analyzer.events import RESUMED, SETUPS, TOPIC, checked
 from analyzer.records import CanFrame, Chunk, Event, Silence
 from analyzer.sources.coverage import GAP_LIMIT, Coverage, Raw, Waiting
-from analyzer.sources.mcap_scan import LogMessage
+from analyzer.sources.mcap_scan import LogMessage, Messages
 from analyzer.sources.recording_parts import clock_of
 from analyzer.sources.source import COMMENT_LIMIT, Record, Source, clean_port, describe
 from analyzer.values import counted
@@ -31,25 +33,34 @@ _MAGIC = b"\x89MCAP0\r\n"
 _PROFILE = "servotap"
 _COMMENTS = "/comments"
 _RAW = "raw"
+#: For messages that are read singly: no bus of a topic has such a name.
+_NO_BUS = "/"
 #: Data bytes of the longest CAN frame.
 CAN_BYTES = 64
 _ROLES = {role.value: role for role in Role}
+#: What a damaged message raises.
+_DAMAGE = (msgspec.MsgspecError, ValueError, RecursionError)
 
 
-class _Logged(msgspec.Struct):
+class _Logged(msgspec.Struct, gc=False):
     """The keys of a message that matter here."""
 
     raw: str | None = msgspec.field(name="_raw", default=None)
     offset: Annotated[int, msgspec.Meta(ge=0, le=1 << 62)] | None = msgspec.field(name="_offset", default=None)
     # An error frame has a bit above the 29 of an identifier.
     can_id: Annotated[int, msgspec.Meta(ge=0, le=0x3FFF_FFFF)] | None = msgspec.field(name="_can_id", default=None)
-    can_flags: list[str] = msgspec.field(name="_can_flags", default_factory=list)
+    can_flags: tuple[str, ...] = msgspec.field(name="_can_flags", default=())
     direction: str = msgspec.field(name="_direction", default="")
     backward_ns: Annotated[int, msgspec.Meta(ge=0)] = msgspec.field(name="_backward_ns", default=0)
     silence: bool = msgspec.field(name="_silence", default=False)
-    findings: list[str] = msgspec.field(name="_findings", default_factory=list)
+    findings: tuple[str, ...] = msgspec.field(name="_findings", default=())
     message: str = ""
     bus: str | None = None
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is traffic, with nothing odd about its frame."""
+        return self.raw is not None and not (self.silence or self.can_flags or self.backward_ns)
 
 
 class _Lane:
@@ -73,7 +84,7 @@ def score(head: bytes) -> float:
     return 1.0 if head.startswith(_MAGIC) else 0.0
 
 
-def read(source: Source) -> Iterator[Record]:
+def read(source: Source) -> Iterator[Record | CanBlock]:
     """Read the messages in the order of the log."""
     if not source.head.startswith(_MAGIC):
         raise UnreadableError(f"{source.name}: expected an MCAP log (89 4D 43 41 50 ...), got another beginning")
@@ -99,7 +110,7 @@ class _Log:
         self._begun: set[str] = set()
         self._sequence = 0
 
-    def records(self) -> Iterator[Record]:
+    def records(self) -> Iterator[Record | CanBlock]:
         """Yield what the log holds."""
         # Only now: every format is asked whether a capture is its own, and most captures are not.
         from mcap.records import Channel, Header, Metadata
@@ -115,6 +126,10 @@ class _Log:
                 for taken in self._message(record):
                     traffic = True
                     yield taken
+            elif isinstance(record, Messages):
+                for several in self._together(record):
+                    traffic = True
+                    yield several
             elif isinstance(record, Channel):
                 self._declare(record.id, _Lane(record.topic, record.metadata))
             elif isinstance(record, Header):
@@ -151,7 +166,7 @@ class _Log:
             # The chunk that declared it is damaged; its bytes are still good.
             source.note("some topics' declarations are lost: their bytes are taken as of one bus")
             lane = self._lanes[record.channel_id] = _Lane("", {})
-        if lane.idle or (lane.bus in self._complete and not lane.is_raw):
+        if self._passes_over(lane):
             return
         if source.skip_before_ns is not None and record.log_ns < source.skip_before_ns and lane.topic != TOPIC:
             return
@@ -163,16 +178,56 @@ class _Log:
                 yield from self._event(record)
                 return
             logged = self._decode(record.data)
-            taken = self._traffic(lane, record.log_ns - logged.backward_ns, logged)
-        except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        except _DAMAGE as error:
             source.problem(f"a message of {lane.topic}: {describe(error)}")
             return
+        yield from self._given(lane, record.log_ns, logged)
+
+    def _given(self, lane: _Lane, log_ns: int, logged: _Logged) -> Iterator[Record]:
+        """Yield what a message gives, once its JSON has been read."""
+        try:
+            taken = self._traffic(lane, log_ns - logged.backward_ns, logged)
+        except _DAMAGE as error:
+            self._source.problem(f"a message of {lane.topic}: {describe(error)}")
+            return
         if self._waiting is not None:
-            yield from self._waiting.due(record.log_ns)
+            yield from self._waiting.due(log_ns)
         if taken is not None:
             if lane.bus not in self._begun and logged.offset is not None:
-                yield from self._begin(lane, record.log_ns, logged.offset)
+                yield from self._begin(lane, log_ns, logged.offset)
             yield taken
+
+    def _passes_over(self, lane: _Lane) -> bool:
+        """Say whether nothing of a topic is wanted, or all of it stands in the raw topic of its bus."""
+        return lane.idle or (lane.bus in self._complete and not lane.is_raw)
+
+    def _together(self, messages: Messages) -> Iterator[Record | CanBlock]:
+        """Yield what messages hold that follow each other: plain CAN frames as blocks, all else one by one."""
+        from analyzer.sources.mcap_blocks import Read
+
+        def bus_of(channel: int) -> str | None:
+            lane = self._lanes.get(channel)
+            if lane is None or lane.topic == TOPIC:
+                return _NO_BUS
+            return None if self._passes_over(lane) else lane.bus
+
+        try:
+            read = Read(messages, bus_of, self._decode)
+        except _DAMAGE:
+            # One by one it is known which is damaged.
+            for number in range(len(messages.starts)):
+                yield from self._message(messages.single(number))
+            return
+        for start, stop, bus, block in read.found().stretches():
+            for row in range(start, stop):
+                if block is not None and bus in self._begun:
+                    yield replace(block.part(slice(row - start, None)), port=self._source.port(bus or None, "can"))
+                    break
+                lane = self._lanes.get(read.channels[row])
+                if lane is None or lane.topic == TOPIC:
+                    yield from self._message(messages.single(int(read.rows[row])))
+                else:
+                    yield from self._given(lane, read.log_ns[row], read.logged[row])
 
     def _traffic(self, lane: _Lane, t_ns: int, logged: _Logged) -> Record | None:
         source, waiting = self._source, self._waiting

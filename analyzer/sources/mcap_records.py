@@ -2,12 +2,15 @@
 
     parts -> records -> chunks unpacked -> Header, Schema, Channel, Metadata, LogMessage
 
+Where the source gives blocks, messages of a chunk that follow each other come together.
+
 Rules: what is damaged becomes a problem, and what stands behind a damaged chunk is read on. Of a log that is whole, chunks
 that lie before the wanted stretch are not even read. A log that is still being written is followed (`tail`).
 """
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -17,14 +20,14 @@ from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema
 from analyzer.errors import ServotapError
 from analyzer.events import TOPIC
 from analyzer.sources import mcap_scan as scan
-from analyzer.sources.mcap_scan import LogMessage
+from analyzer.sources.mcap_scan import LogMessage, Messages
 from analyzer.sources.source import Source, describe
 from analyzer.sources.tail import Rewound, Tail
 
 if TYPE_CHECKING:
     from mcap.summary import Summary
 
-LogRecord = Header | Schema | Channel | Metadata | LogMessage
+LogRecord = Header | Schema | Channel | Metadata | LogMessage | Messages
 _READ = {scan.HEADER: Header.read, scan.SCHEMA: Schema.read, scan.CHANNEL: Channel.read, scan.METADATA: Metadata.read}
 #: What ends the reading of a part.
 UNFINISHED = "the log is incomplete and ends here; everything before was read (servotap recover repairs it)"
@@ -127,16 +130,34 @@ def _chunk(source: Source, body: bytes, offset: int) -> Iterator[LogRecord]:
         data = scan.unpack(packed)
         if packed.compression:
             budget.unpacked(len(data))
-        for _ in scan.walk(data):
-            budget.record()
+        bodies = scan.bodies(data)
+        budget.record(len(bodies) - 1)
     except ServotapError:
         raise
     # As above: zstandard, lz4 and the library each have errors of their own.
     except Exception as error:
         source.problem(f"a chunk of the log cannot be read: {describe(error)}", offset=offset)
         return
-    for opcode, first, stop in scan.walk(data):
+    size = scan.HEAD.size
+    for number in range(len(bodies) - 1):
+        if source.in_blocks:
+            yield from _together(source, data, bodies[number:], offset)
+            return
+        first, stop = bodies[number], bodies[number + 1] - size
+        opcode = data[first - size]
         if opcode == scan.MESSAGE or opcode in _READ:
+            yield from _record(source, opcode, data[first:stop], offset)
+
+
+def _together(source: Source, data: bytes, bodies: array[int], offset: int) -> Iterator[LogRecord]:
+    """Yield the records of a chunk, messages that follow each other together. `bodies`: where they begin."""
+    from analyzer.sources.mcap_blocks import pieces
+
+    for piece in pieces(data, bodies):
+        if isinstance(piece, Messages):
+            yield piece
+        elif piece[0] == scan.MESSAGE or piece[0] in _READ:
+            opcode, first, stop = piece
             yield from _record(source, opcode, data[first:stop], offset)
 
 

@@ -10,11 +10,15 @@ from __future__ import annotations
 import io
 import struct
 import zlib
+from array import array
 from collections.abc import Callable, Iterator
-from typing import IO, Any, NamedTuple, TypeVar, cast
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 from analyzer.sources import budget
 from analyzer.values import counted
+
+if TYPE_CHECKING:
+    from analyzer.columns.codec import Integers
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
@@ -42,6 +46,18 @@ class LogMessage(NamedTuple):
     log_ns: int
     publish_ns: int
     data: bytes
+
+
+class Messages(NamedTuple):
+    """Messages of a chunk that follow each other. `starts`, `stops`: of each body in the chunk's `data`."""
+
+    data: bytes
+    starts: Integers
+    stops: Integers
+
+    def single(self, number: int) -> LogMessage:
+        """Return one message."""
+        return message(self.data[self.starts[number] : self.stops[number]])
 
 
 class Packed(NamedTuple):
@@ -126,6 +142,21 @@ def walk(data: bytes) -> Iterator[tuple[int, int, int]]:
             raise ValueError(f"a record of {length} bytes in a chunk with {end - at} left")
         yield opcode, at, at + length
         at += length
+
+
+def bodies(data: bytes) -> array[int]:
+    """Return where the body of each record in a chunk's data begins, and where that of another would. Raises as `walk`."""
+    starts, at, end = array("Q"), HEAD.size, len(data)
+    length_of, before = _LENGTH.unpack_from, _LENGTH.size
+    while at <= end:
+        starts.append(at)
+        at += length_of(data, at - before)[0] + HEAD.size
+    if at != end + HEAD.size:
+        # This says what is wrong.
+        for _ in walk(data):
+            pass
+    starts.append(at)
+    return starts
 
 
 def parsed(body: bytes, read: Callable[[Any], T]) -> T:

@@ -111,8 +111,8 @@ class Source:
         self.time_source = "none"
         #: What the times are, for those who show them; known with the first record.
         self.clock = Clock.UTC
-        #: Give many records as one block. It may be set at any time. `gives_blocks`: the format can, as all but logs do.
-        self.in_blocks = self.gives_blocks = False
+        #: Give many records as one block. It may be set at any time, but not together with what follows here.
+        self.in_blocks = False
         #: Of a decoded log: give each frame as one piece with the role it was found to have, and raw bytes only where
         #: they were never decoded. Set before the first record is taken.
         self.framed = False

@@ -142,7 +142,7 @@ class WantedNumbers(Wanted):
                 if record.lane is not None:
                     key = id(record.lane)
                     if key not in lanes:
-                        lanes[key] = self._of_lane(record.line())
+                        lanes[key] = self._condition.of_lane(record.line())
                     answer = lanes[key]
                     if answer is not None:
                         if answer:
@@ -152,9 +152,6 @@ class WantedNumbers(Wanted):
                 if self._condition(store.line(number)):
                     self._numbers.append(number)
                 self.looked = number + 1
-
-    def _of_lane(self, line: FrameLine) -> bool | None:
-        return self._condition(line) if self._condition.same_for(line.values) else None
 
 
 class CapturePlot:

@@ -1,15 +1,15 @@
 """A filter on lines. It knows the names that it uses, so only these are made, and only where they can matter.
 
-Most frames of a long capture belong to a few lanes (one head and length). If a filter uses only facts that all frames of a lane
-share, one frame answers for the lane.
+Most frames of a long capture belong to a few lanes (one head and length). Where what all frames of a lane share decides, one
+frame answers for the lane.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from analyzer.cli.filter import Filter, Meaning
+from analyzer.cli.filter import OWN, Filter, Meaning
 from analyzer.findings import RULES
 from analyzer.live.snapshot import FOREIGN, FrameLine
 from analyzer.view.lines import MS, SECOND, bytes_text
@@ -30,8 +30,6 @@ _NAMES: dict[str, Callable[[FrameLine], Any]] = {
     "section": lambda line: line.section,
     "latency": lambda line: None if line.latency_ns is None else line.latency_ns / MS,
 }
-#: Those that differ from frame to frame of one lane.
-_OWN = frozenset(("time", "findings", "raw", "offset", "sequence", "latency"))
 
 
 class Condition:
@@ -40,13 +38,19 @@ class Condition:
     def __init__(self, text: str, known: Mapping[str, Meaning]) -> None:
         self._filter = Filter(text, known)
         self.text = text
-        # A unit is of the dialect and the command; a choice is compared by its name.
-        self._used = self._filter.used | {"dialect", "command"} | {f"{name}_name" for name in self._filter.used}
-        self._made = tuple((name, _NAMES[name]) for name in self._used if name in _NAMES)
-        self._fields = tuple(name for name in self._used if name not in _NAMES)
+        self._made = tuple((name, _NAMES[name]) for name in self._filter.used if name in _NAMES)
+        self._fields = tuple(name for name in self._filter.used if name not in _NAMES)
 
     def __call__(self, line: FrameLine) -> bool:
         """Say whether a line is wanted."""
+        return self._filter(self._names(line))
+
+    def of_lane(self, line: FrameLine) -> bool | None:
+        """Return the answer for all frames of a lane, of which this is one; None where it is not the same for all."""
+        # A value without a name has none; the next one may.
+        return self._filter.settled(self._names(line), OWN | {n for name in line.values for n in (name, f"{name}_name")})
+
+    def _names(self, line: FrameLine) -> dict[str, Any]:
         names: dict[str, Any] = {}
         for name, make in self._made:
             value = make(line)
@@ -56,8 +60,4 @@ class Condition:
         for name in self._fields:
             if name in values:
                 names[name] = values[name]
-        return self._filter(names)
-
-    def same_for(self, fields: Collection[str]) -> bool:
-        """Say whether the answer is the same for all frames of a lane that has these fields."""
-        return not self._used & _OWN and not any(name in fields for name in self._fields)
+        return names
