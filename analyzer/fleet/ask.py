@@ -1,23 +1,59 @@
 """Questions to a lake: SQL by DuckDB over its tables, of which only the columns and files that matter are read.
 
 A table of messages is `"mks-can".read_speed_reply`, or mks_can.read_speed_reply; all others have their own names.
+
+A question may come from anywhere, a page or a chat. So it reads the lake alone: no file, no address, no extension and no
+variable of Python, and it writes none. Its memory is bounded.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from analyzer.errors import UsageError
+from analyzer.errors import UnreadableError, UsageError
 from analyzer.fleet.lake import CAPTURES, Lake
+from analyzer.fleet.place import again
 from analyzer.table.extras import needed
 from analyzer.values import near, printable
+
+try:
+    import resource
+except ImportError:  # a system without it
+    resource = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     import duckdb
     import pyarrow.dataset
+
+
+#: What a question may do, in this order: the last one keeps it from changing them.
+_BOUNDS = ("python_enable_replacements = false", "enable_external_access = false", "lock_configuration = true")
+
+
+def _memory() -> int:
+    """Return how many bytes a question may take: half of the machine's memory."""
+    if not hasattr(os, "sysconf"):
+        return 4 << 30
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
+
+
+@contextlib.contextmanager
+def bounded() -> Iterator[None]:
+    """Bound the memory of this process, where the system can: DuckDB does not count the values that a question makes."""
+    if resource is None:
+        yield
+        return
+    before, most = resource.getrlimit(resource.RLIMIT_DATA)
+    bound = min([_memory(), *(limit for limit in (before, most) if limit != resource.RLIM_INFINITY)])
+    resource.setrlimit(resource.RLIMIT_DATA, (bound, most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (before, most))
 
 
 def sql_name(table: str) -> str:
@@ -34,6 +70,8 @@ def answering() -> Iterator[None]:
     # Python's dates end with the year 9999, those of SQL do not.
     except (needed("duckdb").Error, needed("pyarrow").ArrowException, OverflowError) as error:
         raise UsageError(f"the question cannot be answered: {printable(str(error))}") from None
+    except MemoryError:
+        raise UsageError(f"the answer needs more than {_memory() >> 20} MiB of memory: ask for less of it") from None
 
 
 class Column(NamedTuple):
@@ -60,6 +98,7 @@ class Question:
             raise UsageError(
                 f"no table {printable(table)}{near(table, self.tables)} (servotap ask {self.lake.place.url} lists them)"
             )
+        self._check_log(name)
         found: pyarrow.dataset.Dataset = self.lake.open(name).to_pyarrow_dataset()
         if self._pending:
             compute = needed("pyarrow.compute")
@@ -70,9 +109,19 @@ class Question:
             return found.filter(~compute.field("capture").isin(hidden))
         return found
 
+    def _check_log(self, table: str) -> None:
+        """Raise UnreadableError where a commit of a table was emptied: readers pass over it, and its rows are gone."""
+        place = self.lake.place
+        place.fs.invalidate_cache()
+        for each in again(lambda: place.fs.ls(place.path(f"{table}/_delta_log"), detail=True)):
+            if each["name"].endswith(".json") and not each["size"]:
+                raise UnreadableError(
+                    f"{each['name']} is empty, so what it committed is not known: restore it, or ingest into a new lake"
+                )
+
     def sql(self, query: str) -> duckdb.DuckDBPyRelation:
         """Return the answer to a query. Raises UsageError for what is none, or names no table."""
-        connection = needed("duckdb").connect()
+        connection = needed("duckdb").connect(config={"memory_limit": f"{_memory() >> 20}MiB"})
         with answering():
             parsed = json.loads(connection.execute("select json_serialize_sql(?)", [query]).fetchall()[0][0])
             if parsed["error"]:
@@ -82,6 +131,8 @@ class Question:
             for schema, name in sorted(named):
                 if schema or name not in own:
                     self._offer(connection, schema, name)
+            for bound in _BOUNDS:
+                connection.execute(f"set {bound}")
             answer: duckdb.DuckDBPyRelation | None = connection.sql(query)
         if answer is None:
             raise UsageError("the question is empty: expected a select")
@@ -103,6 +154,7 @@ class Question:
 
     def columns(self, table: str) -> Iterator[Column]:
         """Yield the columns of a table."""
+        self._check_log(self.tables[table])
         for each in self.lake.open(self.tables[table]).schema().fields:
             about = each.metadata or {}
             kind = str(getattr(each.type, "type", each.type))

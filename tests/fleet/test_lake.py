@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
+from pathlib import Path
 
 import pyarrow as pa
 import pytest
@@ -11,6 +13,7 @@ from pyarrow import parquet
 
 from analyzer.cli import main
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.fleet import ask
 from analyzer.fleet import place as places
 from analyzer.fleet.ask import Question, sql_name
 from analyzer.fleet.ingest import Outcome, Pattern, tasks, works
@@ -377,3 +380,56 @@ def test_a_damaged_lake_is_told_in_a_line(tmp_path, name):
     damaged.write_text("}{")
     with pytest.raises(UnreadableError, match=damaged.parts[-2] if "journal" in name else "captures cannot be read"):
         Question(Lake(made.place)).dataset("captures")
+
+
+@pytest.mark.parametrize("output", [[], ["-o", "answer.csv"]])
+@pytest.mark.parametrize(
+    "query",
+    [
+        "select * from read_csv('{file}')",
+        "select content from read_text('{file}')",
+        "from glob('{file}')",
+        "from '{file}'",
+        "copy (select 1) to '{file}'",
+        "attach '{file}.db'",
+        "set enable_external_access = true",
+        "install httpfs",
+        "from secret",
+    ],
+)
+def test_a_question_reads_the_lake_alone(tmp_path, capsys, monkeypatch, query, output):
+    lake(tmp_path / "lake")
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "other.csv"
+    file.write_text("a\nkeep out\n")
+    secret = pa.table({"a": ["keep out"]})  # noqa: F841 (DuckDB would find it by its name)
+    assert main(["ask", "lake", query.format(file=file), *output]) == 2
+    told = capsys.readouterr()
+    assert "keep out" not in told.out + told.err
+    assert file.read_text() == "a\nkeep out\n"
+    assert not (tmp_path / "answer.csv").exists()
+
+
+def test_the_memory_of_a_question_is_bounded(tmp_path, capsys, monkeypatch):
+    resource = pytest.importorskip("resource")
+    if not Path("/proc/self/status").exists():
+        pytest.skip("what this process has already taken is not known")
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    lake(tmp_path / "lake")
+    used = int(re.search(r"VmData:\s+(\d+)", Path("/proc/self/status").read_text())[1]) << 10
+    monkeypatch.setattr(ask, "_memory", lambda: used + (64 << 20))
+    assert main(["ask", str(tmp_path / "lake"), "select sum(length(repeat('x', 99000000 + range::int))) from range(9)"]) == 2
+    assert "memory" in capsys.readouterr().err.lower()
+    assert main(["ask", str(tmp_path / "lake"), "select repeat('x', 5000) as long"]) == 0
+    assert "(5000 characters)" in capsys.readouterr().out
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+def test_a_commit_that_was_emptied_is_told(captures, tmp_path, capsys):
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    commits = sorted((tmp_path / "lake" / "captures" / "_delta_log").glob("*.json"))
+    commits[-1].write_bytes(b"")
+    for words in (["select count(*) from captures"], ["captures"], []):
+        assert main(["ask", str(tmp_path / "lake"), *words]) == 2
+        assert f"{commits[-1].name} is empty" in capsys.readouterr().err

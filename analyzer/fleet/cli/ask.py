@@ -11,7 +11,7 @@ from typing import Any
 from analyzer.cli.option_types import positive
 from analyzer.cli.output import free_target, whole
 from analyzer.errors import UsageError
-from analyzer.fleet.ask import Question, answering
+from analyzer.fleet.ask import Question, answering, bounded
 from analyzer.fleet.cli.stores import add_store_argument, place
 from analyzer.fleet.lake import Lake
 from analyzer.table.extras import needed
@@ -25,6 +25,8 @@ examples:
   servotap ask lake/ "select * from findings where date > '2026-11-01'" -o findings.parquet
   servotap ask s3://plant/lake "from states limit 5" --store endpoint_url=http://minio:9000
 """
+#: Characters of a cell that are shown.
+_SHOWN = 2000
 _SUFFIXES = (".csv", ".parquet")
 #: Types of DuckDB that a table of CSV has as they are.
 _PLAIN = frozenset(
@@ -57,14 +59,14 @@ def run(arguments: argparse.Namespace) -> int:
     elif query in question.tables and target is None:
         _show(["column", "type", "unit", "note"], [list(each) for each in question.columns(query)])
     elif target is None:
-        answer = question.sql(query)
-        with answering():
+        with bounded(), answering():
+            answer = question.sql(query)
             rows = answer.limit(arguments.rows + 1).to_arrow_table().to_pylist()
         _show(answer.columns, [[_text(value) for value in row.values()] for row in rows[: arguments.rows]])
         if len(rows) > arguments.rows:
             print(f"the first {arguments.rows} rows are shown: --rows N shows more, -o FILE.csv writes all", file=sys.stderr)
     else:
-        with answering():
+        with bounded(), answering():
             _write(question, f"from {query}" if query in question.tables else query, target)
     return 0
 
@@ -95,7 +97,8 @@ def _text(value: Any) -> str:
         return f"{value:.6g}"
     if isinstance(value, datetime):
         return value.isoformat()
-    return "" if value is None else printable(", ".join(map(str, value)) if isinstance(value, list) else str(value))
+    text = "" if value is None else ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return printable(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}... ({len(text)} characters)")
 
 
 def _show(names: list[str], rows: list[list[str]]) -> None:
