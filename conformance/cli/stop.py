@@ -1,8 +1,11 @@
 """Stop drives: those that are named, or all that answer on a bus. Each is stopped by a ramp that keeps the torque, where it
 has one; where that does not work, at once. Reads prove that the shaft stands. No motor is disabled.
 
-The stops are sent as drives are found, the proofs come afterwards. Exit status: 0 all stand, 2 wrong use, 20 a drive is not
-seen standing, or none answers.
+Where none is named, all are told to stop before any is looked for: by the address that every drive obeys, or by each address
+where there is none. Drives that are found are told once more, and the proofs come last. Where none is found, others may drown
+what is sent and what is answered: then every address gets every stop, again and again, and drives are looked for in between.
+
+Exit status: 0 all stand, 2 wrong use, 20 a drive is not seen standing, or none answers.
 """
 
 from __future__ import annotations
@@ -29,6 +32,10 @@ from conformance.safety.signals import as_interrupt, undisturbed
 from conformance.talk.probe import plain_probe
 from conformance.talk.scan import Found, scan
 
+#: How often all are told to stop, and looked for, where none is found.
+_ROUNDS = 2
+#: Of a frame of CAN that is no drive's.
+_CAN_BYTES = 8
 EXAMPLES = """\
 examples:
   servotap stop serial:/dev/ttyUSB0,baud=38400                     all that answer at addresses 1 to 32
@@ -83,13 +90,17 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             for drive in drives:
                 _ask(gate, drive)
+            everywhere = _Everywhere(gate, dialects, addresses, rates)
             if not alone:
-                drives += [each for each in _found(gate, dialects, addresses, rates) if each not in drives]
+                everywhere.tell()
+                drives += [each for each in everywhere.found() if each not in drives]
+            if not drives:
+                drives = everywhere.insist()
             for drive in drives:
                 told, stands = _prove(gate, drive)
                 (stand if stands else failures).append(told)
             if not drives:
-                failures.append(f"no drive answered on {arguments.endpoint}: name it if it does not answer reads")
+                failures.append(f"no drive answered on {arguments.endpoint}: {everywhere.said()}")
         except ServotapError as error:
             failures.append(str(error))
         except KeyboardInterrupt:
@@ -108,18 +119,63 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _found(gate: Gate, dialects: list[Dialect], addresses: list[int], rates: list[int]) -> list[_Drive]:
-    """Look for drives, ask each to stop as it is found, and return them."""
-    drives: list[_Drive] = []
+class _Everywhere:
+    """All drives that may be on a bus, at all rates that it may have."""
 
-    def take(found: Found) -> bool:
-        drives.append(_Drive(found.dialect, found.address, found.speed))
-        _ask(gate, drives[-1])
-        return False
+    def __init__(self, gate: Gate, dialects: list[Dialect], addresses: list[int], rates: list[int]) -> None:
+        self._gate = gate
+        self._dialects = dialects
+        self._addresses = addresses
+        self._rates = rates
+        self._refused = ""
+        self._others_send: list[str] = []
 
-    with showing_progress(quiet=False) as progress:
-        scan(gate, dialects, addresses=addresses, rates=rates, busy=True, enough=take, progress=progress)
-    return list({drive.name: drive for drive in drives}.values())
+    def tell(self, *, thoroughly: bool = False, at_once: bool = False) -> None:
+        """Tell all to stop. `thoroughly`: each address, too, where one reaches all; `at_once`: without a ramp, too."""
+        for rate in self._rates:
+            if rate != self._gate.line.endpoint.bits_per_second:
+                self._gate.set_speed(rate)
+            for dialect in self._dialects:
+                first, last = dialect.addresses
+                own = [address for address in self._addresses if first <= address <= last]
+                everyone = [] if dialect.broadcast is None else [dialect.broadcast]
+                for address in [*everyone, *own] if thoroughly else everyone or own:
+                    self._refused = stopping.tell(self._gate, dialect, address, at_once=at_once) or self._refused
+
+    def found(self) -> list[_Drive]:
+        """Look for drives, ask each to stop as it is found, and return them."""
+        gate, drives = self._gate, list[_Drive]()
+
+        def take(found: Found) -> bool:
+            drives.append(_Drive(found.dialect, found.address, found.speed))
+            _ask(gate, drives[-1])
+            return False
+
+        begun_ns = gate.now_ns()
+        with showing_progress(quiet=False) as progress:
+            report = scan(
+                gate, self._dialects, addresses=self._addresses, rates=self._rates, busy=True, enough=take, progress=progress
+            )  # fmt: skip
+        heard = sum(len(stray.data) for stray in report.strays) + _CAN_BYTES * report.others.total()
+        self._others_send = stopping.flood(heard, gate.now_ns() - begun_ns)
+        return list({drive.name: drive for drive in drives}.values())
+
+    def insist(self) -> list[_Drive]:
+        """Send all stops to all addresses, again and again, until a drive is found; return those that are."""
+        # A silent line of an unknown rate drowns nothing: there the power is not to wait for what was done once.
+        rounds = _ROUNDS if self._others_send or len(self._rates) == 1 else 0
+        for at_once in (False, True) * rounds:
+            self.tell(thoroughly=True, at_once=at_once)
+            if drives := self.found():
+                return drives
+        if not rounds:
+            self.tell(thoroughly=True, at_once=True)
+        return []
+
+    def said(self) -> str:
+        """Return what is to be said where no drive was found."""
+        told = "every stop was sent to every address, and whether a shaft stands cannot be read"
+        return "; ".join([told, *self._others_send, *filter(None, [self._refused]), "name a drive that does not answer reads"])
 
 
 def _ask(gate: Gate, drive: _Drive) -> None:

@@ -241,16 +241,18 @@ def _reading(dialect: Dialect, quantity: str, verbs: Iterable[Verb]) -> _Reading
     raise Inconclusive(f"{dialect.name} has no command that reads the {quantity}")
 
 
-def _measure(probe: Probe, reading: _Reading) -> Sample:
-    exchange = probe.ask(reading.command, quiet_ns=0)
+def _measure(probe: Probe, reading: _Reading, patience_ns: int | None = None) -> Sample:
+    exchange = probe.ask(reading.command, quiet_ns=0, timeout_ns=patience_ns)
     for _ in range(_AGAIN):
         if readable(exchange):
             break
         # What a motion says at its end can collide with a request or its reply.
         probe.wait(_LOOK_NS // 2)
-        exchange = probe.ask(reading.command, quiet_ns=0)
+        exchange = probe.ask(reading.command, quiet_ns=0, timeout_ns=patience_ns)
     answer = probe.reply(exchange)
     names = [f.name for f in reading.fields]
+    if answer.command is not None and answer.command.name != reading.command.name:
+        raise Inconclusive(f"{reading.command.name} was not answered, only {answer.command.name}")
     if any(n not in answer.values for n in names):
         raise Inconclusive(f"the answer to {reading.command.name} has no {' and '.join(names)}")
     between_ns = max(0, answer.first_ns - exchange.sent_ns)
@@ -266,12 +268,13 @@ def readable(exchange: Exchange) -> bool:
     return answer.message.form is not None and answer.message.frame.checksum_ok
 
 
-def position(probe: Probe) -> Sample:
+def position(probe: Probe, patience_ns: int | None = None) -> Sample:
     """Measure where the shaft is, in degrees over all turns. Raises Inconclusive where it cannot be read.
 
-    The gate is told: it bounds moves to a place by where the shaft is.
+    `patience_ns`: how long each reply is waited for; None: as long as the rig waits. The gate is told: it bounds moves to a
+    place by where the shaft is.
     """
-    sample = _measure(probe, _reading(probe.dialect, "position", _POSITION))
+    sample = _measure(probe, _reading(probe.dialect, "position", _POSITION), patience_ns)
     probe.gate.note_position(sample.value, probe.address)
     return sample
 
@@ -286,9 +289,12 @@ def reads_speed(dialect: Dialect) -> Command:
     return _reading(dialect, "speed", _SPEED).command
 
 
-def speed(probe: Probe) -> Sample:
-    """Measure the speed, in rpm, positive where the position rises. Raises Inconclusive where it cannot be read."""
-    return _measure(probe, _reading(probe.dialect, "speed", _SPEED))
+def speed(probe: Probe, patience_ns: int | None = None) -> Sample:
+    """Measure the speed, in rpm, positive where the position rises. Raises Inconclusive where it cannot be read.
+
+    `patience_ns`: as `position` takes it.
+    """
+    return _measure(probe, _reading(probe.dialect, "speed", _SPEED), patience_ns)
 
 
 def proving_reads(dialect: Dialect) -> frozenset[str]:

@@ -4,6 +4,9 @@ The proof: three times in a row the speed reads 0 and the position is that of th
 immediate stop is tried (it keeps the torque too). A motor is never disabled, for its load could fall. If nothing helps, the
 user's command to cut the power is run, and the run says NOT STOPPED.
 
+Others may send on the line at the same time, and a stop or a reply that they run into is lost. So a stop is sent once more
+after each look that shows nothing, and each second while the shaft turns on. A look that shows nothing refutes no other look.
+
 The proof has limits. After a claim, a creep below 0.1 rpm passes as standing (two counts of the encoder in a tenth of a
 second). At the end of a run, and for a trembling shaft, the mean position is watched for longer. There a creep below 0.03 rpm
 (0.15 degrees in a second) passes. Speeds are read in whole rpm, so they show neither.
@@ -27,6 +30,7 @@ from conformance.claim import Inconclusive, NotStopped
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion
+from conformance.talk.exchange import Exchange
 from conformance.talk.noise import QUIET, Noise
 from conformance.talk.probe import Probe, plain_probe
 
@@ -43,8 +47,14 @@ _SPOT_DEGREES, _SPOT_NS, _TREMBLE_RPM = 0.3, 600_000_000, 3.0
 _RAMP_NS = 15_000_000_000
 _AT_ONCE_NS = 3_000_000_000
 _POWER_SECONDS = 20
-#: Between the stops of several ways to move that are sent to all.
-_STOP_GAP_NS = 20_000_000
+#: How often a stop is sent to a shaft that turns on.
+_AGAIN_NS = 1_000_000_000
+#: How long a reply is waited for on a line where others send: it is lost more often than late.
+_BUSY_NS = 150_000_000
+#: Bytes that others send in a second where their traffic is worth a word.
+_FLOOD = 50
+#: Between stops whose replies are not looked at: a stop and its reply have so many bytes, and a drive takes so long.
+_STOP_BYTES, _STOP_GAP_NS = 30, 4_000_000
 
 
 class GuardLost(LineLost):
@@ -92,19 +102,48 @@ def stop(
     for way, sent, limit_ns in (("by a ramp", ramped, _RAMP_NS), ("at once", at_once, _AT_ONCE_NS)):
         refused = [text for command in sent if (text := ask(probe, command))]
         if sent:
-            failure = prove_standing(probe, limit_ns, thoroughly=thoroughly)
+            failure = prove_standing(probe, limit_ns, thoroughly=thoroughly, again=sent)
             if not failure:
                 return Stopped(way, "")
             failure = "; ".join([failure, *refused])
-    return Stopped("", failure or f"{dialect.name} has no stop")
+    failure = failure or f"{dialect.name} has no stop"
+    return Stopped("", "; ".join([failure, *others_send(probe.traffic)]))
 
 
 def _stop_all(gate: Gate, dialect: Dialect, address: int) -> Stopped:
-    everyone = gate.under(replace(stopping(address), alone=True))
-    for command in ramped_stops(dialect):
-        everyone.send(assemble(dialect, command, address, _gentle(command)).item())
-        everyone.wait(_STOP_GAP_NS)
-    return Stopped("", "a stop was sent to all; whether they stand cannot be asked of all")
+    refused = tell(gate, dialect, address)
+    return Stopped("", refused or "a stop was sent to all; whether they stand cannot be asked of all")
+
+
+def tell(gate: Gate, dialect: Dialect, address: int, *, at_once: bool = False) -> str:
+    """Send every stop of a dialect to an address, and wait for nothing; return why one could not be sent, or nothing.
+
+    `at_once`: those that take no ramp, too. Raises LineLost.
+    """
+    everyone = address == dialect.broadcast
+    own = gate.under(replace(stopping(address), alone=True) if everyone else stopping(address))
+    refused = ""
+    for command in dialect.motions(MotionKind.STOP) if at_once else ramped_stops(dialect):
+        try:
+            own.send(assemble(dialect, command, address, _gentle(command)).item())
+        except (Refused, UsageError) as error:
+            refused = f"{command.name}: {error}"
+        # The next stop waits until the reply to this one has gone by.
+        own.wait(_STOP_BYTES * own.line.byte_ns + _STOP_GAP_NS)
+    return refused
+
+
+def others_send(traffic: Sequence[Exchange]) -> list[str]:
+    """Return in words how much came in these exchanges that answers nothing; nothing where it is little."""
+    frames = [m.frame for e in traffic for m in (*(a.message for a in e.others), *e.foreign)]
+    count = sum(len(frame.data) for frame in frames) + sum(len(j.data) for e in traffic for j in e.junk)
+    return flood(count, sum(e.until_ns - e.sent_ns for e in traffic))
+
+
+def flood(count: int, duration_ns: int) -> list[str]:
+    """Return in words that others send, if it is so many bytes in such a time that they hide what is asked and answered."""
+    rate = count * 1e9 / max(1, duration_ns)
+    return [f"others send on this bus ({rate:.0f} bytes a second), and what runs into theirs is lost"] * (rate >= _FLOOD)
 
 
 def _gentle(command: Command) -> dict[str, int]:
@@ -127,26 +166,34 @@ def ask(probe: Probe, command: Command) -> str:
     return ""
 
 
-def prove_standing(probe: Probe, limit_ns: int, stands_at: float | None = None, *, thoroughly: bool = False) -> str:
+def prove_standing(
+    probe: Probe, limit_ns: int, stands_at: float | None = None, *, thoroughly: bool = False, again: Sequence[Command] = ()
+) -> str:
     """Return nothing once the shaft is proved to stand; else what was seen last.
 
     Three looks in a row are a proof: each reads speed 0 and, noise aside, the position of the first. A shaft that trembles by
     more than the probe's noise is watched longer, until its mean position would show a creep; with `thoroughly` every shaft
-    is. `stands_at`: the position of an earlier standstill; then one look that shows it is enough. Raises LineLost.
+    is. `stands_at`: the position of an earlier standstill; then one look that shows it is enough. `again`: the stops that are
+    sent once more where nothing is seen, or no effect of them. Raises LineLost.
     """
     begun_ns = probe.gate.now_ns()
     until_ns = begun_ns + limit_ns
     within = motion.SAME + min(_SPOT_DEGREES, 2 * probe.noise.degrees)
     slowest = 1 + min(_TREMBLE_RPM, probe.noise.rpm)
     first, failure = 0.0, "nothing was read"
+    asked_ns, patience_ns = begun_ns, _patience_ns(probe)
     row = [] if stands_at is None else [stands_at] * (PROOFS - 1)
     spot: list[tuple[int, float]] = []
     while (now_ns := probe.gate.now_ns()) < until_ns:
         try:
-            speed = motion.speed(probe).value
-            position = motion.position(probe).value
+            speed = motion.speed(probe, patience_ns).value
+            position = motion.position(probe, patience_ns).value
         except (Inconclusive, Refused) as error:
-            failure, row, spot = str(error), [], []
+            failure = str(error)
+            patience_ns = _patience_ns(probe)
+            for command in again:
+                ask(probe, command)
+            asked_ns = probe.gate.now_ns()
             probe.wait(_LOOK_NS)
             continue
         before = row[-1:]
@@ -166,8 +213,16 @@ def prove_standing(probe: Probe, limit_ns: int, stands_at: float | None = None, 
         first = first or abs(speed)
         if abs(speed) >= max(1.0, motion.AS_FAST * first) and probe.gate.now_ns() > begun_ns + motion.NO_RAMP_NS:
             return failure
+        if row == [] and now_ns - asked_ns >= _AGAIN_NS:
+            asked_ns = now_ns
+            for command in again:
+                ask(probe, command)
         probe.wait(_PROOF_NS)
     return failure
+
+
+def _patience_ns(probe: Probe) -> int | None:
+    return _BUSY_NS if others_send(probe.traffic) else None
 
 
 def _stays(spot: Sequence[tuple[int, float]]) -> bool:

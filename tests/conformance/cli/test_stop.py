@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+import select
 import signal
 
 import pytest
@@ -13,7 +15,7 @@ from analyzer.encoder import build
 from conformance.cli import stop
 from conformance.drives.serial_bus import SerialBus
 from conformance.safety import stopping
-from tests.conformance.drives.served import LoggedPty, drives, on_port
+from tests.conformance.drives.served import LoggedPty, drives, on_port, wait_for
 
 MKS, LK = dialects.get("mks-rs485"), dialects.get("lk-rs485")
 RUNNING = (
@@ -33,8 +35,6 @@ def port():
     bus = SerialBus(drives("mks-rs485@2,work_mode=sr_vfoc", "lk-rs485@3,baud=38400"))
     pty = LoggedPty(bus)
     with on_port(bus, pty) as path:
-        import os
-
         line = os.open(path, os.O_RDWR | os.O_NOCTTY)
         for frame in RUNNING:
             os.write(line, frame)
@@ -98,3 +98,43 @@ def test_a_drive_that_is_not_stopped_is_told_also_where_nothing_can_be_printed(p
     assert run(port[0], "mks-rs485@2", "mks-rs485@9", "--cut-power", f"touch {tmp_path / 'cut'}") == 20
     assert "NOT STOPPED: mks-rs485@9" in capsys.readouterr().err
     assert (tmp_path / "cut").exists()
+
+
+class Flooded(LoggedPty):
+    """A port on which another sender drowns every reply."""
+
+    def write(self, data: bytes) -> None:
+        super().write(b"\x99" * 200)
+
+
+def turns(pty: LoggedPty) -> bool:
+    drive = pty.bus.drives[0]
+    return bool(drive.motor.speed(drive.now_ns))
+
+
+@pytest.mark.parametrize("dialect", ["mks-rs485", "mks-modbus"])
+def test_on_a_flooded_line_all_are_stopped_although_none_is_found(dialect, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(stop, "_ROUNDS", 1)
+    spoken = dialects.get(dialect)
+    bus = SerialBus(drives(f"{dialect}@3,work_mode=sr_vfoc"))
+    with on_port(bus, pty := Flooded(bus)) as path:
+        line = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        os.write(line, build(spoken, "enable", 3, {"enabled": 1}))
+        assert wait_for(lambda: select.select([line], [], [], 0)[0])
+        os.write(line, build(spoken, "run_speed", 3, {"direction": 0, "speed": 300, "acceleration": 200}))
+        assert wait_for(lambda: turns(pty))
+        os.close(line)
+        assert run(f"serial:{path},baud=38400", "--addresses", "1-4", "--cut-power", f"touch {tmp_path / 'cut'}") == 20
+        assert wait_for(lambda: not turns(pty))
+    told = capsys.readouterr().err
+    assert "every stop was sent to every address" in told
+    assert "others send on this bus (" in told
+    assert (tmp_path / "cut").exists()
+
+
+def test_all_are_told_to_stop_before_any_is_looked_for(port, capsys):
+    place, pty = port
+    assert run(place, "--addresses", "1-4") == 0
+    asked = pty.heard.index(build(MKS, "read_status", 1))
+    assert pty.heard.index(build(MKS, "stop_speed", 0, {"acceleration": 200})) < asked
+    assert pty.heard.index(build(LK, "stop", 4)) < asked

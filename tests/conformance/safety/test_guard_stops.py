@@ -138,7 +138,7 @@ def test_a_drive_that_does_not_tell_its_position_is_not_stopped(tmp_path, monkey
         rig.close()
 
 
-def _unread(probe):
+def _unread(probe, patience_ns=None):
     raise Inconclusive("no position")
 
 

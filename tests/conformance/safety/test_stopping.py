@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import random
 from fractions import Fraction
 
 import pytest
+from msgspec.structs import replace
 
-from analyzer.catalogue import MotionKind, Risk
+from analyzer.catalogue import MotionKind, Risk, Role
+from analyzer.encoder import build
+from analyzer.records import Chunk
 from conformance import claims as registry
 from conformance.bus.emulated import EmulatedLine
 from conformance.claim import NotStopped
@@ -115,3 +119,73 @@ def test_a_proof_counts_until_something_is_sent_that_may_move_the_shaft():
     assert stops_of_settling() > 1
     assert motion.speed(probe).value == 0
     rig.close()
+
+
+# --- others send on the line ------------------------------------------------------------------------------------------
+
+
+def _lossy(probe: Probe, monkeypatch: pytest.MonkeyPatch, *, heard, answered) -> list[bytes]:
+    """Lose what is sent where `heard` does not say yes to its number and bytes, and what comes where `answered` does not.
+
+    Return the list of what is sent.
+    """
+    line = probe.gate.line
+    write, receive, sent, came = line.write, line.receive, list[bytes](), list[object]()
+
+    def lossy_write(item):
+        sent.append(item)
+        return write(item if heard(len(sent), item) else b"\x55" * len(item))
+
+    def lossy_receive(timeout_ns):
+        got = receive(timeout_ns)
+        if got is None:
+            return None
+        came.append(got)
+        return got if answered(len(came)) else replace(got, data=b"\x99" * len(got.data))
+
+    monkeypatch.setattr(line, "write", lossy_write)
+    monkeypatch.setattr(line, "receive", lossy_receive)
+    return sent
+
+
+def test_stops_and_replies_that_are_lost_are_sent_once_more(monkeypatch):
+    """A second host on the line: what runs into its frames is lost, and the first stops are among it."""
+    rig, probe, _ = _turning()
+    drive = probe.drive
+    assert drive is not None
+    sent = _lossy(probe, monkeypatch, heard=lambda number, item: number > 12, answered=lambda number: number % 3 == 0)
+    assert stopping.stop(probe.gate, rig.dialect, 1).failure == ""
+    assert drive.motor.speed(drive.now_ns) == 0
+    assert sent.count(build(rig.dialect, "stop_speed", 1, {"acceleration": motion.GENTLE})) > 1
+
+
+def test_a_shaft_that_turns_on_is_told_to_stop_each_second(monkeypatch):
+    """Every reply comes, so the looks tell that the stops were lost."""
+    rig, probe, _ = _turning()
+    stops = {build(rig.dialect, c, 1, stopping._gentle(c)) for c in stopping.ramped_stops(rig.dialect)}
+    lost: list[bytes] = []
+    _lossy(
+        probe,
+        monkeypatch,
+        heard=lambda number, item: item not in stops or len(lost) >= len(stops) or lost.append(item),
+        answered=lambda number: True,
+    )
+    assert stopping.stop(probe.gate, rig.dialect, 1) == ("by a ramp", "")
+
+
+def test_where_nothing_can_be_read_the_stops_are_sent_again_and_again_and_why_is_said(monkeypatch):
+    rig, probe, _ = _turning()
+    drive = probe.drive
+    assert drive is not None
+    chance = random.Random(1)
+    sent = _lossy(probe, monkeypatch, heard=lambda number, item: number > 40, answered=lambda number: False)
+    receive = probe.gate.line.receive
+
+    def flooded(timeout_ns):
+        return receive(min(timeout_ns, 5_000_000)) or Chunk(probe.gate.now_ns(), "line", chance.randbytes(20), Role.REPLY)
+
+    monkeypatch.setattr(probe.gate.line, "receive", flooded)
+    failure = stopping.stop(probe.gate, rig.dialect, 1).failure
+    assert "others send on this bus (" in failure
+    assert drive.motor.speed(drive.now_ns) == 0, "the shaft stands all the same"
+    assert sent.count(build(rig.dialect, "emergency_stop", 1)) > 3
