@@ -115,7 +115,7 @@ class _Sinks:
         if several and source.in_blocks and isinstance(output, Output):
             from analyzer.sinks.workers import MOST, Workers
 
-            self._workers = Workers(min(jobs - 1, MOST), reading.possible)
+            source.workers = self._workers = Workers(min(jobs - 1, MOST), reading.possible)
 
         def make() -> tuple[McapLog | ParquetTables, Summary]:
             if isinstance(output, OutputFolder):

@@ -96,12 +96,22 @@ class LogFile(Protocol):
         """Give the file up."""
 
 
+class Pending(Protocol):
+    """Chunks that are being packed."""
+
+    def done(self) -> bool:
+        """Say whether they are packed."""
+
+    def result(self) -> list[Packed]:
+        """Return them, once they are."""
+
+
 class Packer(Protocol):
     """What packs batches while the next one fills. `ahead`: how many may wait."""
 
     ahead: int
 
-    def submit(self, batch: Batch) -> Future[list[Packed]]:
+    def submit(self, batch: Batch) -> Pending:
         """Pack a batch, now or soon."""
 
     def shutdown(self, *, at_once: bool = False) -> None:
@@ -166,7 +176,7 @@ class McapFile:
         self._chunks = self._metadata = self._schemas = self._channels = self._attachments = 0
         self._counts: dict[int, int] = {}
         self._packer = packer
-        self._waiting: list[Future[list[Packed]]] = []
+        self._waiting: list[Pending] = []
 
     @classmethod
     def resume(

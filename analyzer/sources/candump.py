@@ -14,7 +14,6 @@ error frames and rounds times, so lines are read here; a test holds the two toge
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Callable, Iterator
 
@@ -90,7 +89,7 @@ def _records(source: Source, screen_time: Callable[[str], int]) -> Iterator[CanF
     lines = Lines(source)
     match, port, fromhex = LOG.match, source.port, bytes.fromhex
     unknown = Role.UNKNOWN
-    for line in lines.with_blocks(_blocks):
+    for line in lines.with_blocks(_pieces):
         if not isinstance(line, str):
             yield line
             continue
@@ -126,17 +125,11 @@ def frame_of(line: str) -> CanFrame | None:
     return CanFrame(None, name, bits & _ID_MASK, data, _ROLES[mark], extended, bool(remote), error, len(length) > 1)
 
 
-def _blocks(source: Source, text: bytes) -> Iterator[str | CanBlock]:
-    """Yield the frames of many lines together where they are plain, and the other lines."""
+def _pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
+    # NumPy comes with the first block.
     from analyzer.sources.candump_blocks import pieces
 
-    texts: list[str] = []
-    for start, stop, name, block in pieces(text):
-        if block is not None:
-            yield dataclasses.replace(block, port=source.port(name))
-        else:
-            texts = texts or text.decode().split("\n")
-            yield from texts[start:stop]
+    return pieces(text)
 
 
 def _special(source: Source, line: int, t_ns: int, found: re.Match[str]) -> CanFrame | None:

@@ -7,15 +7,18 @@ spaces) becomes a blank, so that all parsers see blanks and tabs only.
 
 from __future__ import annotations
 
+import dataclasses
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
+from collections.abc import Callable, Iterator, Sequence
 from difflib import SequenceMatcher
-from functools import lru_cache, wraps
-from typing import Concatenate, ParamSpec, TypeVar
+from functools import lru_cache, partial, wraps
+from typing import Concatenate, NamedTuple, ParamSpec, TypeVar
 
+from analyzer.columns.block import CanBlock
 from analyzer.sources.source import TOGETHER, Source
 
-Block = TypeVar("Block", bound=Sized)
+#: The stretches of some lines: from which to which, on which bus, and their frames; None: they are to be read singly.
+Pieces = Callable[[bytes], Iterator[tuple[int, int, str, CanBlock | None]]]
 
 #: Bytes of one line.
 LINE_LIMIT = 1 << 20
@@ -60,6 +63,14 @@ def remembered(function: Callable[Concatenate[str, P], T]) -> Callable[Concatena
     return of
 
 
+class _Text(NamedTuple):
+    """Some lines. `dropped`: bytes left out of the first one, which was cut; None: it was not. `whole`: the last has its end."""
+
+    data: bytes
+    dropped: int | None = None
+    whole: bool = True
+
+
 class Lines:
     """Iterates the lines of a source's text without their ends. `number`: of the line given last, from 1.
 
@@ -76,38 +87,39 @@ class Lines:
     def __iter__(self) -> Iterator[str]:
         pay = self._source.stream.budget.record
         for text in self._texts():
-            for line in text if isinstance(text, list) else _text(text, self._encoding).split("\n"):
+            for line in self._lines(text):
                 self.number += 1
                 pay()
                 yield line
 
-    def with_blocks(self, parse: Callable[[Source, bytes], Iterator[str | Block]]) -> Iterator[str | Block]:
+    def with_blocks(self, parse: Pieces) -> Iterator[str | CanBlock]:
         """Yield the lines, and where blocks are wanted what `parse` makes of many lines of plain ASCII together.
 
-        It yields lines too; a block counts as so many lines as it has entries.
+        It yields stretches of them: from which to which, on which bus, and their frames; None: read them singly.
         """
-        pay = self._source.stream.budget.record
-        for text in self._texts():
-            plain = (
-                isinstance(text, bytes)
-                and self._source.in_blocks
-                and text.isascii()
-                and not any(code in text for code in _UNPLAIN)
-            )
-            parts: Iterable[str | Block]
-            if isinstance(text, bytes):
-                parts = parse(self._source, text + b"\n") if plain else _text(text, self._encoding).split("\n")
-            else:
-                parts = text
-            for part in parts:
-                count = 1 if isinstance(part, str) else len(part)
-                self.number += count
-                pay(count)
-                yield part
+        pay, port = self._source.stream.budget.record, self._source.port
+        for text, parts in self._source.parsed(partial(_pieces, parse), self._texts()):
+            lines = [] if parts is not None and all(block is not None for *_, block in parts) else self._lines(text)
+            for start, stop, name, block in parts or ((0, len(lines), "", None),):
+                if block is not None:
+                    self.number += len(block)
+                    pay(len(block))
+                    yield dataclasses.replace(block, port=port(name))
+                    continue
+                for line in lines[start:stop]:
+                    self.number += 1
+                    pay()
+                    yield line
 
-    def _texts(self) -> Iterator[bytes | list[str]]:
-        """Yield whole lines, many at once without the last end; as a list where one of them was cut."""
-        source, encoding, end = self._source, self._encoding, self._end
+    def _lines(self, text: _Text) -> list[str]:
+        lines = _text(text.data, self._encoding).split("\n")
+        if text.dropped is not None:
+            lines[0] = self._cut(lines[0], text.dropped)
+        return lines
+
+    def _texts(self) -> Iterator[_Text]:
+        """Yield whole lines, many at once without the last end."""
+        source, end = self._source, self._end
         read = source.stream.block
         held: list[bytes] = []
         held_size = dropped = 0
@@ -128,21 +140,14 @@ class Lines:
             text = b"".join(held).removesuffix(b"\r")
             rest = block[cut + len(end) :]
             held = [rest] if rest else []
-            overlong = held_size >= LINE_LIMIT
+            cut_off = dropped if held_size >= LINE_LIMIT else None
             held_size = len(rest)
-            if overlong:
-                lines = _text(text, encoding).split("\n")
-                lines[0] = self._cut(lines[0], dropped)
+            if cut_off is not None:
                 dropped = 0
-                yield lines
-            else:
-                yield text
+            yield _Text(text, cut_off)
         if held:
             self.ended = False
-            lines = _text(b"".join(held), encoding).split("\n")
-            if held_size >= LINE_LIMIT:
-                lines[0] = self._cut(lines[0], dropped)
-            yield lines
+            yield _Text(b"".join(held), dropped if held_size >= LINE_LIMIT else None, whole=False)
 
     def _cut(self, line: str, dropped: int) -> str:
         if dropped or len(line) > LINE_LIMIT:
@@ -151,6 +156,14 @@ class Lines:
                 line=self.number + 1,
             )
         return line[:LINE_LIMIT]
+
+
+def _pieces(parse: Pieces, text: _Text) -> list[tuple[int, int, str, CanBlock | None]] | None:
+    """Return the stretches of some lines; None where they are to be read singly."""
+    data = text.data
+    if not text.whole or text.dropped is not None or not data.isascii() or any(code in data for code in _UNPLAIN):
+        return None
+    return list(parse(data + b"\n"))
 
 
 def _text(data: bytes, encoding: str) -> str:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from functools import partial
+from typing import NamedTuple
 
 from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
@@ -51,33 +53,67 @@ def read(source: Source) -> Iterator[Record | CanBlock]:
     return _records(source, order, unit, link)
 
 
-def _pieces(
-    source: Source, link: int, buffer: bytes, at: int, order: str, unit: int
-) -> Iterable[tuple[int, int, CanBlock | None]]:
-    """Return the stretches of a buffer: of CAN frames as blocks, where blocks are wanted, else one to be read singly."""
-    if not source.in_blocks or link != SOCKETCAN:
-        return ((at, len(buffer), None),)
+class _Range(NamedTuple):
+    """Whole records, from a place in the file on; the last one of all may break off."""
+
+    data: bytes
+    offset: int
+
+
+def _ranges(source: Source, order: str) -> Iterator[_Range]:
+    """Cut the capture between records."""
+    stream, offset, rest = source.stream, _HEADER_SIZE, b""
+    stream.exactly(_HEADER_SIZE)
+    while more := stream.exactly(TOGETHER) if source.in_blocks else stream.block():
+        buffer = rest + more
+        end = _end(source, buffer, order)
+        if end:
+            yield _Range(buffer[:end], offset)
+        rest, offset = buffer[end:], offset + end
+    if rest:
+        yield _Range(rest, offset)
+
+
+def _end(source: Source, buffer: bytes, order: str) -> int:
+    """Return where the last whole record ends; behind a damaged one there are none, so it has the rest."""
+    at, end, stored_of = 0, len(buffer), struct.Struct(order + "8xL").unpack_from
+    if source.in_blocks:
+        from analyzer.sources.pcap_blocks import starts_in
+
+        _, at = starts_in(buffer, at, order)
+    while end - at >= _RECORD_SIZE:
+        (stored,) = stored_of(buffer, at)
+        if stored > _RECORD_LIMIT:
+            return end
+        if at + _RECORD_SIZE + stored > end:
+            break
+        at += _RECORD_SIZE + stored
+    return at
+
+
+def _pieces(order: str, unit: int, own: _Range) -> list[tuple[int, int, CanBlock | None]]:
+    """Return the stretches of a range."""
     from analyzer.sources.pcap_blocks import pieces
 
-    return pieces(buffer, at, order, unit)
+    return list(pieces(own.data, order, unit))
 
 
 def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Record | CanBlock]:
     line = Line(source, link, source.port(), "little" if order == "<" else "big")
     take = LINKS[link][1]
     unpack = struct.Struct(order + "LLLL").unpack_from
-    stream, pay = source.stream, source.stream.budget.record
-    stream.exactly(_HEADER_SIZE)
-    buffer, at, offset = b"", 0, _HEADER_SIZE
-    while True:
-        for start, stop, block in _pieces(source, link, buffer, at, order, unit):
+    pay = source.stream.budget.record
+    ranges = _ranges(source, order)
+    together = source.parsed(partial(_pieces, order, unit), ranges) if link == SOCKETCAN else ((each, None) for each in ranges)
+    for (buffer, offset), parts in together:
+        at = 0
+        for start, stop, block in parts or ((0, len(buffer), None),):
+            at = start
             if block is not None:
                 pay(len(block))
                 yield dataclasses.replace(block, port=line.port)
                 at = stop
                 continue
-            at = start
-            # One record is whole in the buffer as a rule; the buffer grows only where one is not.
             while stop - at >= _RECORD_SIZE:
                 seconds, fraction, stored, original = unpack(buffer, at)
                 if stored > _RECORD_LIMIT:
@@ -93,9 +129,5 @@ def _records(source: Source, order: str, unit: int, link: int) -> Iterator[Recor
                 pay()
                 if taken is not None:
                     yield taken
-        more = stream.exactly(TOGETHER) if source.in_blocks else stream.block()
-        if not more:
-            break
-        buffer, at, offset = buffer[at:] + more, 0, offset + at
-    if at < len(buffer):
-        source.problem(f"the last record breaks off after {counted(len(buffer) - at, 'byte')}", offset=offset + at)
+        if at < len(buffer):
+            source.problem(f"the last record breaks off after {counted(len(buffer) - at, 'byte')}", offset=offset + at)

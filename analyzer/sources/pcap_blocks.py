@@ -25,22 +25,27 @@ _AHEAD = 64
 _WHOLE = _RECORD_SIZE + _CAN_HEADER + 8
 
 
-def pieces(buffer: bytes, at: int, order: str, unit: int) -> Iterator[tuple[int, int, CanBlock | None]]:
-    """Yield the records from a place on in stretches: from which byte to which, and their frames; None: read them singly.
+def pieces(buffer: bytes, order: str, unit: int) -> Iterator[tuple[int, int, CanBlock | None]]:
+    """Yield records in stretches: from which byte to which, and their frames; None: read them singly.
 
     The last stretch ends with the buffer, which may end within a record. The port of a block is empty.
     """
     codes = np.frombuffer(buffer + bytes(_WHOLE), dtype=np.uint8)
+    starts, end = starts_in(buffer, 0, order)
+    for first, last, _, block in _found(codes, starts, order, unit).stretches():
+        yield int(starts[first]), int(starts[last]) if last < len(starts) else end, block
+    yield end, len(buffer), None
+
+
+def starts_in(buffer: bytes, at: int, order: str) -> tuple[Integers, int]:
+    """Return where the records of a pcap file begin, as `starts_of` does."""
     length = struct.Struct(order + "L").unpack_from
 
     def size_of(at: int) -> int:
         size: int = _RECORD_SIZE + length(buffer, at + 8)[0]
         return size if size <= _RECORD_SIZE + FD_SIZE else 0
 
-    starts, end = starts_of(buffer, codes, at, size_of, slice(8, 12))
-    for first, last, _, block in _found(codes, starts, order, unit).stretches():
-        yield int(starts[first]), int(starts[last]) if last < len(starts) else end, block
-    yield end, len(buffer), None
+    return starts_of(buffer, np.frombuffer(buffer, dtype=np.uint8), at, size_of, slice(8, 12))
 
 
 def starts_of(buffer: bytes, codes: Bytes, at: int, size_of: Callable[[int], int], said: slice) -> tuple[Integers, int]:

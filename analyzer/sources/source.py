@@ -16,10 +16,10 @@ Rules:
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import cast
+from typing import Protocol, TypeVar, cast
 
 import msgspec
 
@@ -49,7 +49,7 @@ _HEAD_LIMIT = 1000
 
 SECOND_NS = 1_000_000_000
 #: Bytes that are read together where records become blocks.
-TOGETHER = 1 << 22
+TOGETHER = 1 << 20
 #: Records that are joined to a block at most, their bytes, and the fewest bytes for which that is worth it.
 _RECORDS, JOINED, SHORTEST_BLOCK = 1 << 15, 1 << 20, 512
 #: 2100-01-01: what lies behind it is noted.
@@ -59,6 +59,17 @@ LATEST_NS = (1 << 63) - 1
 
 _DEFAULT_PORTS = {"can": "can", "serial": "serial", "log": "bus"}
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
+
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Workers(Protocol):
+    """Other processes that have a share of the work."""
+
+    def parsed(self, function: Callable[[T], R], ranges: Iterator[T]) -> Iterator[tuple[T, R]]:
+        """Yield ranges with what a function makes of each, in their order; a few are looked at ahead."""
 
 
 class Problem(msgspec.Struct, frozen=True):
@@ -113,6 +124,8 @@ class Source:
         self.clock = Clock.UTC
         #: Give many records as one block. It may be set at any time, but not together with what follows here.
         self.in_blocks = False
+        #: Processes that make blocks of ranges ahead of the reading. Set with `in_blocks`.
+        self.workers: Workers | None = None
         #: Of a decoded log: give each frame as one piece with the role it was found to have, and raw bytes only where
         #: they were never decoded. Set before the first record is taken.
         self.framed = False
@@ -250,6 +263,23 @@ class Source:
         port = next(iter(self._ports.values()), None) or self.bus or _DEFAULT_PORTS[self.kind]
         text = text.strip()
         return Comment(t_ns, port, text if len(text) <= COMMENT_LIMIT else text[:COMMENT_LIMIT] + "...")
+
+    def parsed(self, function: Callable[[T], R], ranges: Iterator[T]) -> Iterator[tuple[T, R | None]]:
+        """Yield ranges of the capture, in their order, with what a function makes of each; None until blocks are wanted.
+
+        A range says all that the function needs, and begins where a record does. So any process can take it. What depends on
+        ranges before it (numbers of lines, names of buses, odd records) is for the caller, who gets them in their order.
+        """
+        while not self.in_blocks:
+            own = next(ranges, None)
+            if own is None:
+                return
+            yield own, None
+        if self.workers is None or self.stream.compression or self.size is None:
+            # What may break off as it is unpacked, or waits for more, is not read ahead.
+            yield from ((own, function(own)) for own in ranges)
+        else:
+            yield from self.workers.parsed(function, ranges)
 
     def begin(self, records: Iterator[Record | CanBlock]) -> None:
         """Set what iterating yields."""
