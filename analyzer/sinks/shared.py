@@ -2,8 +2,8 @@
 
     message: number of a slot | a pickle, which says where in the memory bytes and columns stand
 
-Rules: the first process gives slots out. It has one again when nothing looks at what stands in it. Where no slot is free, or one
-is too small, the pipe carries all.
+Rules: the first process gives slots out, and has one again when nothing looks at what stands in it. Where no slot is free, or
+one is too small, the pipe carries all.
 """
 
 from __future__ import annotations

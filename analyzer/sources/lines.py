@@ -64,7 +64,7 @@ def remembered(function: Callable[Concatenate[str, P], T]) -> Callable[Concatena
 
 
 class _Text(NamedTuple):
-    """Some lines. `dropped`: bytes left out of the first one, which was cut; None: it was not. `whole`: the last has its end."""
+    """Some lines. `dropped`: bytes left out of the first one, which was cut; None: it was not. `whole`: the last has an end."""
 
     data: bytes
     dropped: int | None = None
