@@ -237,11 +237,12 @@ class Decoder:
             entry = next((e for e in candidates if not e[1].needs_request and e[2].matches(data)), None)
         if entry is None:
             known = self._replies.get((head.function, -1 if head.code is None else head.code), [])
-            return self._unfitting(frame, Role.REPLY, head, data, known, request=False, asked=request), request
+            fits = request if request is not None and request.command and not self._is_general(request.command) else None
+            return self._unfitting(frame, Role.REPLY, head, data, known, request=False, asked=fits), request
         command, form, coder = entry
         if form.after_request and request is not None:
             data = request.message.data + data
-        elif command is self.dialect.fallbacks.get(head.function or 0):
+        elif self._is_general(command):
             # Its own data begin after the function.
             data = frame.data[2 : head.stop]
         message = Message(frame, Role.REPLY, head.address, command, form, data, coder.broken(data))
@@ -262,9 +263,17 @@ class Decoder:
             return self._same_function(head, context), None
         for request in context.open.get(head.address, ()):
             command = request.command
-            if command is not None and (command.function, command.code) == (head.function, head.code):
+            if command is None or command.function != head.function:
+                continue
+            # A write that the manual does not list is answered by its own register.
+            general = self._is_general(command) and request.state is State.WAITING
+            if head.code == (self._link.parse(request.frame.data).code if general else command.code):
                 return request, None
         return None, None
+
+    def _is_general(self, command: Command) -> bool:
+        """Say whether a command stands for all that the manual does not list."""
+        return command is self.dialect.fallbacks.get(command.function or 0)
 
     def _same_function(self, head: Head, context: Context) -> Request | None:
         """Return the oldest request that waits for a reply of this function, which carries no register."""

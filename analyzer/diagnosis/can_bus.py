@@ -27,6 +27,8 @@ _KINDS = {0x01: "single bit", 0x02: "form", 0x04: "stuff", 0x08: "dominant bit",
 #: Without an acknowledge the counter of a sender goes up to here, and no further.
 _PASSIVE = 128
 _SENDER_PASSIVE, _RECEIVER_PASSIVE, _OVERFLOW = 0x20, 0x10, 0x02
+#: A counter of errors at the warning or above, for a sender or a receiver.
+_STRAINED = 0x3C
 #: From here on a counter of errors is a warning.
 _WARNING = 96
 #: Identifiers of RMD motors: requests, and replies.
@@ -101,7 +103,7 @@ def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:
             found.deaf.append(piece)
         elif can.id & _CONTROLLER and at.get(_STATE, 0) & _OVERFLOW:
             found.waiting.append(piece)
-        elif can.id & _BUS_ERROR:
+        elif can.id & _BUS_ERROR or (can.id & _CONTROLLER and at.get(_STATE, 0) & _STRAINED):
             found.bare.append(piece)
     return found
 
@@ -170,7 +172,10 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
             "Frames wait in the adapter's queue and none goes out, as where no node acknowledges.",
             f"{_ALONE}; `ip -details -statistics link show can0` shows the state",
         )  # fmt: skip
-    if len(errors.bare) >= _LEAST and not (errors.silent or garbled or errors.off):
+    # One is enough where nothing else is on the bus.
+    alone = len(errors.bare) == len(scene.pieces)
+    others = errors.silent or garbled or errors.off or errors.stuck or errors.deaf
+    if len(errors.bare) >= (1 if alone else _LEAST) and not others:
         cause, say = (
             ("can_bit_errors", "Frames get through, and others are destroyed on the line.")
             if heard
@@ -265,8 +270,13 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
             tuple(Shown(p.offset, shown(p.data, c.id)) for p, c in motors[:4]),
         )  # fmt: skip
         return
+    # Who is asked for a service object also sends its values by itself.
+    asked = {can.id - base for _, can in standard if _is_canopen(can) for base in _OBJECTS if can.id - base in _NODES}
     open_frames = [
-        (p, can) for p, can in standard if _is_canopen(can) and not any(d.link.fits(p.data, can.id) for d in checked)
+        (p, can)
+        for p, can in standard
+        if (_is_canopen(can) or any(can.id - base in asked for base in _CANOPEN))
+        and not any(d.link.fits(p.data, can.id) for d in checked)
     ]
     told = [(p, can) for p, can in open_frames if can.id - _OBJECTS[0] in _NODES or can.id - _OBJECTS[1] in _NODES]
     if (len(open_frames) > 1 or told) and len(open_frames) * 2 >= len(frames):

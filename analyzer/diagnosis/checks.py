@@ -171,6 +171,10 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         p for p in scene.pieces
         if p.is_request and p.sound and "bad_checksum" not in p.rules and scene.direction(p.offset) is not Role.REPLY
     ]  # fmt: skip
+    sent = [f for f in wrong if f.trouble.stretch is not None and f.trouble.stretch.direction is Role.REQUEST]
+    if wrong and wrong == sent and not scene.timed:
+        # What a program or its log shows as sent was sent so: no line has damaged it.
+        sound = []
     kept = _deliberate([each for each in missing if not _summed(each)], sound)
     if short := [each for each in missing if each not in kept and (_summed(each) or _sent_short(each))]:
         first = short[0]
@@ -272,6 +276,10 @@ def _answered(scene: Scene, failing: Failing) -> bool:
     behind = scene.bursts[at] if at < len(scene.bursts) else None
     if reading is None or behind is None or behind.direction is Role.REQUEST:
         return False
+    # A reply that begins as the right one is an answer, too.
+    begun = behind.direction is Role.REPLY and len(behind.data) > _HEAD and behind.data[1] in _READS
+    if begun and any(reply.begins(behind.data) for reply in awaited(reading.message)):
+        return True
     if any(
         reply.stands(each, 0) for reply in awaited(reading.message) for each in (behind.data, reply.link.completed(behind.data))
     ):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
-from itertools import pairwise
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
@@ -75,12 +74,16 @@ class Awaited(NamedTuple):
 
 def reported(scene: Scene) -> list[tuple[Stretch, Stretch]]:
     """Return the requests that a library logs without their check, each with the code that it logs instead of a reply."""
-    return [
-        (sent, came)
-        for sent, came in pairwise(scene.bursts)
-        if sent.direction is Role.REQUEST and came.direction is Role.REPLY and came.can_id is None
-        and len(sent.data) >= _BARE and sent.data[1] in FUNCTIONS and len(came.data) == 1 and came.data[0] in _CODES
-    ]  # fmt: skip
+    found: list[tuple[Stretch, Stretch]] = []
+    sent: Stretch | None = None
+    for burst in scene.bursts:
+        if burst.direction is Role.REQUEST:
+            sent = burst if burst.can_id is None and len(burst.data) >= _BARE and burst.data[1] in FUNCTIONS else None
+        elif sent is not None and burst.direction is Role.REPLY and len(burst.data) == 1 and burst.data[0] in _CODES:
+            # What came of a reply may stand before it.
+            found.append((sent, burst))
+            sent = None
+    return found
 
 
 class Placed(NamedTuple):

@@ -224,6 +224,9 @@ def _miscounted(scene: Scene) -> Iterator[Suspicion]:
             continue
         own = [t for t in scene.troubles if burst.offset <= t.offset < burst.stop and t not in scene.explained]
         trouble = own[0] if own else None
+        if not own and burst.direction is Role.REQUEST and modbus_crc(data) == 0:
+            # Its drive may have taken it as it is.
+            trouble = Trouble("wrong_length", burst.offset, burst)
         if trouble is not None and (said := _other_count(scene, burst)):
             found.append((trouble, data, said))
     if not found:
@@ -293,7 +296,8 @@ def _other_count(scene: Scene, burst: Stretch) -> str:
     whole = any(p.sound for p in burst.pieces) or any(
         r.begins(data[: r.size]) or (among and r.size == len(data)) or r.stands(r.head + data[len(r.head) :], 0) for r in wanted
     )
-    if not wanted or whole or asked.data.startswith(data[:_ANSWER]):
+    # The request itself is no reply, also if its check came damaged.
+    if not wanted or whole or asked.data.startswith(data[: _ANSWER - 2]):
         return ""
     return f"the reply to {shown(asked.data)} has {data[2]} as its count, and {wanted[0].size - 5} were asked for"
 

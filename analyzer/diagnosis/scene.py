@@ -334,7 +334,8 @@ class Scene:
     def listed(self) -> bool:
         """Whether the requests are a list, of a program or in notes: nothing says that they were sent and waited for."""
         sent = [piece.data for piece in self.pieces if piece.is_request]
-        return self.noted and not self.timed and not self.directed and len(set(sent)) == len(sent)
+        heard = any(read.direction is Role.REPLY for read in self.reads)
+        return self.noted and not self.timed and not heard and len(set(sent)) == len(sent)
 
     def often(self, count: int, role: Role) -> bool:
         """Say whether what happened to so many frames of a sender is no chance: often, or to the only one."""

@@ -216,7 +216,11 @@ def _reported(scene: Scene) -> Iterator[Suspicion]:
     found: dict[int, list[tuple[Stretch, Stretch]]] = defaultdict(list)
     for sent, came in reported(scene):
         found[came.data[0]].append((sent, came))
-    for code, pairs in found.items():
+    for code, every in found.items():
+        # The bytes that came tell more than the library's code for them.
+        pairs = [(a, b) for a, b in every if not any(a.stop <= t.offset < b.offset for t in scene.explained)]
+        if not pairs:
+            continue
         cause, what = _REPORTS[code]
         sent, came = pairs[0]
         limits = [(one.offset, other.stop) for one, other in pairs]

@@ -27,11 +27,14 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     if (misfit := MISFIT.search(words)) is not None:
         yield from _misfit(scene, misfit[0])
     yield from _as_string(scene, words)
+    yield from _as_digits(scene, words)
     yield from _reported(scene, words)
     ours = any(p.sound and p.message is not None and p.message.command is not None for p in scene.pieces)
     if not ours and (other := _OTHERS.search(words)) is not None and (troubles or scene.pieces):
+        # A dialect on CAN has no look of its own: what else is suspected of it is by chance.
+        sure = Confidence.CERTAIN if scene.pieces and scene.pieces[0].can is not None else Confidence.LIKELY
         yield Suspicion(
-            "unsupported_dialect", Confidence.LIKELY, troubles,
+            "unsupported_dialect", sure, troubles,
             f"The text speaks of {other[0]}, and no frame is of a dialect that is known here.",
             f"{other[0]!r} in the text; {shown(scene.pieces[0].data)} at byte {scene.pieces[0].offset}",
             "Use the manual of its maker; the dialects known here are those of `servotap catalogue`",
@@ -54,6 +57,30 @@ def _as_string(scene: Scene, words: str) -> Iterator[Suspicion]:
         tuple(Shown(p.offset, shown(p.data)) for p in cut),
     )  # fmt: skip
 
+
+def _as_digits(scene: Scene, words: str) -> Iterator[Suspicion]:
+    """Suspect a program that prints its bytes, as digits, to the port from which it reads replies, and writes none to it."""
+    words = _REMARK.sub("", words)
+    written = {call[1] for call in _WRITES.finditer(words)}
+    heard = {call[1] for call in _HEARS.finditer(words)}
+    found = next((call for call in _PRINTS.finditer(words) if call[1] in heard - written), None)
+    sent = [p for p in scene.pieces if p.can is None and p.is_request]
+    if found is None or not sent or any(p.is_reply for p in scene.pieces):
+        return
+    data = sent[0].data
+    yield Suspicion(
+        "text_mode", Confidence.LIKELY, scene.troubles or [Trouble("damaged", sent[0].offset, None, sent[0])],
+        "The program prints its bytes as digits: letters go out in their place.",
+        f"{found[0].strip()!r} in the text; {shown(data)} at byte {sent[0].offset}",
+        f"Write the bytes themselves: {found[1]}.write(data, length)",
+        tuple(Shown(p.offset, shown(p.data)) for p in sent),
+    )  # fmt: skip
+
+
+#: Calls of Arduino on a port: what prints an element of an array as digits, what writes, what hears; and remarks.
+_PRINTS = re.compile(r"\b(\w+)\.print(?:ln)?\(\s*\w+\s*\[\w+\]\s*(?:,\s*(?:HEX|DEC|BIN|OCT)\s*)?\)")
+_WRITES, _HEARS = re.compile(r"\b(\w+)\.write\("), re.compile(r"\b(\w+)\.(?:read\w*|available|peek)\(")
+_REMARK = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 #: Functions of C that take bytes as a string, and calls that send; each with what it is given.
 _STRINGS = re.compile(r"\b(?:sn?printf\s*\((?=[^;\n]*\"%s\")|str(?:len|n?cpy|n?cat)\s*\()([^;\n]*)")

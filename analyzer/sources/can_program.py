@@ -6,14 +6,21 @@
     CAN.beginPacket(0x01);  CAN.write(0x30);  CAN.write(0x31);  CAN.endPacket();     byte by byte
     canMsg.can_id = 0x01;  canMsg.can_dlc = 2;  canMsg.data[0] = 0x31;  ...          the fields of SocketCAN's struct
 
-What comes out is a call as programs of python-can have it, which `can_text` reads. Other lines stay as they are. A call whose
-identifier or data are known at run time only is passed over.
+    can.Message(arbitration_id=0x140 + node, data=[0xA2, 0, 0, 0, low, high, 0, 0])  a call whose numbers are computed
+
+What comes out is a call as programs of python-can have it, which `can_text` reads. Other lines stay as they are.
+
+Sums, shifts and masks of known numbers are computed. What is known at run time only is passed over, but for two things. In a
+frame whose last byte is known it counts as 0, because then no check follows from it. A base with a node added is the first
+node. An identifier that is a name alone is the one that the sum at the end of the data has in it.
 """
 
 from __future__ import annotations
 
+import ast
+import operator
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 _N = r"(?:0[xX][0-9A-Fa-f]+|\d+)"
 _LIST = rf"\{{\s*(?P<list>{_N}(?:\s*,\s*{_N})*)\s*,?\s*\}}"
@@ -30,7 +37,7 @@ _SEND = re.compile(
 )
 _FIELD = re.compile(
     rf"\b(?P<message>\w+)(?:\.|->)(?:(?P<field>can_id|id|identifier|StdId|ExtId|can_dlc|len|length|dlc|DLC|data_length_code)"
-    rf"|(?:data|buf|Data)\[(?P<at>{_N})\]|(?P<flag>extended|ext|flags\.extended|extd))\s*=\s*(?P<value>\w+)"
+    rf"|(?:data|buf|Data)\[(?P<at>{_N})\]|(?P<flag>extended|ext|flags\.extended|extd))\s*=(?!=)\s*(?P<value>[^;={{]+?)\s*(?:;|$)"
 )
 _COPY = re.compile(r"\bmemcpy\(\s*&?(?P<message>\w+)(?:\.|->)(?:data|buf|Data)\s*,\s*&?(?P<data>\w+)")
 _BEGIN = re.compile(r"\bbegin(?P<extended>Extended)?Packet\(\s*(?P<id>\w+)")
@@ -38,12 +45,26 @@ _WRITE = re.compile(r"\b\w+(?:\.|->)write\(\s*(?:\([^()]*\)\s*)?(?P<value>[^;]*?
 #: One element of an array, which may be declared without its bytes.
 _ELEMENT = re.compile(rf"(?<![\w.>])(?P<name>\w+)\[\s*(?P<at>{_N})\s*\]\s*=\s*(?P<value>[^;={{]+);")
 _END = re.compile(r"\bendPacket\(")
-_OUT = re.compile(r"\b(?:send\w*|write|transmit\w*|twai_transmit|tryToSend|HAL_CAN_\w+)\(\s*[^()]*?&?(?P<message>\w+)\s*[,)]")
+_OUT = re.compile(r"\b(?:send\w*|write|transmit\w*|twai_transmit|tryToSend|HAL_CAN_\w+)\((?P<given>[^()]*)")
 #: STM32: a header with the fields, and the data apart from it.
 _HAL = re.compile(r"\bHAL_\w*CAN_Add\w+\(\s*&?\w+\s*,\s*&?(?P<message>\w+)\s*,\s*&?(?P<data>\w+)")
+_NAME = re.compile(r"[A-Za-z_]\w*")
 _COMMENT = re.compile(r"^\s*(?://|\*|/\*)|//.*$")
 _TRUE = ("1", "true", "CAN_EXTID", "CAN_EFF", "EXT")
 _BYTES, _NAMES, _LARGEST = 8, 500, 0xFF
+#: A call of python-can with its numbers as they stand in the program.
+_MESSAGE = re.compile(
+    r"\bMessage\((?=.*?\barbitration_id\s*=\s*(?P<id>[^,()]+))(?=.*?\bdata\s*=\s*(?:bytes|bytearray)?\(?\s*\[(?P<list>[^\[\]]*)\])"
+)
+_CASTS = re.compile(r"\((?:const |unsigned |u?int(?:8|16|32)_t|byte|char|int|long)+\)|\b(?:byte|u?int8_t|int)(?=\()")
+_ARITHMETIC = re.compile(r"[\w\s()+*/%&|^~<>-]{1,60}")
+_OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.LShift: operator.lshift,
+    ast.RShift: operator.rshift, ast.BitAnd: operator.and_, ast.BitOr: operator.or_, ast.BitXor: operator.xor,
+}  # fmt: skip
+_SHIFTS, _WIDEST = (ast.LShift, ast.RShift), 32
+#: Nodes whose number a sum can tell, and the least code that their drives have.
+_NODES, _LEAST_CODE = range(17), 0x30
 
 
 class Program:
@@ -53,11 +74,11 @@ class Program:
     """
 
     def __init__(self) -> None:
-        self._arrays: dict[str, list[int]] = {}
+        self._arrays: dict[str, list[int | None]] = {}
         self._numbers: dict[str, int] = {}
-        self._fields: dict[str, dict[str, int]] = {}
-        self._packet: list[int] | None = None
-        self._packet_id = 0
+        self._fields: dict[str, dict[str, int | None]] = {}
+        self._packet: list[int | None] | None = None
+        self._packet_id: int | None = None
         self._wide = False
         self._filled_lines = self.parts = 0
 
@@ -67,7 +88,7 @@ class Program:
             return
         text = _COMMENT.sub("", line)
         for array in _ARRAY.finditer(text):
-            values = [_number(token) for token in array["list"].split(",")]
+            values: list[int | None] = [_number(token) for token in array["list"].split(",")]
             size = _number(array["size"]) if array["size"] else len(values)
             self._arrays[array["name"]] = values + [0] * (min(size, _BYTES) - len(values))
         elements = list(_ELEMENT.finditer(text))
@@ -90,36 +111,36 @@ class Program:
             yield from self._frame(call["id"], call["data"], call["length"], call["extended"] in _TRUE)
             return
         for call in _SEND.finditer(text):
-            if call["data"] in self._arrays and self._value(call["id"]) is not None:
+            if call["data"] in self._arrays:
                 yield from self._frame(call["id"], call["data"], call["length"] or "", False)
                 return
         for call in _HAL.finditer(text):
             fields, data = self._fields.get(call["message"], {}), self._arrays.get(call["data"], [])
             if "id" in fields:
-                yield from _call(fields["id"], data[: fields.get("length", len(data))], bool(fields.get("extended")))
+                size = fields.get("length") or len(data)
+                yield from _call(fields["id"], data[:size], bool(fields.get("extended")))
             return
         for out in _OUT.finditer(text):
-            fields = self._fields.get(out["message"], {})
+            fields = next((own for name in _NAME.findall(out["given"]) if "id" in (own := self._fields.get(name, {}))), {})
             if "id" in fields:
-                data = [fields.get(str(at), 0) for at in range(fields.get("length", self._filled(fields)))]
+                data = [fields.get(str(at), 0) for at in range(min(_BYTES, fields.get("length") or self._filled(fields)))]
                 yield from _call(fields["id"], data, bool(fields.get("extended")))
 
     def _written(self, text: str) -> Iterator[str]:
         """Yield what is written byte by byte between the begin and the end of a packet."""
         begin = _BEGIN.search(text)
-        if begin is not None and (number := self._value(begin["id"])) is not None:
-            self._packet, self._packet_id, self._wide = [], number, begin["extended"] is not None
+        if begin is not None:
+            self._packet, self._packet_id, self._wide = [], self._value(begin["id"]), begin["extended"] is not None
         for each in _WRITE.finditer(text):
-            value = self._value(each["value"])
-            # What is known at run time only makes the whole packet so.
-            self._packet = None if value is None or self._packet is None else [*self._packet, value]
+            if self._packet is not None:
+                self._packet.append(self._value(each["value"]))
         if self._packet is not None and _END.search(text) is not None:
             yield from _call(self._packet_id, self._packet, self._wide)
             self._packet = None
 
     def _put(self, element: re.Match[str]) -> None:
         name, at, value = element["name"], _number(element["at"]), self._value(element["value"].strip())
-        if value is None or at >= _BYTES:
+        if at >= _BYTES:
             self._arrays.pop(name, None)
             return
         data = self._arrays.setdefault(name, [])
@@ -128,37 +149,79 @@ class Program:
 
     def _set(self, field: re.Match[str]) -> None:
         value = self._value(field["value"])
-        if value is None and field["flag"] is None:
-            return
         own = self._fields.setdefault(field["message"], {})
         if field["at"] is not None:
-            own[str(_number(field["at"]))] = value or 0
+            own[str(_number(field["at"]))] = value
         elif field["flag"] is not None:
             own["extended"] = int(field["value"] in _TRUE)
         else:
-            own["id" if "id" in field["field"].lower() else "length"] = value or 0
+            own["id" if "id" in field["field"].lower() else "length"] = value
             if field["field"] == "ExtId":
                 own["extended"] = 1
 
     @staticmethod
-    def _filled(fields: dict[str, int]) -> int:
+    def _filled(fields: dict[str, int | None]) -> int:
         return 1 + max((int(name) for name in fields if name.isdecimal()), default=-1)
 
     def _frame(self, identifier: str, name: str, length: str, extended: bool) -> Iterator[str]:
         number, data = self._value(identifier), self._arrays.get(name)
-        if number is None or data is None:
+        if data is None:
             return
         size = self._value(length)
         yield from _call(number, data if size is None or size > len(data) else data[:size], extended)
 
+    def resolved(self, line: str) -> str:
+        """Return a line with a call of python-can whose numbers are computed, as far as they are known."""
+        call = _MESSAGE.search(line)
+        items = [item.strip() for item in call["list"].split(",") if item.strip()] if call is not None else []
+        if call is None or not items or all(re.fullmatch(_N, token) for token in (call["id"].strip(), *items)):
+            return line
+        identifier = self._value(call["id"]) if "+" not in call["id"] else self._node(call["id"])
+        extended = re.search(r"extended_id\s*=\s*False", line) is None
+        return next(_call(identifier, [self._value(item) for item in items], extended), line)
+
+    def _node(self, text: str) -> int | None:
+        """Return an identifier that is a base with a number added: of the first node, where that is not known."""
+        parts = [self._value(part) for part in text.split("+")]
+        known = sum(part for part in parts if part is not None)
+        return None if not known else known + (None in parts)
+
     def _value(self, text: str) -> int | None:
-        return _number(text) if re.fullmatch(_N, text or "") else self._numbers.get(text)
+        """Return the number that an expression has, None where it is known at run time only."""
+        text = _CASTS.sub("", text or "").strip()
+        if re.fullmatch(_N, text):
+            return _number(text)
+        if text in self._numbers or _ARITHMETIC.fullmatch(text) is None:
+            return self._numbers.get(text)
+        try:
+            return self._computed(ast.parse(text, mode="eval").body)
+        except (SyntaxError, ValueError, RecursionError):
+            return None
+
+    def _computed(self, node: ast.expr) -> int | None:
+        if isinstance(node, ast.Constant) and type(node.value) is int:
+            return node.value
+        if isinstance(node, ast.Name):
+            return self._numbers.get(node.id)
+        if not isinstance(node, ast.BinOp) or type(node.op) not in _OPERATORS:
+            return None
+        one, other = self._computed(node.left), self._computed(node.right)
+        wide = isinstance(node.op, _SHIFTS) and (other is None or not 0 <= other < _WIDEST)
+        return None if one is None or other is None or wide else _OPERATORS[type(node.op)](one, other)
 
 
-def _call(identifier: int, data: list[int], extended: bool) -> Iterator[str]:
+def _call(identifier: int | None, data: Sequence[int | None], extended: bool) -> Iterator[str]:
     """Yield a frame as `can_text` reads it: python-can takes 29 bits where nothing else is said."""
-    if data and len(data) <= _BYTES and max(data) <= _LARGEST:
-        listed = ", ".join(f"0x{value:02X}" for value in data)
+    if not data or len(data) > _BYTES or data[0] is None or data[-1] is None:
+        return
+    values = [value or 0 for value in data]
+    if max(values) > _LARGEST or min(values) < 0:
+        return
+    if identifier is None and None not in data and len(data) > 1 and data[0] >= _LEAST_CODE:
+        node = (values[-1] - sum(values[:-1])) & _LARGEST
+        identifier = (node or 1) if node in _NODES else None
+    if identifier is not None:
+        listed = ", ".join(f"0x{value:02X}" for value in values)
         yield f"{'can.' * extended}Message(arbitration_id=0x{identifier:X}, data=[{listed}])"
 
 

@@ -46,6 +46,10 @@ _SAID: tuple[tuple[re.Pattern[str], int, str], ...] = tuple(
         (rf"{_DRIVER}\b(?:form|format|crc) error\b", _PROTOCOL | _BUS_ERROR, "00 00 02"),
         (rf"{_DRIVER}\back(?:nowledge\w*)? ?error\b", _NO_ACK | _BUS_ERROR, ""),
         (rf"{_DRIVER}\bcan bus error\b", _BUS_ERROR, ""),
+        # What programs for an ESP32, and firmware of adapters, print.
+        (r"^[^;\"']*\berror has occurred on the bus\b", _BUS_ERROR, ""),
+        (r"^[^;\"']*\bcontroller (?:has become|is|entered) (?:the )?error[- ]passive\b", _CONTROLLER, "00 30"),
+        (r"^[^;\"']*(?:\bcontroller (?:has become|is|went|entered) |\()(?:the )?bus[- ]off\b", _BUS_OFF, ""),
         (r"\bNo buffer space available\b", _CONTROLLER, "00 02"),
         # What firmware calls its flags, the state last.
         (rf"{_STATED}{_FLAGS}.*\bbus[- _]?off{_NO_CODE}", _BUS_OFF, ""),

@@ -178,6 +178,8 @@ _SAMPLE_LINES, _NAMED_LINES = 400, 50
 #: Strokes between the columns of a table.
 _COLUMNS = range(1, 12)
 _LEAST_SHARE = 0.1
+#: How sure a text of words, or a program, is in which a frame stands here and there; shapes that nothing else has.
+_FEW_SCORE, _SURE_SHAPES = 0.34, frozenset(("call", "call-id-data", "call-object", "cansend", "hash", "quoted"))
 
 
 class _Line(NamedTuple):
@@ -202,7 +204,9 @@ def score(head: bytes) -> float:
     share = max(fitting(lines, fits), min(1.0, (len(taken) + program.parts) / len(lines)) if program.parts else 0.0)
     if not shape.sure and not _fits(shape, lines, taken):
         return 0.0
-    return 0.5 + 0.45 * share if share >= _LEAST_SHARE else 0.0
+    if share >= _LEAST_SHARE:
+        return 0.5 + 0.45 * share
+    return _FEW_SCORE if shape.name in _SURE_SHAPES else 0.0
 
 
 def _shape_of(lines: list[str]) -> Shape | None:
@@ -307,7 +311,7 @@ def _joined(lines: Iterable[str], program: Program | None = None) -> Iterator[st
             if len(call) < _CALL_LINES and ")" not in line.replace("])", "]"):
                 continue
             if _CALL.fullmatch(call[0]) and ")" in line:
-                yield " ".join(each.strip() for each in call)
+                yield program.resolved(" ".join(each.strip() for each in call))
             else:
                 yield from call
             call = []
@@ -321,7 +325,7 @@ def _joined(lines: Iterable[str], program: Program | None = None) -> Iterator[st
         if len(line) <= _LONGEST_LINE and _ONLY_ID.fullmatch(line):
             held = line
         else:
-            yield from _cells(line)
+            yield from _cells(program.resolved(line) if "Message(" in line and len(line) <= _LONGEST_LINE else line)
     if held:
         yield held
     yield from call

@@ -126,6 +126,8 @@ _ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         (When.UNMARKED, "", r"(?:\$\s+)?(?P<shell>echo|printf)\s+(?:-\w+\s+)*(?=['\"])"),
         (When.UNMARKED, "", rf"\s*(?P<letter>out|in)\s+{_BYTES}"),
         (When.UNMARKED, "", rf"\s*\[?(?P<letter>{_letters})\]?(?:\s*[:>|]+|\t)\s*"),
+        # `W 1 3 0 0`: a letter before numbers alone.
+        (When.UNMARKED, "", r"\s*(?P<letter>[wrt])\s+(?=(?:(?:0x)?[0-9a-f]{1,3}[\s,]+){2,}(?:0x)?[0-9a-f]{1,3}[\s,]*$)"),
         (When.UNMARKED, "", rf"\s*+(?::\s*+)?(?P<sign>{_signs})(?![<>=-])[\s:]*"),
         (
             When.ANY,

@@ -57,6 +57,17 @@ _FIELD = re.compile(
     r"\s*(?P<call>[\w.>-]+\b[Ww]rite\(\s*)?(?P<bytes>(?:0[xX])?[0-9A-Fa-f]{2}(?:[ ,]+(?:0[xX])?[0-9A-Fa-f]{2}){0,3})"
     r"(?(call)\s*\)[;\s]*(?P<end>)|[\s:,;#/=-]+(?P<name>[^\W\d_]{3}.*))"
 )
+_HEX_BYTES = r"(?P<bytes>(?:0[xX])?[0-9A-Fa-f]{2}(?:[ ,]+(?:0[xX])?[0-9A-Fa-f]{2}){0,3})[hH]?"
+#: Rows of other tables: a cell of bytes before that of their name, or a name before its bytes.
+_ROWS = (
+    re.compile(
+        rf"\s*\|(?:\s*#?\d+(?:\s*-\s*\d+)?\s*\|)?(?P<call>(?!))?\s*{_HEX_BYTES}\s*\|\s*(?P<name>[^\W\d_]{{2}}[^|]*)\|.*"
+    ),
+    re.compile(rf"\W*(?P<call>(?!))?(?P<name>[^\W\d_]{{2}}[^:=|]{{0,60}}?)[\s:=|]+{_HEX_BYTES}[\s|]*"),
+)
+#: The names of the first fields of a Modbus frame.
+_UNIT_NAME = re.compile(r"slave|unit|address|addr|device|station|\bid\b", re.IGNORECASE)
+_CODE_NAME = re.compile(r"func|command|\bcmd|\bcode\b|\bfc\b", re.IGNORECASE)
 #: A cell of a table that is printed below each other, whose names stand elsewhere.
 _CELL = re.compile(r"(?P<call>(?!))?\s*(?P<bytes>[0-9A-Fa-f]{2}(?: ?[0-9A-Fa-f]{2})?)\s*(?P<name>(?!))?")
 _REMARKS = ("#", "//", ";")
@@ -149,7 +160,7 @@ def _has_fields(lines: Sequence[str]) -> bool:
     """Say whether lines below each other name the fields of a frame."""
     return _has_cells(lines) or any(
         _is_frame(list(rows))
-        for named, rows in groupby((_FIELD.match(line) for line in lines), key=lambda row: row is not None)
+        for named, rows in groupby((_field(line) for line in lines), key=lambda row: row is not None)
         if named
     )
 
@@ -165,9 +176,17 @@ def _has_cells(lines: Sequence[str]) -> bool:
 
 
 def _is_frame(rows: Sequence[re.Match[str] | None]) -> bool:
-    """Say whether rows are fields, rather than frames with words behind them."""
+    """Say whether rows are fields, rather than frames with words behind them, or a list of other things."""
+    names = [row["name"] or "" for row in rows if row is not None and row.re in _ROWS]
+    if names and (len(names) != len(rows) or not _UNIT_NAME.search(names[0]) or not any(map(_CODE_NAME.search, names[1:2]))):
+        return False
     short = sum(1 for row in rows if row is not None and len(row["bytes"].split()) <= _FIELD_BYTES)
     return len(rows) >= _LEAST_FIELDS and 2 * short > len(rows)
+
+
+def _field(text: str) -> re.Match[str] | None:
+    """Return a line that names a field of a frame, and has its bytes."""
+    return _FIELD.match(text) or next((row for each in _ROWS if (row := each.fullmatch(text)) is not None), None)
 
 
 def read(source: Source) -> Iterator[Chunk | Comment]:
@@ -480,7 +499,7 @@ class _Reader:
 
     def _is_part(self, text: str) -> bool:
         """Take a line that is the next field of a frame, or the next row of a dump; say whether it is one."""
-        field = _FIELD.match(text) if self._manner.fields and not self._rows else None
+        field = _field(text) if self._manner.fields and not self._rows else None
         if field is None and self._manner.cells and not self._rows and len(self._fields) < _MOST_CELLS:
             field = _CELL.fullmatch(text)
         if field is not None:
@@ -503,9 +522,11 @@ class _Reader:
             self._rows.clear()
         rows, self._fields = self._fields, []
         if _is_frame(rows):
-            digits = re.sub("0[xX]|[ ,]", "", "".join(row["bytes"] for row in rows))
-            role = Role.REQUEST if rows[0]["call"] else self._marks(self._above)
-            yield Chunk(None, self._source.port(), bytes.fromhex(digits), role, True)
+            data = bytes.fromhex(re.sub("0[xX]|[ ,]", "", "".join(row["bytes"] for row in rows)))
+            # A table often explains a frame that stands above it.
+            if not (data in self._known and rows[0].re in _ROWS):
+                role = Role.REQUEST if rows[0]["call"] else self._marks(self._above)
+                yield Chunk(None, self._source.port(), data, role, True)
         elif rows and not any(row["name"] or row["call"] for row in rows):
             for row in rows:
                 yield Chunk(None, self._source.port(), bytes.fromhex(row["bytes"]), self._marks(self._above), True)

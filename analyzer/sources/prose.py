@@ -67,6 +67,8 @@ _BYTES_WORD = re.compile(
 )
 _WORD = re.compile(r"(?:[^\W\d_]|(?<=\w)['\u2019](?=\w))+")
 _OBJECT = re.compile(r"\b[a-z_]\w*\.(?=[a-z_])")
+#: The name of what is asked for tells no sender.
+_FUNCTION = re.compile(r"\bread (?:\d+ |holding |input |discrete )*(?:registers?|coils?|inputs?)\b")
 _SENTENCE = re.compile(r"[.!?;]\s")
 _SIGN = re.compile(rf"(?:^|(?<=[\s\])|]))({'|'.join(map(re.escape, sorted(SIGNS, key=len, reverse=True)))})[\s:<\[({{'\"]*$")
 _NOT = frozenset(("not", "never", "no", "cannot", "without"))
@@ -215,7 +217,7 @@ _SAID = frozenset((*ACTIONS, *MATTERS, *_VERBS)) - {"wrote"}
 def role_in_text(text: str) -> Role:
     """Return the sender by the last word of a text that tells it, and the speaker before that word."""
     # In a program `motor.send` sends to the motor.
-    words = _WORD.findall(_OBJECT.sub("", text.lower().replace("\u2019", "'")))
+    words = _WORD.findall(_FUNCTION.sub("", _OBJECT.sub("", text.lower().replace("\u2019", "'"))))
     at = next((n for n in range(len(words) - 1, -1, -1) if words[n] in _SAID), None)
     if at is None:
         speakers = [n for n, word in enumerate(words) if word in SPEAKERS]

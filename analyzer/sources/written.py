@@ -5,7 +5,8 @@
     b'\\xfa\\x01'   "\\xfa\\x01%"   "\\372\\1"   250 1 246   [250, 1, 246]   -6 1 -10   (-6 is FA)   250-1-246
 
 Rules: two digits a byte are hexadecimal. Numbers are decimal only where one of them cannot be a byte in hexadecimal: it has
-three digits or a sign. Single digits without a letter among them (`1 4 0 30`) can be either; the whole text decides.
+three digits or a sign. Single digits without a letter among them (`1 4 0 30`) can be either; the whole text decides. In a list
+where some numbers have 0x, the others are decimal, as in a program: `[0xFA, 1, 246]`.
 """
 
 from __future__ import annotations
@@ -76,6 +77,15 @@ def _each(text: str) -> Written | None:
     return read(re.sub(r"[\[\]<>{}()]+", " ", text).strip())
 
 
+def _mixed(text: str) -> Written | None:
+    """Return the bytes of a list of a program, in which some numbers have 0x: the others are decimal."""
+    values = [int(token, 16 if token[:2].lower() == "0x" else 10) for token in _EITHER.findall(text)]
+    return Written(bytes(values)) if max(values) <= _LARGEST else None
+
+
+_EITHER, _LARGEST = re.compile(r"0[xX][0-9A-Fa-f]{1,2}|\d{1,3}"), 0xFF
+
+
 def _quoted(text: str) -> Written | None:
     return read(text.translate(_QUOTES))
 
@@ -128,6 +138,7 @@ _WAYS: tuple[tuple[re.Pattern[str], Callable[[str], Written | None]], ...] = tup
         (r"(?:[\[<{(]\s*(?:(?:0[xX])?[0-9A-Fa-f]{1,2}|\d{3})\s*[\]>})]\s*){2,}", _each),
         (rf"[0-9A-Fa-f]{{1,2}}(?:{_GAP}[0-9A-Fa-f]{{1,2}})*[\s,;:|_-]*", _bare),
         (r"(?:(?:0[xX]|\\[xX]|\$|16#|&[hH])[0-9A-Fa-f]{1,2}[\s,;:|-]*)+", _marked),
+        (r"(?=.*0[xX])(?:0[xX][0-9A-Fa-f]{1,2}|\d{1,3})(?:\s*,\s*(?:0[xX][0-9A-Fa-f]{1,2}|\d{1,3}))+\s*,?\s*", _mixed),
         (r"(?:[0-9A-Fa-f]{2}[hH][\s,;]*)+", _marked),
         (r"[0-9A-Fa-f]{2}(?:\.[0-9A-Fa-f]{2}){5,}", lambda text: Written(bytes.fromhex(text.replace(".", "")))),
         (r"0[xX](?:[0-9A-Fa-f]{2})+", lambda text: Written(bytes.fromhex(text[2:]))),

@@ -11,7 +11,7 @@ from analyzer.catalogue import Role
 from analyzer.cli import main
 from analyzer.diagnosis.scene import Confidence
 from analyzer.records import CanFrame, Comment
-from analyzer.sources import open_source
+from analyzer.sources import can_state, open_source
 from tests.diagnosis.test_diagnosis import can, diagnosed
 
 GOOD = ["001#3233", "001#32006497"]
@@ -130,6 +130,9 @@ DRIVER = "[ {}.25] m_can_platform 2094000.can can1: {}\n"
         ("".join(DRIVER.format(n, "Stuff Error Detected") for n in range(3)), "can_wrong_bitrate"),
         (DRIVER.format(1, "entered error passive state") + DRIVER.format(2, "bus-off"), "can_bus_off"),
         (DRIVER.format(1, "Acknowledge Error Detected") * 2, "can_no_ack"),
+        ("Alert: an error has occurred on the bus.\n" * 3 + "Alert: the controller has become error passive.\n", "can_no_ack"),
+        ("[RX] E3400F800 (Bus Off, recessive bit error)\n", "can_bus_off"),
+        ("[ERROR] Received error frame: 20000004#000c000000000000\n" + "[INFO] state 1\n" * 20, "can_no_ack"),
     ],
 )
 def test_the_state_of_a_controller_in_words(text, cause, tmp_path, capsys):
@@ -138,6 +141,10 @@ def test_the_state_of_a_controller_in_words(text, cause, tmp_path, capsys):
     assert main(["diagnose", str(path), "--json"]) == (cause is not None)
     found = json.loads(capsys.readouterr().out)["causes"]
     assert [each["cause"] for each in found[:1]] == ([cause] if cause else [])
+
+
+def test_a_program_that_could_say_it_tells_no_state():
+    assert can_state.score(b'Serial.println("Alert: an error has occurred on the bus.");\n' * 3) == 0
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,18 @@ LATE_TCP = "Tx: 00 10 00 00 00 06 01 03 00 00 00 01\nRx: 00 0F 00 00 00 05 01 03
 COUNTED_TCP = "Tx: 00 01 00 00 00 06 01 03 00 00 00 01\nRx: 00 01 00 00 00 0A 01 03 02 00 17\n"
 
 
+EMODBUS = """[D] Sent packet: @3FFB3700/6:
+  | 0000: 05 04 00 10 00 02                                 |......          |
+[N] Raw buffer received: @3FFB3711/{}:
+  | 0000: {}
+[D] Received packet: @3FFB8308/1:
+  | 0000: E5                                                |.               |
+"""
+BUFFER = "byte q[] = {0x02, 0x03, 0x00, 0x10, 0x00, 0x02, 0xC5, 0xFD};\n"
+LAST = "looking for 9 bytes, received {}\nLast request: 05 03 00 10 00 02 C4 4A\nCRC Error in received frame: {} bytes: 05\n"
+TABLE = "| 0 | {} | Slave | of the unit |\n| 1 | {} | Function | |\n| 2-3 | 00 05 | Register | |\n| 4-5 | 00 01 | Count | |\n"
+
+
 def value(frame: str, words: str) -> str:
     """Return a reply to a read, and words about its value."""
     body = bytes.fromhex(frame)
@@ -156,6 +168,48 @@ def value(frame: str, words: str) -> str:
         ("Request: `01 03 00 6B 00 03 74 17`\nResponse: `01 03 06 02 2B 00 00 00 64 05 7A`\nException: `01 83 02 C0 F1`", None),
         # Another number of registers than was asked for.
         ("> 01 03 07 EE 00 02 A5 4A\n< 01 03 0C 43 3F 00 00 20 4C 49 54 48 49 55 4D D0 05", "wrong_length"),
+        # Frames of a program whose numbers are computed, or known at run time only.
+        (
+            "f.can_id = 0x140 + 2;\nf.can_dlc = 8;\nf.data[0] = 0xA1;\nf.data[5] = (iq >> 8) & 0xff;\nf.data[7] = 0;\n"
+            "write(s, &f, sizeof(f));\n",
+            "unsupported_dialect",
+        ),
+        (
+            "bus.send(can.Message(arbitration_id=0x140 + n, data=[0xA2, 0, 0, 0, low, high, 0, 0], is_extended_id=False))\n",
+            "unsupported_dialect",
+        ),
+        ("bus.send(can.Message(arbitration_id=axis, data=[0xF3, 0x01, 0xF5], is_extended_id=False))\n", "no_reply"),
+        ("bus.send(can.Message(arbitration_id=axis, data=[0xF3, 0x01, 0xF4], is_extended_id=False))\n", "wrong_checksum_rule"),
+        (
+            "An RMD X8 turns and turns.\nm.can_id = 0x7FF;\nm.can_dlc = 4;\nm.data[0] = (1 >> 8) & 0xFF;\n"
+            "m.data[1] = 1;\nm.data[3] = 1;\n"
+            "port.send(PORT::TXB1, &m);\n",
+            "unsupported_dialect",
+        ),
+        # A list with 0x here and there; decimal numbers behind a letter.
+        ("ser.write(bytes([0x01, 3, 0, 0, 0, 10, 0xCD, 0xC5]))\nb'' came\n", "crc_swapped"),
+        ("W 1 3 0 0 0 1 132 10\nR 1 3 2 0 23 248 74\nW 1 3 0 0 0 1 10 132\n", "crc_swapped"),
+        # Tables with a cell of bytes and one of their name, and names before their bytes; no measured values.
+        (f"It is silent.\n{TABLE.format('01', '03')}| 6-7 | 0B 94 | CRC | |\n", "crc_swapped"),
+        ("Unit 01\nFunction code: 03\nStart: 00 05\nCount = 00 01\nCRC Hi 0B\nCRC Lo 94\nno reply\n", "crc_swapped"),
+        # A library that logs bare requests: bytes of the reply tell more than its code.
+        (EMODBUS.format(4, "05 04 04 12"), "reply_cut"),
+        (EMODBUS.format(1, "00"), "reply_cut"),
+        (LAST.format(0, 1), "no_reply"),
+        (LAST.format(4, 4), "reply_cut"),
+        # What a program sends no line has damaged.
+        ('send("FA 02 F3 01 F0");\nsend("FA 02 F6 00 C8 05 BF");\nsend("FA 02 F6 00 00 05 FD");\n', "wrong_checksum_rule"),
+        # Digits that go out as letters; what is printed to the console does not.
+        (BUFFER + "rs.print(q[i], HEX); while (rs.available()) Serial.println(rs.read(), HEX);\n// silent\n", "text_mode"),
+        (BUFFER + "rs.write(q, 8); Serial.print(q[i], HEX); while (rs.available()) rs.read();\n// silent\n", "no_reply"),
+        # Stray bytes hide a refusal; a write of any register is answered by itself; who asks for objects speaks CANopen.
+        ("TX: 07 03 00 20 00 01 85 A6\nRX: FF 07 83 02 20 F0 00\n", "leading_glitch"),
+        ("TX: 01 06 20 00 00 12 02 07\nRX: 01 06 20 00 00 12 02 07\n" * 2, None),
+        ("TX: 05 10 00 10 00 02 04 00 01 02 44 B7\nRX: 05 10 00 10 00 02 40 49\n", "wrong_length"),
+        (
+            "cansend can0 60C#4000100000000000\n" + "can0 18C [2] 00 00\ncan0 28C [8] 00 00 00 00 00 00 00 00\n" * 3,
+            "unsupported_dialect",
+        ),
         # A device that forgets the CRC of its own replies.
         ("Received: 01 03 00 00 00 01 84 0A\nSent: 01 03 02 00 17\nThe master says timeout", "missing_checksum"),
     ],
