@@ -121,7 +121,7 @@ def _held_by_setting(probe: Probe) -> int:
     return seen
 
 
-def _roughly(one: int, other: int) -> bool:
+def _roughly(probe: Probe, one: int, other: int) -> bool:
     return abs(one - other) <= _ROUGH
 
 
@@ -167,5 +167,5 @@ def need_difference(probe: Probe, row: Kept, one: object, other: object) -> None
     """Raise Inconclusive where what is seen of a field is what is seen of its default; NotRun where the model shows neither."""
     if row.not_on and probe.dialect.model.startswith(row.not_on):
         raise NotRun(f"a {probe.dialect.model} does not show {row.name}")
-    if row.effect.same(one, other):
+    if row.effect.same(probe, one, other):
         raise Inconclusive(f"{row.name} shows no difference: {row.effect.words(one)}")

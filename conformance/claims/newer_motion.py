@@ -216,6 +216,8 @@ def _speed_0(probe: Probe, command: Command) -> None:
 
 #: How far each motion is asked to go (degrees): longer than it is looked at, within a turn where it must be.
 _FAR, _IN_TURN = 720, 300
+#: How far back within a turn: the shaft goes on before it turns round, and what is left of the turn is the room for that.
+_BACK_IN_TURN = 120
 #: The least speed that has a direction (rpm); how often and how long it is looked for.
 _LEAST, _EVERY_NS, _WITHIN_NS = 3, 30 * MS, 2 * SECOND_NS
 
@@ -238,10 +240,10 @@ def _over_others(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, command, facts={"risks": motion.risks(dialect, *risks), "at_best": certainty})
 
 
-def _begin_way(probe: Probe, command: Command, way: int, rpm: float = CALM) -> Exchange:
-    """Ask for a long motion in a direction, at rest or during another motion."""
+def _begin_way(probe: Probe, command: Command, way: int, rpm: float = CALM, in_turn: int = _IN_TURN) -> Exchange:
+    """Ask for a long motion in a direction, at rest or during another motion; `in_turn`: how far it goes within a turn."""
     kind = motion.of(command).kind
-    degrees = way * (_IN_TURN if kind is MotionKind.MOVE_IN_TURN else _FAR)
+    degrees = way * (in_turn if kind is MotionKind.MOVE_IN_TURN else _FAR)
     force = motion.values_of(probe.dialect, command) if kind is MotionKind.TORQUE else {}
     more = dict.fromkeys(force, way * FORCE)
     rpm = way * rpm if kind is MotionKind.RUN else rpm
@@ -278,7 +280,7 @@ def _takes_over(probe: Probe, command: Command) -> None:
             if not before:
                 raise Inconclusive(f"{older.name} does not turn the shaft")
             fast = abs(motion.speed(probe).value)
-            exchange = _begin_way(probe, command, -before * sense)
+            exchange = _begin_way(probe, command, -before * sense, in_turn=_BACK_IN_TURN)
             after = _direction(probe, -before)
             if after == before and abs(motion.speed(probe).value) < fast / 2:
                 raise Inconclusive(f"the shaft slows down too slowly to see whether {command.name} takes over")

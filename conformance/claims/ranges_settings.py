@@ -192,7 +192,7 @@ def _unchanged(probe: Probe, command: Command, field: Field, effect: SettingEffe
         now = effect.see(probe)
         probe.expect(
             effect.words(now),
-            holds=effect.same(before, now),
+            holds=effect.same(probe, before, now),
             expected=f"as before: {effect.words(before)}",
             refutes=f"{command.name}: {shown} is refused and changes something",
             exchange=exchange,

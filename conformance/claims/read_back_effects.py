@@ -59,7 +59,7 @@ def _effect(probe: Probe, command: Command, effect: SettingEffect) -> None:
         seen, should = effect.see(probe), effect.expected(probe.dialect, values)
         probe.expect(
             effect.words(seen),
-            holds=effect.same(should, seen),
+            holds=effect.same(probe, should, seen),
             expected=effect.words(should),
             refutes=f"{command.name} {' '.join(f'{n} {v}' for n, v in values.items())}: {effect.words(seen)}",
             exchange=exchange,
@@ -135,7 +135,7 @@ def _and_back(probe: Probe, command: Command, row: Kept) -> None:
     first, other, again = seen
     kept_effects.need_difference(probe, row, other, first)
     text = f"{row.name} that is set back acts on"
-    holds, expected = row.effect.same(first, again), row.effect.words(first)
+    holds, expected = row.effect.same(probe, first, again), row.effect.words(first)
     probe.expect(row.effect.words(again), holds=holds, expected=expected, refutes=text, exchange=exchange)
 
 

@@ -120,7 +120,7 @@ def _kept(probe: Probe, command: Command, effect: SettingEffect, end: str, how: 
     after = effect.see(probe)
     probe.expect(
         effect.words(after),
-        holds=effect.same(before, after),
+        holds=effect.same(probe, before, after),
         expected=effect.words(before),
         refutes=f"{command.name} after {how}: {effect.words(after)}",
         exchange=exchange,
@@ -188,7 +188,7 @@ def _kept_field(probe: Probe, command: Command, row: Kept) -> None:
     row.effect.ready(probe)
     after = row.effect.see(probe)
     text = f"a restart loses {row.name}"
-    holds, expected = row.effect.same(before, after), row.effect.words(before)
+    holds, expected = row.effect.same(probe, before, after), row.effect.words(before)
     probe.expect(row.effect.words(after), holds=holds, expected=expected, refutes=text, exchange=exchange)
 
 

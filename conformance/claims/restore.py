@@ -147,7 +147,7 @@ def _expect_default_seen(probe: Probe, command: Command, effect: SettingEffect, 
     seen, should = effect.see(probe), effect.expected(probe.dialect, wanted)
     probe.expect(
         effect.words(seen),
-        holds=effect.same(should, seen),
+        holds=effect.same(probe, should, seen),
         expected=effect.words(should),
         refutes=f"{command.name} after a restore: {effect.words(seen)}",
         exchange=exchange,
@@ -180,7 +180,7 @@ def _restored_field(probe: Probe, command: Command, setter: Command, row: Kept) 
     row.effect.ready(probe)
     seen = row.effect.see(probe)
     text = f"{row.name} is not the default after a restore"
-    holds, expected = row.effect.same(default, seen), row.effect.words(default)
+    holds, expected = row.effect.same(probe, default, seen), row.effect.words(default)
     probe.expect(row.effect.words(seen), holds=holds, expected=expected, refutes=text, exchange=exchange)
 
 

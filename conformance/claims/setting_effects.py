@@ -32,6 +32,7 @@ from conformance.motion.motion import MS
 from conformance.talk import settings
 from conformance.talk.acceptance import Acceptance, acceptance, answers, need_reliable_replies, without_repeats
 from conformance.talk.exchange import Exchange
+from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Until
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ _SPEED_SHARE = 0.1
 Seen = Any
 
 
-def _equal(one: Seen, other: Seen) -> bool:
+def _equal(probe: Probe, one: Seen, other: Seen) -> bool:
     return bool(one == other)
 
 
@@ -74,7 +75,7 @@ class SettingEffect:
     see: Callable[[Probe], Seen]
     values: tuple[Mapping[str, int], ...] = ()
     ready: Callable[[Probe], None] = lambda probe: None
-    same: Callable[[Seen, Seen], bool] = _equal
+    same: Callable[[Probe, Seen, Seen], bool] = _equal
     words: Callable[[Seen], str] = _words
     expected: Callable[[Dialect, Mapping[str, int]], Seen] | None = None
     sends: tuple[tuple[Verb, Mapping[str, int]], ...] = ()
@@ -220,7 +221,7 @@ def steady_speed(probe: Probe) -> float:
     probe.wait(100 * MS)
     read = motion.speed(probe).value
     rpm, uncertain = motion.speed_between(before, motion.position(probe))
-    if abs(abs(rpm) - abs(read)) > uncertain + max(2.0, 0.02 * abs(read)):
+    if abs(abs(rpm) - abs(read)) > uncertain + max(probe.within("rpm", read), CLOCK_SHARE * abs(read)):
         raise Inconclusive(f"the speed reads {read:.0f} rpm, and two positions say {rpm:.0f}")
     return read
 
@@ -249,9 +250,14 @@ def _expected_counts(dialect: Dialect, values: Mapping[str, int]) -> int:
     return motion.counts_of(dialect, dialect.by_verb[Verb.MOVE_RELATIVE_PULSES], PULSES, values["subdivision"])
 
 
-def near(one: int, other: int) -> bool:
-    """Say whether two distances in counts are one but for a motor's play; the direction is another claim's."""
-    return abs(abs(one) - abs(other)) <= min(_COUNTS, max(3, abs(one) // 8))
+def near(probe: Probe, one: int, other: int) -> bool:
+    """Say whether two distances in counts are one but for a motor's play; the direction is another claim's.
+
+    Each distance has two places of its own, which tremble.
+    """
+    return abs(abs(one) - abs(other)) <= max(
+        min(_COUNTS, max(3, abs(one) // 8)), probe.noise.step("counts") + 2 * probe.noise.counts
+    )
 
 
 def _statuses(probe: Probe) -> str:
@@ -303,8 +309,9 @@ def homing(probe: Probe) -> Homing:
     return Homing(abs(rpm), 1 if rpm > 0 else -1)
 
 
-def _same_homing(one: Homing, other: Homing) -> bool:
-    return one.way == other.way and abs(one.rpm - other.rpm) <= max(2.0, _SPEED_SHARE * max(one.rpm, other.rpm))
+def _same_homing(probe: Probe, one: Homing, other: Homing) -> bool:
+    most = max(one.rpm, other.rpm)
+    return one.way == other.way and abs(one.rpm - other.rpm) <= max(probe.within("rpm", most), _SPEED_SHARE * most)
 
 
 def hears(probe: Probe, address: int) -> bool:

@@ -382,7 +382,7 @@ def _in_a_row(probe: Probe, command: Command) -> None:
             seen, should = effect.see(probe), effect.expected(probe.dialect, {"subdivision": 8})
             text, holds, expected = (
                 "of settings at once the last is not stored",
-                effect.same(should, seen),
+                effect.same(probe, should, seen),
                 effect.words(should),
             )
             probe.expect(effect.words(seen), holds=holds, expected=expected, refutes=text, exchange=exchanges[-1])

@@ -178,9 +178,9 @@ class _Real:
         self._seed = 0
         self._last_ns = 0
         self._answered = False
-        #: The way the shaft turned last; when a speed was read, and as what.
+        #: The way the shaft turned last; when a speed was read, what it was and what was shown.
         self._way = 0
-        self._read: tuple[float, float] = (0.0, 0.0)
+        self._read: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def install(self, hooks: Hooks) -> None:
         hooks.setup.append(self._setup)
@@ -256,16 +256,20 @@ class _Real:
         values[field.name] = _within(field, was)
 
     def _lagged(self, drive: Drive, now: float) -> float:
-        """Return a speed as a filter shows it: on the way from what was read last."""
+        """Return a speed as a filter shows it, on its way since it was read last."""
         lag_ns = self._most("speed-lag") * MS
         if not lag_ns:
             return now
-        read_ns, before = self._read
+        read_ns, was, shown = self._read
         passed_ns = drive.now_ns - read_ns
-        if not now:
-            passed_ns = min(passed_ns, max(0.0, drive.rest.since_ns))
-        shown = now + (before - now) * math.exp(-passed_ns / lag_ns)
-        self._read = (drive.now_ns, shown)
+        rests_ns = min(passed_ns, max(0.0, drive.rest.since_ns)) if not now else 0.0
+        # A speed changes by a ramp, and a filter follows it; of a shaft that rests it dies away.
+        if passed_ns > rests_ns:
+            ramp_ns = passed_ns - rests_ns
+            behind = (was - now) * lag_ns / ramp_ns
+            shown = now + behind + (shown - was - behind) * math.exp(-ramp_ns / lag_ns)
+        shown = now + (shown - now) * math.exp(-rests_ns / lag_ns)
+        self._read = (drive.now_ns, now, shown)
         return shown
 
     def supply(self, drive: Drive, field: Field, values: Values, away: float) -> None:

@@ -345,12 +345,15 @@ class Walk:
             probe.listen(_BEHIND_NS)
         # A slow drive may tell the begin of a motion behind its end.
         said, expected, late_ns = sorted(self._said()), sorted(self._expected), self._late_ns()
+        damaged = any(exchange.junk for exchange in self.probe.traffic[self._since :])
         self._expected, self._since = [], len(probe.traffic)
         if said != expected:
             # What was left to itself may have ended just when the next command came.
             said, expected = ([each for each in told if each[0] != self._left] for told in (said, expected))
         if said != expected and late_ns > _SLOW_REPLY_NS:
             raise Inconclusive("replies during motion are so late that their order says nothing")
+        if said != expected and damaged:
+            raise Inconclusive("what is said at the end of a motion met a request on the line")
         if said != expected:
             self._refute("what is said at the end of a motion", _said_text(expected), _said_text(said))
 

@@ -137,3 +137,43 @@ def test_what_a_setting_of_the_user_forbids_is_not_judged_and_says_what_to_set(d
     assert len(found) == len(claims)
     assert {v.outcome for v in found} == {Outcome.INCONCLUSIVE}, [(v.claim.id, v.outcome, v.reason) for v in found]
     assert all(reason in v.reason for v in found)
+
+
+#: Honest drives that were accused once: what they have, their seed, and the claim.
+ONCE_ACCUSED = [
+    # A speed that a filter shows dies away by the ramp on which the shaft came to rest.
+    (
+        "mks-can@10,model=57E,encoder-noise=1,loop-error=2,speed-lag=20ms,clock=-1%,latency=0.3..3ms",
+        2700006,
+        "read_speed/crossed",
+    ),
+    # The shaft goes on for more than the rest of a turn before a late command comes.
+    (
+        "lk-rs485@12,model=MH,encoder-noise=1,loop-error=2,speed-noise=1%,stall=30ms,settle=50ms,overshoot=4,latency=0.3..1ms,"
+        "latency-timer=16ms,voltage-noise=0.1",
+        2700007,
+        "motion/move_single_turn_limited/takes-over",
+    ),
+    # Two short distances have four places that tremble.
+    (
+        "mks-modbus@20,model=35D,encoder-noise=1,loop-error=4,speed-noise=2%,clock=+1%,settle=80ms,latency=0.3..3ms,"
+        "turnaround-noise=00",
+        2700009,
+        "set_subdivision/power",
+    ),
+    # The end of a motion is told while a request goes out, and a part of it is lost.
+    (
+        "mks-rs485@20,model=35D,encoder-noise=1,clock=-1%,latency=2..5ms,turnaround-noise=00,byte-gap=1.4,voltage-noise=0.05",
+        2700010,
+        "state/walk/3",
+    ),
+]
+
+
+@pytest.mark.parametrize(("drive", "seed", "claim"), ONCE_ACCUSED, ids=lambda value: value if isinstance(value, str) else "")
+def test_an_honest_drive_that_was_accused_once_is_not_accused(drive, seed, claim):
+    target = parse(drive)
+    rig = open_rig(Plan((target,), seed=seed), target)
+    found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claim)]
+    assert found
+    assert [v.reason for v in found if v.outcome is Outcome.REFUTED] == []
