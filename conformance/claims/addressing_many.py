@@ -322,7 +322,8 @@ def _expect_on_ramp(probe: Probe, item: Item, first: int, what: str) -> None:
     seen = motion.speed(probe)
     gone = min(motion.CALM, (seen.t_ns - sent.sent_ns) / ramp.step_ns(_RAMP))
     text = f"{what} does not keep to the acceleration that was sent"
-    probe.expect(abs(seen.value), near=abs(first - gone), within=_BESIDE, unit="rpm", refutes=text, exchange=sent)
+    within = _BESIDE + seen.spread_ns / ramp.step_ns(_RAMP)
+    probe.expect(abs(seen.value), near=abs(first - gone), within=within, unit="rpm", refutes=text, exchange=sent)
 
 
 def _group_changes(dialect: Dialect) -> Iterator[Case]:

@@ -550,8 +550,8 @@ def _on_its_way(probe: Probe) -> float | None:
     for _ in range(2):
         probe.wait(_ON_WAY_NS)
         looks.append(motion.position(probe))
-    first, second = (motion.speed_between(one, other)[0] for one, other in pairwise(looks))
-    steady = abs(first - second) <= _SHARE * 3 * abs(first) and abs(first) > _TURNS_RPM
+    (first, off), (second, off_too) = (motion.speed_between(one, other) for one, other in pairwise(looks))
+    steady = abs(first - second) <= _SHARE * 3 * abs(first) + off + off_too and abs(first) > _TURNS_RPM
     return (first + second) / 2 if steady else None
 
 

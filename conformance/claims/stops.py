@@ -185,7 +185,7 @@ def _by_ramp(probe: Probe, command: Command, run: Command) -> None:
     probe.expect(
         abs(seen.midway.value),
         near=law,
-        within=_RPM / 4,
+        within=_RPM / 4 + _RPM * seen.midway.spread_ns / _RAMP_NS,
         unit="rpm",
         expected=f"about {law:.0f} rpm {late * _RAMP_NS / MS:.0f} ms after the request",
         refutes=f"{command.name} does not slow the shaft down by its ramp",
