@@ -55,29 +55,28 @@ class Rows:
 
     def __init__(self, plain: Plain, channels: Integers, sequences: Integers, log_ns: Integers) -> None:
         self.plain = plain
-        #: Of each row, the bytes of its message and of the state behind it.
-        sizes = np.zeros((len(plain.lane), 2), dtype=np.int64)
+        states = np.array([*(lane.states for lane in plain.lanes), False])[plain.lane]
+        #: Where the messages of each row begin among all: its own, and behind it the state that it carries.
+        self._firsts = np.zeros(len(plain.lane) + 1, dtype=np.int64)
+        np.cumsum((plain.lane >= 0).astype(np.int64) + states, out=self._firsts[1:])
+        rows = np.repeat(np.arange(len(plain.lane)), np.diff(self._firsts))
+        lengths = np.full(len(rows), HEADER.itemsize, dtype=np.int64)
         parts = [
-            (place, rows, pieces, text.width(pieces)) for place, rows, pieces in (*_tails(plain, sequences), *_heads(plain))
+            (self._firsts[own] + place, pieces, text.width(pieces))
+            for place, own, pieces in (*_tails(plain, sequences), *_heads(plain))
         ]
-        for place, rows, _, width in parts:
-            sizes[rows, place] += width
-        there = sizes > 0
-        rows, places = np.nonzero(there)
-        sizes[there] += HEADER.itemsize
-        #: Where the messages of each row begin among all.
-        self._firsts = np.concatenate(([0], np.cumsum(there[:, 0] + there[:, 1].astype(np.int64))))
-        lengths = sizes[there]
+        for own, _, width in parts:
+            lengths[own] += width
         self._ends = np.cumsum(lengths)
         self._starts = self._ends - lengths
-        self._channels, self._log_ns = channels[plain.lane[rows], places], log_ns[rows]
+        self._channels = channels[plain.lane[rows], np.arange(len(rows)) - self._firsts[rows]]
+        self._log_ns = log_ns[rows]
         self._data = np.empty(int(self._ends[-1]), dtype=np.uint8)
-        left = np.zeros_like(sizes)
-        left[there] = self._ends
-        for place, own, pieces, width in parts:
-            ends = left[own, place]
+        left = self._ends.copy()
+        for own, pieces, width in parts:
+            ends = left[own]
             text.place(self._data, ends, pieces)
-            left[own, place] = ends - width
+            left[own] = ends - width
         headers = np.empty(len(lengths), dtype=HEADER)
         headers["opcode"] = _MESSAGE
         headers["length"] = lengths - _UNCOUNTED
