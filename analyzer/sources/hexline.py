@@ -181,8 +181,10 @@ _HEXLIKE = re.compile(r"(?:0[xX]|\\[xX]|\$)?[0-9A-Fa-f]{1,2}[hH]?")
 _RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{5,}")
 _DIGITS = re.compile(r"[0-9A-Fa-f]{1,8}")
 _LONG_RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{8,}$")
-#: One byte of a log, printed twice: `Modbus received Byte  27 (0X1b)`.
-_TWICE = re.compile(r"(?P<before>.*[\s:=])(?P<decimal>\d{1,3})\s*[(\[](?:0[xX])?(?P<hex>[0-9A-Fa-f]{1,2})[)\]]")
+#: One byte of a log, printed twice, perhaps with a remark: `Modbus received Byte  27 (0X1b)  == the unit`.
+_TWICE = re.compile(
+    r"(?P<before>.*[\s:=])(?P<decimal>\d{1,3})\s*[(\[](?:0[xX])?(?P<hex>[0-9A-Fa-f]{1,2})[)\]](?:\s*(?:==|=|//|#|;|<-+|-+>?)\s.*)?"
+)
 _NUMBER = re.compile(r"\d+\s*")
 _AROUND_NOTE = " \t,;|"
 #: A sentence before a mark: no header of bytes.
@@ -206,7 +208,11 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
     text = written.plain(line).strip()
     if not text:
         return HexLine(Shape.BLANK)
-    if text[-1] in ")]" and (twice := _TWICE.fullmatch(text)) is not None and int(twice["decimal"]) == int(twice["hex"], 16):
+    if (
+        (text[-1] in ")]" or "(0" in text)
+        and (twice := _TWICE.fullmatch(text)) is not None
+        and int(twice["decimal"]) == int(twice["hex"], 16)
+    ):
         return _of_twice(text, twice)
     if decimal:
         data = written.decimal(text)

@@ -202,6 +202,12 @@ def value(frame: str, words: str) -> str:
         # Digits that go out as letters; what is printed to the console does not.
         (BUFFER + "rs.print(q[i], HEX); while (rs.available()) Serial.println(rs.read(), HEX);\n// silent\n", "text_mode"),
         (BUFFER + "rs.write(q, 8); Serial.print(q[i], HEX); while (rs.available()) rs.read();\n// silent\n", "no_reply"),
+        # One byte a line, each with a remark.
+        (
+            "Modbus write: 11.03.00.10.00.02.C7.5E (8)\n"
+            + "".join(f"[10:00:01][V][modbus:042]: Modbus received Byte  {b} (0X{b:x})  == of it\n" for b in b"\x11\x03\x04\0"),
+            "reply_cut",
+        ),
         # Stray bytes hide a refusal; a write of any register is answered by itself; who asks for objects speaks CANopen.
         ("TX: 07 03 00 20 00 01 85 A6\nRX: FF 07 83 02 20 F0 00\n", "leading_glitch"),
         ("TX: 01 06 20 00 00 12 02 07\nRX: 01 06 20 00 00 12 02 07\n" * 2, None),
