@@ -437,8 +437,10 @@ def _other_lengths(probe: Probe, command: Command) -> None:
     def lengths(frame: bytes) -> Iterator[bytes]:
         for size in (1, 10, 20, 40):
             yield completed(frame[: -1 - size])
-        yield completed(frame[:-1] + b"\0")
-        yield completed(frame[:-1] + bytes(10))
+        # What ends in a sound package would be a package and more bytes.
+        more = b"\0" if frame[-1] else b"\1"
+        yield completed(frame[:-1] + more)
+        yield completed(frame[:-1] + more * 10)
 
     _expect_nothing(probe, command, lengths)
 

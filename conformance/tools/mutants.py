@@ -15,7 +15,7 @@ import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -137,28 +137,29 @@ def _likely_first(claims: Iterable[Claim], fault: Fault) -> list[Claim]:
 
 # --- the command ------------------------------------------------------------------------------------------------------
 
-_work: tuple[tuple[Target, ...], int, bool, int | None] | None = None
+_work: tuple[tuple[Target, ...], int, bool, int | None, frozenset[str]] | None = None
 
 
-def _begin(targets: tuple[Target, ...], seed: int, full: bool, most: int | None) -> None:
+def _begin(targets: tuple[Target, ...], seed: int, full: bool, most: int | None, among: frozenset[str]) -> None:
     global _work
-    _work = (targets, seed, full, most)
+    _work = (targets, seed, full, most, among)
 
 
-def _begin_worker(targets: tuple[Target, ...], seed: int, full: bool, most: int | None) -> None:
+def _begin_worker(targets: tuple[Target, ...], seed: int, full: bool, most: int | None, among: frozenset[str]) -> None:
     suite.be_worker()
-    _begin(targets, seed, full, most)
+    _begin(targets, seed, full, most, among)
 
 
 def _one(task: tuple[str, str]) -> Mutant:
     assert _work is not None  # every worker begins with `_begin`
-    targets, seed, full, most = _work
+    targets, seed, full, most, among = _work
     found: list[Mutant] = []
     for target in targets:
         if target.dialect.name != task[0]:
             continue
         fault = next(f for f in faults_of(target.dialect) if f.name == task[1])
-        found.append(judge(target, fault, suite.every_claim(target), full=full, seed=seed, most=most))
+        claims = [claim for claim in suite.every_claim(target) if not among or claim.id in among]
+        found.append(judge(target, fault, claims, full=full, seed=seed, most=most))
         if not full and found[-1].refuted:
             break
     return _together(found)
@@ -195,12 +196,16 @@ def mutants(
     every: int = 1,
     only: Sequence[str] = (),
     most: int | None = None,
+    among: Collection[str] = (),
 ) -> Iterator[Mutant]:
-    """Run every `every`-th fault of the targets' dialects (or `only` some) and yield what came of each."""
+    """Run every `every`-th fault of the targets' dialects (or `only` some) and yield what came of each.
+
+    `among`: the ids of the claims that are tried, empty: all.
+    """
     names = dict.fromkeys(target.dialect.name for target in targets)
     tasks = [(name, f.name) for name in names for f in faults_of(registry.get(name)) if not only or f.name in only][::every]
     if jobs == 1:
-        _begin(tuple(targets), seed, full, most)
+        _begin(tuple(targets), seed, full, most, frozenset(among))
         yield from map(_one, tasks)
         return
     methods = multiprocessing.get_all_start_methods()
@@ -208,7 +213,7 @@ def mutants(
     # The claims are made before the workers are forked, so that each has them.
     for target in targets:
         suite.every_claim(target)
-    with context.Pool(jobs, _begin_worker, (tuple(targets), seed, full, most)) as pool:
+    with context.Pool(jobs, _begin_worker, (tuple(targets), seed, full, most, frozenset(among))) as pool:
         yield from pool.imap_unordered(_one, tasks)
 
 

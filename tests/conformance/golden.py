@@ -1,9 +1,12 @@
 """What the suite says, kept: every claim, every verdict on conforming drives, and which claims refute which fault.
 
-    python -m tests.conformance.golden [claims|verdicts|faults ...] [--write] [--jobs N] [--every N] [--full FILE]
+    python -m tests.conformance.golden [claims|verdicts|faults ...] [--write] [--jobs N] [--every N] [--search] [--full FILE]
 
 A change that means to change nothing leaves these files alone. One that means to change them writes them anew, and the
 difference shows what it did. `--full FILE` writes the whole table of faults, every claim against each: an hour.
+
+A fault that none of its likeliest claims refutes is tried against the most telling ones and those that were found before, until
+one refutes it. `--search` tries all claims against such a fault: what is found is kept, and later runs need no search.
 """
 
 from __future__ import annotations
@@ -12,7 +15,8 @@ import argparse
 import difflib
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -27,6 +31,8 @@ from conformance.tools import mutants
 FOLDER = Path(__file__).with_name("golden")
 #: Claims that are tried against each fault: those that are likeliest to refute it.
 LIKELIEST = 40
+#: Claims of each dialect that refute most faults: they are tried where the likeliest ones refute nothing.
+TELLING = 60
 #: What can hurt: motion with a wrong check, by a wrong address, while disabled, while protected. All claims are tried against
 #: such a fault if the likeliest ones do not notice it in two ways.
 HURTS = (
@@ -72,18 +78,33 @@ def unconfirmed(target: Target, verdict: Verdict) -> str:
     return json.dumps(fact, ensure_ascii=False)
 
 
-def faults(every: int = 1, likeliest: int | None = LIKELIEST, jobs: int = 1) -> Iterator[str]:
+def faults(every: int = 1, likeliest: int | None = LIKELIEST, jobs: int = 1, *, search: bool = False) -> Iterator[str]:
     """Yield a line for each fault: the claims that refute it, of the likeliest ones (of all, where None)."""
     targets = mutants.telling_targets(make.KINDS)
     first = list(mutants.mutants(targets, jobs=jobs, full=True, every=every, most=likeliest))
     again = [each for each in first if hurts(each.fault) and not two_ways([claim for claim, _ in each.refuted])]
     wanted = {(each.dialect, each.fault) for each in again}
     every_claim = mutants.mutants(targets, jobs=jobs, full=True, only=[name for _, name in wanted]) if wanted else ()
+    alone = {(each.dialect, each.fault) for each in first if likeliest is not None and not each.refuted} - wanted
+    names = sorted({name for _, name in alone})
+    more = mutants.mutants(targets, jobs=jobs, only=names, among=() if search else telling(alone)) if alone else ()
+    again_tried = [each for each in every_claim if (each.dialect, each.fault) in wanted]
     lines = {}
-    for mutant in (*first, *(each for each in every_claim if (each.dialect, each.fault) in wanted)):
+    for mutant in (*first, *again_tried, *(each for each in more if (each.dialect, each.fault) in alone)):
         fact = {"dialect": mutant.dialect, "fault": mutant.fault, "refuted": sorted(c for c, _ in mutant.refuted)}
         lines[mutant.dialect, mutant.fault] = json.dumps(fact)
     yield from (lines[key] for key in sorted(lines))
+
+
+def telling(alone: Collection[tuple[str, str]]) -> set[str]:
+    """Return the claims that refute most of the kept faults, of each dialect, and those that refuted some before."""
+    counts: dict[str, Counter[str]] = {}
+    found: set[str] = set()
+    for row in map(json.loads, kept("faults")):
+        counts.setdefault(row["dialect"], Counter()).update(row["refuted"])
+        if (row["dialect"], row["fault"]) in alone:
+            found.update(row["refuted"])
+    return found.union(*([claim for claim, _ in each.most_common(TELLING)] for each in counts.values()))
 
 
 def hurts(fault: str) -> bool:
@@ -112,6 +133,7 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="write the files anew")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--every", type=int, default=1, help="only each so many of the faults")
+    parser.add_argument("--search", action="store_true", help="try all claims where the likeliest refute nothing: an hour more")
     parser.add_argument("--full", metavar="FILE", help="write the whole table of faults into a file")
     arguments = parser.parse_args()
     if arguments.full:
@@ -119,7 +141,7 @@ def main() -> int:
         return 0
     different = 0
     for part in arguments.parts or PARTS:
-        new = list(faults(arguments.every, jobs=arguments.jobs) if part == "faults" else PARTS[part]())
+        new = list(faults(arguments.every, jobs=arguments.jobs, search=arguments.search) if part == "faults" else PARTS[part]())
         if arguments.write:
             (FOLDER / f"{part}.jsonl").write_text("".join(f"{x}\n" for x in new))
             continue
