@@ -204,10 +204,13 @@ class _Rows:
         # A frame is told once it and the one behind it were looked at, or a boundary came.
         looked = chunks_of(self._starts + self._looks - 1)
         decided = np.append(looked[1:], len(stops) - 1)[: len(ended)]
-        for places, told in ((self._opened, ended + 1), (self._closed, ended)):
-            decided = np.where(self._is_in(places, self._ends), np.minimum(decided, told), decided)
+        # Few frames end at a boundary: only these are told anew.
+        for places, later in ((self._opened, 1), (self._closed, 0)):
+            rows = np.flatnonzero(self._is_in(places, self._ends))
+            decided[rows] = np.minimum(decided[rows], ended[rows] + later)
         decided = np.maximum(decided, looked)
-        decided = np.where(self._is_in(self._silences, self._ends), np.minimum(decided, ended + 1), decided)
+        rows = np.flatnonzero(self._is_in(self._silences, self._ends))
+        decided[rows] = np.minimum(decided[rows], ended[rows] + 1)
         sizes = self._ends - self._starts
         about = self._starts, sizes, first_ns, last_ns, marks[chunks]
         frames = FrameBlock(self._port, self._whole, line.offset, *about, self._timed)
