@@ -42,7 +42,7 @@ def _limited(section: str, *limits: str, **claims: tuple[str, ...]) -> tuple[S, 
 
 def _tells_state(section: str, command: str) -> S:
     says = "The reply tells what 9C tells: temperature, torque current (MS: power), speed and encoder."
-    return S(f"{section}/tells-state", says, (f"motion/{command}/crossed-tells",))
+    return S(f"{section}/tells-state", says, (f"motion/{command}/crossed-tells", f"motion/{command}/tells-now"))
 
 
 STATEMENTS: tuple[S, ...] = (

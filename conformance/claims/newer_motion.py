@@ -296,3 +296,38 @@ def _takes_over(probe: Probe, command: Command) -> None:
                 key=f"{command.name} does not take over from another motion",
             )
     motion.stand_still(probe)
+
+
+# --- what is told of a shaft under way ----------------------------------------------------------------------------------
+
+#: How long a shaft turns unread, and how far it has gone then at least (degrees).
+_UNREAD_NS, _GONE = 300 * MS, 45.0
+
+
+def _that_tell_state(dialect: Dialect) -> Iterator[Case]:
+    """Yield the motions that are answered with a speed and an encoder value."""
+    for case in _over_others(dialect):
+        if {"speed", "encoder"} <= command_of(case).reply_forms[0].layout.named.keys():
+            yield case
+
+
+@of_motion(each=_that_tell_state, name="{command}/tells-now", refuted_by="the speed or the encoder value of an older read")
+def _tells_now(probe: Probe, command: Command) -> None:
+    """{command} is answered with the speed and the encoder value of its moment, not with those that were read last."""
+    motion.ready_to_move(probe)
+    motion.stand_still(probe)
+    old = probe.reply(probe.ask(Verb.READ_STATE_2, quiet_ns=0)).values
+    before = motion.position(probe)
+    motion.run_at(probe, CALM)
+    probe.wait(_UNREAD_NS)
+    gone = abs(motion.position(probe).value - before.value)
+    exchange = _begin_way(probe, command, 1)
+    told = probe.reply(exchange).values
+    motion.stand_still(probe)
+    if gone < _GONE:
+        raise Inconclusive("a run does not turn the shaft")
+    text = f"{command.name} is answered with the state of the last read"
+    expected = f"a shaft that turns, elsewhere than at {old['encoder']}"
+    now = abs(told["speed"]) >= CALM * 6 / 2 and told["encoder"] != old["encoder"]
+    got = f"{told['speed']} deg/s, encoder {told['encoder']}"
+    probe.expect(got, holds=now, expected=expected, refutes=text, exchange=exchange)

@@ -440,6 +440,18 @@ def _telling_cleared_flags(hooks: Hooks) -> None:
     told.install(hooks)
 
 
+def _motion_tells_last_read(hooks: Hooks) -> None:
+    last: dict[str, int] = {}
+
+    def tell(drive: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:
+        if values is not None and command.verb is Verb.READ_STATE_2:
+            last.update({name: values[name] for name in ("speed", "encoder")})
+        told = values is not None and command.name in MOVES
+        return {**values, **{n: v for n, v in last.items() if n in values}} if told and values is not None else values
+
+    hooks.result.append(tell)
+
+
 def _brake_told_on(hooks: Hooks) -> None:
     moved = False
 
@@ -1049,6 +1061,11 @@ ROWS: Rows = {
         Row("lk-gains-lost-by-off", "0x80 sets the angle gains back", _forgetting("motor_off", angle_kp=100, angle_ki=20)),
         Row("lk-limit-lost-by-clearing", "0x9B sets the speed limit back", _forgetting("clear_errors", speed_limit=72_000)),
         Row("lk-cleared-flags-told", "0x9B is answered with the flags that it has cleared", Change(_telling_cleared_flags, LK)),
+        Row(
+            "lk-motion-tells-last-read",
+            "motions are answered with the speed and the encoder value that 0x9C told last",
+            Change(_motion_tells_last_read, LK),
+        ),
         Row("lk-brake-reads-on-after-motion", "after a motion 0x8C tells a brake that holds", Change(_brake_told_on, LK)),
         Row(
             "lk-slow-runs-stand",

@@ -651,6 +651,7 @@ SHOWN_BY: dict[str, str] = {
     "lk-single-turn-frozen-backwards": "over others",
     "lk-encoder-frozen-turning": "over others",
     "lk-cleared-flags-told": "afterwards",
+    "lk-motion-tells-last-read": "afterwards",
     "lk-brake-reads-on-after-motion": "afterwards",
     "lk-slow-runs-stand": "afterwards",
     "lk-single-turn-by-position": "afterwards",
