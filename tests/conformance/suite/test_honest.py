@@ -169,6 +169,13 @@ ONCE_ACCUSED = [
     ),
     # The checksum of the package to this address is 0, and so are the bytes that are too many.
     ("mks-rs485@15,model=42D", 0, "addressing/package/length"),
+    # A wait ends in a pause of the reply that tells the end of a move.
+    (
+        "mks-rs485@23,model=35D,loop-error=3,speed-noise=2%,creep=1,clock=+2%,settle=10ms,overshoot=8,latency-timer=2ms,"
+        "byte-gap=1.4,voltage-noise=0.1",
+        2700047,
+        "set_respond/1-answers-again",
+    ),
 ]
 
 
