@@ -342,129 +342,314 @@ local function cut(dialect, bytes)
   return found, covered
 end
 
--- Requests that are open, and what was found when the packets came in their order ---------------------------------------
+-- Which request a reply answers ---------------------------------------------------------------------------------------
+-- The rules of `analyzer.context` and `analyzer.transactions`, without their findings: the oldest open request that a reply
+-- fits is answered. A reply to a later request ends earlier ones; what was given up may still be answered late.
 
-local open, kept, last_dialect, drives = {}, {}, {}, {}
-function proto.init() open, kept, last_dialect, drives = {}, {}, {}, {} end
+local GIVE_UP, LATE, ECHO = 5e9, 1e9, 3e6  -- in ns
+local MOST_OPEN, MOST_GIVEN_UP, MOST_OTHERS = 64, 16, 8
+
+local buses, kept, drives = {}, {}, {}
+function proto.init() buses, kept, drives = {}, {}, {} end
 
 local function bus_of()
   local tcp, own_interface = stream(), interface()
-  return (tcp and "tcp" .. tostring(tcp.value) or "") .. "/" .. (own_interface and tostring(own_interface.value) or "")
+  local name = (tcp and "tcp" .. tostring(tcp.value) or "") .. "/" .. (own_interface and tostring(own_interface.value) or "")
+  buses[name] = buses[name] or {
+    name = name, open = {}, unanswered = {}, superseded = {}, broadcasts = {}, last_reply = {},
+    groups = {}, silenced = {}, passive = {}, echoes = 0, count = 0, check = 0,
+  }
+  return buses[name]
 end
 
-local function values_of(form, bytes, first)
+local function add(list, item, most)
+  table.insert(list, item)
+  if #list > most then table.remove(list, 1) end
+end
+
+local function drop(list, item)
+  for i, each in ipairs(list) do
+    if each == item then return table.remove(list, i) end
+  end
+end
+
+-- The values of a form as sent, by the names of their fields.
+local function values_of(dialect, form, bytes, first)
   local result = {}
-  for i, field in ipairs(form.fields) do result[i] = wire(bytes, first, field) end
+  for _, field in ipairs(form and form.fields or {}) do
+    if field.number then result[dialect.fields[field.number].name] = wire(bytes, first, field) end
+  end
   return result
 end
 
-local function wanted(dialect, form, request)
-  for name, value in pairs(form.wanted or {}) do
-    local same = false
-    for i, field in ipairs(request.form.fields) do
-      same = same or field.number and dialect.fields[field.number].name == name and request.values[i] == value
-    end
-    if not same then return false end
-  end
-  return true
-end
-
--- The open request that a frame answers, and the form by which it does.
-local function asked(dialect, waiting, head, bytes)
-  for _, request in ipairs(waiting) do
-    local command = request.command
-    local same = (command.func or 0) == (head.func or 0)
-    for _, form in ipairs(same and command.reply or {}) do
-      local code = head.code == nil or (form.code or command.code) == head.code
-      if code and fits(form, bytes, head.first, head.last) and wanted(dialect, form, request) then return request, form end
-    end
+-- The form by which a reply answers a request; nil where it does not.
+local function answers(request, head, bytes)
+  local command = request.command
+  if not command or command.func ~= head.func then return nil end
+  for _, form in ipairs(command.reply) do
+    local ok = (head.code == nil or (form.code or command.code) == head.code) and fits(form, bytes, head.first, head.last)
+    for name, value in pairs(form.wanted or {}) do ok = ok and request.values[name] == value end
+    if ok then return form end
   end
   return nil
+end
+
+local function asked(bus, dialect, head, bytes)
+  for _, request in ipairs(bus.open[head.address] or {}) do
+    local form = request.dialect == dialect and answers(request, head, bytes)
+    if form then return request, form end
+  end
+  return nil
+end
+
+-- The oldest request that waits for a reply of a function, which carries no register.
+local function same_function(bus, dialect, head)
+  for _, request in ipairs(bus.open[head.address] or {}) do
+    if request.state == "waiting" and request.dialect == dialect and request.func == head.func then return request end
+  end
+  return nil
+end
+
+local function same_code(bus, head)
+  for _, request in ipairs(bus.open[head.address] or {}) do
+    local command = request.command
+    if command and command.code == head.code and command.func == head.func then return request end
+  end
+  return nil
+end
+
+local function role_of(bus, dialect, head, bytes)
+  if head.code == nil then return same_function(bus, dialect, head) and "reply" or "request" end
+  local requests, replies = entries(dialect, "request", head), entries(dialect, "reply", head)
+  local request, reply = first_fit(requests, bytes, head), first_fit(replies, bytes, head)
+  local answered, form = asked(bus, dialect, head, bytes)
+  form = form or reply and reply.form
+  if not request and not form then
+    if same_code(bus, head) then return "reply" end
+    return (#requests > 0 or #replies > 0) and "request" or "unknown"
+  end
+  if not form then return "request" end
+  if not request or form.needs then return "reply" end
+  local as_request, as_reply = in_order(dialect, request.form, bytes, head.first), in_order(dialect, form, bytes, head.first)
+  if as_request ~= as_reply then return as_request and "request" or "reply" end
+  return answered and "reply" or "request"
+end
+
+local function finish(bus, request, outcome)
+  request.outcome = outcome
+  local list = bus.open[request.address]
+  if list then
+    drop(list, request)
+    if #list == 0 then bus.open[request.address] = nil end
+  end
+end
+
+local function give_up(bus, request, outcome)
+  finish(bus, request, outcome or "unanswered")
+  add(bus.unanswered, request, MOST_GIVEN_UP)
+end
+
+local function each_waiting(bus, chosen, visit)
+  local found = {}
+  for _, list in pairs(bus.open) do
+    for _, request in ipairs(list) do
+      if request.state == "waiting" and chosen(request) then found[#found + 1] = request end
+    end
+  end
+  table.sort(found, function(a, b) return a.sequence < b.sequence end)
+  for _, request in ipairs(found) do visit(request) end
+end
+
+-- What a setting changes in who answers and how.
+local function learn(bus, request)
+  for effect, name in pairs(request.command and request.command.effects or {}) do
+    local value = request.values[name]
+    if value and effect == "group" then bus.groups[value] = true end
+    if value and effect == "respond" then bus.silenced[request.address] = value == 0 or nil end
+    if value and effect == "active" then bus.passive[request.address] = value == 0 or nil end
+  end
+end
+
+-- The open request that gave the sender of a reply its address.
+local function from_new_address(bus, head, bytes)
+  local found = nil
+  each_waiting(bus, function(request)
+    local name = request.command and request.command.effects.address
+    return name and request.values[name] == head.address
+  end, function(request) found = found or answers(request, head, bytes) and request end)
+  return found
+end
+
+local function meaning_of(dialect, request, form, values)
+  local command = request.command
+  if form and form == dialect.exception then return "failed" end
+  if not command or not form then return "final" end
+  local status = values[command.status]
+  if command.failed_forms[form.name] or command.failed[status] then return "failed" end
+  return command.interim[status] and "interim" or "final"
+end
+
+local function advance(bus, request, frame)
+  local meaning = meaning_of(frame.dialect, request, frame.form, frame.values)
+  request.state = (meaning == "interim" and not bus.passive[frame.address]) and "running" or "done"
+  if meaning == "final" and request.command and request.command.changes then learn(bus, request) end
+  bus.last_reply[frame.address] = frame.text
+  if request.state == "done" then finish(bus, request, "answered") end
+end
+
+-- A reply that no open request asked for: the request that it answers after all; `timed`: its latency says something.
+local function unasked(bus, frame, head, bytes)
+  for i = #bus.superseded, 1, -1 do
+    local request = bus.superseded[i]
+    if request.address == frame.address and answers(request, head, bytes) then return table.remove(bus.superseded, i), true end
+  end
+  for i = #bus.unanswered, 1, -1 do
+    local request = bus.unanswered[i]
+    if request.address == frame.address and answers(request, head, bytes) then
+      table.remove(bus.unanswered, i)
+      advance(bus, request, frame)
+      return request, true
+    end
+  end
+  for i = #bus.broadcasts, 1, -1 do
+    local request = bus.broadcasts[i]
+    if frame.time - request.time <= LATE and answers(request, head, bytes) then return request, false end
+  end
+  bus.last_reply[frame.address] = frame.text
+  return nil
+end
+
+local function take_reply(bus, frame, request, head, bytes)
+  request = request or from_new_address(bus, head, bytes)
+  if not request then return unasked(bus, frame, head, bytes) end
+  if bus.echoes >= 2 and not request.echoed and frame.text == request.text then
+    request.echoed = true
+    if bus.last == request then
+      bus.echoes = bus.echoes + 1
+      return nil
+    end
+  end
+  -- A drive answers in order, and on a half-duplex line the host has moved on for all drives.
+  each_waiting(bus, function(each)
+    return each.sequence < request.sequence and (frame.dialect.kind ~= "can" or each.address == request.address)
+  end, function(each) give_up(bus, each) end)
+  advance(bus, request, frame)
+  return request, true
+end
+
+local function repeated(bus, frame)
+  local last, request = bus.last, bus.last_request
+  if not last or last.text ~= frame.text or last.role == "reply" or not last.sound then return nil end
+  if frame.dialect.kind == "can" and last.address ~= frame.address then return nil end
+  if not request or request.text ~= frame.text or request.state ~= "waiting" then return nil end
+  local silent = request.outcome == "silent"
+  if not silent and request.outcome then return nil end
+  if silent and frame.time - request.time > ECHO then return nil end
+  return request
+end
+
+local function take_request(bus, frame)
+  local same, command = repeated(bus, frame), frame.command
+  if same then
+    local gap = frame.time - same.time
+    if gap >= 0 and gap <= ECHO then
+      bus.echoes = bus.echoes + 1
+      return
+    end
+    give_up(bus, same, "retried")
+  end
+  local waiting = bus.open[frame.address] or {}
+  for i = #waiting, 1, -1 do
+    local older = waiting[i]
+    if command and command.moves and older.state == "running" then
+      finish(bus, older, "superseded")
+      add(bus.superseded, older, MOST_OTHERS)
+    end
+  end
+  local to_many = frame.address == frame.dialect.broadcast or bus.groups[frame.address] or command and command.slots
+  local silent = command and command.silenced and bus.silenced[frame.address]
+  bus.last_request = frame
+  if not frame.sound or not command or #command.reply == 0 or to_many or silent then
+    frame.outcome = "silent"
+    if to_many then
+      add(bus.broadcasts, frame, MOST_OTHERS)
+      learn(bus, frame)
+    end
+    return
+  end
+  waiting = bus.open[frame.address] or {}
+  bus.open[frame.address] = waiting
+  table.insert(waiting, frame)
+  if #waiting > MOST_OPEN then give_up(bus, waiting[1]) end
+end
+
+-- The command and form of a frame that fits no form: the length is wrong, or the manual does not have it.
+local function unfitting(dialect, result, request, bytes, at)
+  local head, role = result.head, result.role == "reply" and "reply" or "request"
+  local known = entries(dialect, role, head)
+  local general = known[1]
+  for i = #known, 1, -1 do
+    local fixed = false
+    for _, field in ipairs(known[i].form.fields) do fixed = fixed or field.fixed ~= nil end
+    if not fixed then general = known[i] end
+  end
+  result.command = general and general.command or request and request.command
+  result.wrong_length, result.unknown = result.command ~= nil, result.command == nil
+  local fallback = head.func and dialect.fallbacks[head.func]
+  for _, form in ipairs(fallback and (not result.command or role == "reply") and fallback[role] or {}) do
+    if not result.form and fits(form, bytes, at + 2, head.last) then
+      result.form, head.first, result.command = form, at + 2, result.command or fallback
+    end
+  end
 end
 
 -- Tell who sent a frame, which command it is, and what it answers.
 local function judge(dialect, bytes, at, length, id, pinfo)
   local head = links[dialect.kind].head(dialect, bytes, at, length, id)
-  local key = bus_of() .. "/" .. dialect.name .. "/" .. head.address
-  local waiting = open[key] or {}
-  open[key] = waiting
-  local request_entry = first_fit(entries(dialect, "request", head), bytes, head)
-  local reply_entry = first_fit(entries(dialect, "reply", head), bytes, head)
-  local answered, form = asked(dialect, waiting, head, bytes)
-  local result = {head = head, role = head.role}
-  if not result.role then
-    if answered and not request_entry then
-      result.role = "reply"
-    elseif request_entry and not reply_entry and not answered then
-      result.role = "request"
-    elseif reply_entry and not request_entry then
-      result.role = "reply"
-    elseif request_entry then
-      local as_request = in_order(dialect, request_entry.form, bytes, head.first)
-      local as_reply = in_order(dialect, form or reply_entry.form, bytes, head.first)
-      if as_request ~= as_reply then
-        result.role = as_request and "request" or "reply"
-      else
-        result.role = answered and "reply" or "request"
-      end
-    else
-      result.role = #entries(dialect, "request", head) > 0 and "request" or "unknown"
-      for _, request in ipairs(waiting) do
-        if request.command.code == head.code then result.role = "reply" end
-      end
+  local bus, now = bus_of(), math.floor(pinfo.rel_ts * 1e9 + 0.5)
+  local result = {head = head, role = head.role or role_of(bus, dialect, head, bytes)}
+  local request, form
+  if result.role == "reply" then
+    if not head.exception then request, form = asked(bus, dialect, head, bytes) end
+    if not request then
+      if head.code == nil then request = same_function(bus, dialect, head) else request = same_code(bus, head) end
     end
+    local entry = not form and head.code and first_fit(entries(dialect, "reply", head), bytes, head)
+    if head.exception and dialect.exception then
+      result.command, result.form = request and request.command or dialect.fallbacks[head.func], dialect.exception
+    elseif form then
+      result.command, result.form = request.command, form
+    elseif entry then
+      result.command, result.form = entry.command, entry.form
+    end
+  else
+    local entry = first_fit(entries(dialect, "request", head), bytes, head)
+    if not entry and result.role == "unknown" then entry = first_fit(entries(dialect, "reply", head), bytes, head) end
+    if entry then result.command, result.form = entry.command, entry.form end
+  end
+  if not result.form then unfitting(dialect, result, request, bytes, at) end
+  bus.count = bus.count + 1
+  local frame = {
+    dialect = dialect, address = head.address, func = head.func, role = result.role, command = result.command, form = result.form,
+    values = values_of(dialect, result.form, bytes, head.first), text = table.concat(bytes, " ", at, at + length - 1),
+    sound = sound(dialect, bytes, at, length, id), time = now, number = pinfo.number, sequence = bus.count, state = "waiting",
+    result = result,
+  }
+  if now >= bus.check then
+    bus.check = now + GIVE_UP / 10
+    each_waiting(bus, function(each) return now - each.time > GIVE_UP end, function(each) give_up(bus, each) end)
   end
   if result.role == "reply" then
-    if head.exception and dialect.exception then
-      for _, request in ipairs(waiting) do
-        if not answered and request.command.func == head.func then answered = request end
-      end
-      result.command = answered and answered.command or dialect.fallbacks[head.func]
-      result.form = dialect.exception
-    elseif answered then
-      result.command, result.form = answered.command, form
-    elseif reply_entry then
-      result.command, result.form = reply_entry.command, reply_entry.form
+    local answered, timed = take_reply(bus, frame, request, head, bytes)
+    if answered then
+      result.request_in = answered.number
+      if timed and now > answered.time then result.latency = (now - answered.time) / 1e9 end
+      answered.result.reply_in = answered.result.reply_in or pinfo.number
     end
-  elseif request_entry then
-    result.command, result.form = request_entry.command, request_entry.form
+  elseif result.role == "request" or result.command then
+    take_request(bus, frame)
   end
-  local known = entries(dialect, result.role == "reply" and "reply" or "request", head)[1]
-  if not result.form and known then
-    result.command, result.wrong_length = known.command, true
-  elseif not result.form and head.func and dialect.fallbacks[head.func] then
-    result.command, result.unknown = dialect.fallbacks[head.func], true
-    for _, fallback in ipairs(result.command[result.role == "reply" and "reply" or "request"]) do
-      if not result.form and fits(fallback, bytes, at + 2, head.last) then result.form, head.first = fallback, at + 2 end
-    end
-  end
-  if result.role == "reply" and answered then
-    result.request_in, result.latency = answered.number, pinfo.rel_ts - answered.time
-    answered.result.reply_in = answered.result.reply_in or pinfo.number
-    local values = values_of(result.form, bytes, head.first)
-    local goes_on = false
-    for i, field in ipairs(result.form.fields) do
-      local declared = field.number and dialect.fields[field.number]
-      if declared and declared.name == answered.command.status and answered.command.interim[values[i]] then goes_on = true end
-    end
-    answered.running = goes_on
-    -- A reply to a later request says that the earlier ones stay without one.
-    local position = #waiting
-    while waiting[position] ~= answered do position = position - 1 end
-    for i = position, 1, -1 do
-      if i == position and not goes_on or i < position and not waiting[i].running then table.remove(waiting, i) end
-    end
-  elseif result.role == "request" and result.command and result.form and head.address ~= dialect.broadcast
-    and #result.command.reply > 0 and sound(dialect, bytes, at, length, id) then
-    for i = #waiting, 1, -1 do
-      if waiting[i].running and result.command.moves then table.remove(waiting, i) end
-    end
-    table.insert(waiting, {
-      command = result.command, form = result.form, values = values_of(result.form, bytes, head.first),
-      number = pinfo.number, time = pinfo.rel_ts, result = result,
-    })
-    if #waiting > 32 then table.remove(waiting, 1) end
-  end
+  bus.last = frame
   return result
 end
 
@@ -565,12 +750,12 @@ local function show(dialect, tvb, bytes, at, length, id, tree, result)
   end
   branch:add(own.checksum_ok, range, right):set_generated()
   if command then
-    for i, field in ipairs(result.role == "reply" and result.form and result.form.fields or {}) do
+    local failed = result.role == "reply" and result.form and command.failed_forms[result.form.name]
+    for _, field in ipairs(result.role == "reply" and result.form and result.form.fields or {}) do
       local declared = field.number and dialect.fields[field.number]
-      if declared and declared.name == command.status and command.failed[wire(bytes, head.first, field)] then
-        branch:add_proto_expert_info(expert.failed)
-      end
+      failed = failed or declared and declared.name == command.status and command.failed[wire(bytes, head.first, field)]
     end
+    if failed then branch:add_proto_expert_info(expert.failed) end
     branch:add(own.section, range, command.section .. ": " .. command.summary):set_generated()
     for _, erratum in ipairs(command.errata) do branch:add(own.erratum, range, erratum):set_generated() end
   end
@@ -620,7 +805,7 @@ local function on_can(tvb, pinfo, tree, sure)
   local dialect, id, extended = by_kind("can"), can_id(), can_extended()
   if not dialect or not id or extended and extended.value or tvb:len() < 2 or tvb:len() > 8 then return 0 end
   local address, bytes = id.value, bytes_of(tvb())
-  local key = bus_of() .. "/" .. address
+  local key = bus_of().name .. "/" .. address
   local right = sound(dialect, bytes, 1, #bytes, address)
   local head = links.can.head(dialect, bytes, 1, #bytes, address)
   local known = #entries(dialect, "request", head) > 0 or #entries(dialect, "reply", head) > 0
@@ -645,9 +830,9 @@ local function on_serial(tvb, pinfo, tree)
     if dialect.kind ~= "can" and allowed then
       local frames, covered = cut(dialect, bytes)
       -- Where two fit alike, the dialect that the bus spoke before.
-      if covered > most or covered == most and covered > 0 and dialect == last_dialect[bus] then
+      if covered > most or covered == most and covered > 0 and dialect == bus.dialect then
         best, best_frames, most = dialect, frames, covered
-      elseif not best and dialect == last_dialect[bus] and #frames > 0 then
+      elseif not best and dialect == bus.dialect and #frames > 0 then
         best, best_frames = dialect, frames
       end
     end
@@ -656,7 +841,7 @@ local function on_serial(tvb, pinfo, tree)
     kept[place_of(tvb, pinfo)] = {}
     return 0
   end
-  last_dialect[bus] = best
+  bus.dialect = best
   show_all(best, tvb, pinfo, tree, bytes, best_frames)
   return tvb:len()
 end
