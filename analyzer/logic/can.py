@@ -34,6 +34,8 @@ _LONG = 32
 #: Bits up to where FDF tells CAN FD, and up to the end of the length code; of 11 and of 29 bits of identifier.
 _FDF_BITS, _CONTROL_BITS = (15, 34), (19, 39)
 _CRC_BITS, _MOST_BYTES = 15, 8
+#: How far from whole bits the runs of a CAN FD frame's head may be, which no CRC holds, in bits.
+_ON_BITS = 0.3
 #: How much of an edge's deviation corrects the clock, where lengths of runs alone give no frame.
 _TRACKING = 0.3
 _CRC_POLYNOMIAL = 0x4599
@@ -61,17 +63,26 @@ class Seen:
 
 @dataclass
 class Read:
-    """The frames of a stretch, in order. `fd`: how many CAN FD frames were passed over; `rest`: what belongs to none yet."""
+    """The frames of a stretch, in order. `fd`: how many CAN FD frames were passed over; `rest`: what belongs to none yet.
+
+    `broken`: stretches between two pauses that are no frame.
+    """
 
     rest: Levels
     frames: list[Seen] = field(default_factory=list)
     fd: int = 0
     first_fd_ns: int = 0
+    broken: int = 0
 
     @property
     def good(self) -> int:
         """Frames whose CRC fits, also those that were destroyed behind it."""
         return sum(frame.crc_fits for frame in self.frames)
+
+    @property
+    def whole(self) -> int:
+        """Frames that end as they should behind a CRC that fits."""
+        return sum(not frame.error for frame in self.frames)
 
 
 def _crc_row(byte: int) -> int:
@@ -125,7 +136,9 @@ def read(levels: Levels, bit_ns: float, *, inverted: bool = False, final: bool =
         if frame.fd:
             found.fd += 1
             found.first_fd_ns = found.first_fd_ns or int(edges[start])
-        elif seen is not None and not (seen.error and uncertain and not start):
+        elif seen is None:
+            found.broken += 1
+        elif not (seen.error and uncertain and not start):
             found.frames.append(seen)
     return found
 
@@ -161,6 +174,8 @@ class _Frame:
             while self._count >= need and (further := self._need()) != need and not self.fd:
                 need = further
             if self.fd:
+                lengths = np.diff(self._edges[: place + 2]) / self._bit_ns
+                self.fd = bool((np.abs(lengths - np.rint(lengths)) < _ON_BITS).all())
                 return None
             over = max(0, self._count - need)
             if raw - over > _STUFF or (raw - over == _STUFF and over):

@@ -17,6 +17,8 @@ from analyzer.columns.codec import Flags, Integers
 
 #: Part of a bit below which a pulse is a glitch.
 GLITCH = 0.4
+#: Part of a bit by which two levels of a bouncing edge last equally long.
+_EVEN = 0.05
 
 
 @dataclass
@@ -71,7 +73,10 @@ class Levels:
         return high[1] - high[0] > length_ns / 2
 
     def without_glitches(self, bit_ns: float) -> Levels:
-        """Return the stretch without pulses too short for a bit. An edge that bounces is where most of the old level ends."""
+        """Return the stretch without pulses too short for a bit. An edge that bounces is where most of the old level ends.
+
+        Short pulses that together are long enough are one pulse: a bit with a glitch in its middle.
+        """
         runs = np.diff(self.edges)
         short = runs < GLITCH * bit_ns
         if not short.any():
@@ -83,5 +88,7 @@ class Levels:
         odd = (stops - starts) % 2 == 0
         signed = np.append(np.where(np.arange(len(runs)) % 2, -runs, runs), 0)
         new_less_old = np.add.reduceat(signed, np.column_stack((starts, stops)).ravel())[::2] * np.where(starts % 2, -1, 1)
-        kept[np.where(new_less_old >= 0, starts, stops)[odd]] = True
+        kept[np.where(new_less_old >= -_EVEN * bit_ns, starts, stops)[odd]] = True
+        pulse = ~odd & (new_less_old >= GLITCH * bit_ns)
+        kept[starts[pulse]] = kept[stops[pulse]] = True
         return replace(self, edges=self.edges[kept])

@@ -55,8 +55,11 @@ _TEXT = frozenset(b"\t\r\n") | frozenset(range(0x20, 0x7F))
 _FORMATS = ((8, "N"), (8, "E"), (8, "O"), (7, "N"))
 #: Frames without a good CRC after which a bit time is none of CAN.
 _CAN_EDGES = 4000
-#: CAN FD frames, and nothing else, from which on a channel is believed to be that; bytes of a UART that is so sound are not.
-_FEWEST_FD, _SOUND = 8, 0.98
+#: Share of the frames whose CRC must fit, where all are destroyed behind it.
+_CAN_SHARE = 0.25
+#: CAN FD frames, and their share with sound ones, from which on a channel is believed to be that; bytes of a UART that is so
+#: sound are not.
+_FEWEST_FD, _OF_FD, _SOUND = 8, 0.95, 0.98
 #: Share of the edges that may belong to glitches.
 _GLITCHES = 0.3
 
@@ -180,7 +183,8 @@ def spoken(levels: Levels, baud: int | None = None, inverted: bool | None = None
         return sure
     found = _as_uart(stretches, times, polarities, uart_rates)
     # CAN FD has a CRC of its own; so many frames of its head alone, and nothing else, are that.
-    fd = max((each for each in tried if each.fd >= _FEWEST_FD and each.quality == 1.0), key=lambda each: each.fd, default=None)
+    heads = (each for each in tried if each.fd >= _FEWEST_FD and each.quality >= _OF_FD)
+    fd = max(heads, key=lambda each: each.fd, default=None)
     return fd if fd is not None and (found is None or found.values == 1 or found.quality < _SOUND) else found
 
 
@@ -197,9 +201,11 @@ def _as_can(
         for inverted in polarities:
             found = [can.read(_short(each), bit_ns, inverted=inverted) for each in stretches]
             good, fd = sum(each.good for each in found), sum(each.fd for each in found)
-            total = sum(len(each.frames) for each in found)
-            if good or fd:
-                yield Spoken("can", Format(bit_ns, inverted=inverted), good, good / total if total else 1.0, fd=fd)
+            total = sum(len(each.frames) + each.fd + each.broken for each in found)
+            # One CRC of 32768 fits by chance; with the bits behind it that happens to one frame of millions.
+            sure = any(each.whole for each in found) or good > _CAN_SHARE * total
+            if sure or fd:
+                yield Spoken("can", Format(bit_ns, inverted=inverted), good * sure, (good + fd) / total, fd=fd)
 
 
 def _short(levels: Levels) -> Levels:
