@@ -98,6 +98,7 @@ def open(
     format: str | None = None,
     channels: Sequence[str] = (),
     inverted: bool = False,
+    uart: str = "",
     groups: Collection[int] = (),
     ids: str = "",
     dbc: Collection[str | PathLike[str]] = (),
@@ -107,14 +108,14 @@ def open(
 ) -> Capture:
     """Open a capture of any format, a log, or a folder of parts.
 
-    `dialect`, `model`, `ids`, `since` and `until` as for `servotap show`; `channels` and `inverted` of a logic analyzer; `dbc`,
-    `modbus_map`: files that describe the other devices of the bus. Raises UnreadableError, UsageError.
+    `dialect`, `model`, `ids`, `since` and `until` as for `servotap show`; `channels`, `inverted` and `uart` (`8E1`) of a logic
+    analyzer; `dbc`, `modbus_map`: files that describe the other devices of the bus. Raises UnreadableError, UsageError.
     """
     from servotap.captures import Capture
 
     return Capture(
-        path, dialect=dialect, model=model, baud=baud, format=format, channels=channels, inverted=inverted, groups=groups,
-        ids=ids, dbc=dbc, modbus_map=modbus_map, since=since, until=until,
+        path, dialect=dialect, model=model, baud=baud, format=format, channels=channels, inverted=inverted, uart=uart,
+        groups=groups, ids=ids, dbc=dbc, modbus_map=modbus_map, since=since, until=until,
     )  # fmt: skip
 
 

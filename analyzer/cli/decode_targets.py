@@ -16,6 +16,7 @@ from typing import NamedTuple
 from analyzer.cli.output import target_of
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.live.spool import spool_folder
+from analyzer.sources.logic.heads import saleae_channels
 from analyzer.values import printable
 
 _SPOOL = spool_folder(Path("log")).suffix
@@ -68,7 +69,7 @@ def _found(word: str, arguments: argparse.Namespace) -> Iterator[tuple[str, Path
     The folder for their logs is made where it is missing.
     """
     folder = Path(word)
-    if word == "-" or not folder.is_dir() or any(folder.glob("*.mcap")):
+    if word == "-" or not folder.is_dir() or any(folder.glob("*.mcap")) or saleae_channels(folder):
         yield word, None
         return
     if arguments.output is None:
@@ -106,6 +107,8 @@ def _below(folder: Path, known: set[tuple[int, int]]) -> Iterator[Path]:
             # Links that lead nowhere are told when they are read; what is no file at all is passed over.
             if each.suffix != ".mcap" and (each.is_file() or each.is_symlink()):
                 yield each
+        elif saleae_channels(each):
+            yield each
         elif any(each.glob("*.mcap")) and _identity(each) not in known:
             yield each
             yield from _below(each, known)

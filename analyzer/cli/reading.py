@@ -51,6 +51,8 @@ SAMPLE_ITEMS = 20_000
 PIPE_SAMPLE_BYTES = 256
 BITS_PER_BYTE = 10
 _RECORDED = "as recorded"
+#: Formats of a UART: data bits, parity (none, even, odd), stop bits.
+UART_FORMATS = tuple(f"{bits}{parity}{stops}" for bits in (8, 7) for parity in "NEO" for stops in (1, 2))
 #: Milliseconds after which a reply is late, where neither the user nor the recording says otherwise.
 LATE_MS = 1000.0
 
@@ -75,6 +77,10 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         help="the channel of a logic analyzer that is read (default: found); may be repeated",
     )  # fmt: skip
     parser.add_argument("--inverted", action="store_true", help="the channels are low when idle (default: found)")
+    parser.add_argument(
+        "--uart", choices=UART_FORMATS, default="", metavar="8E1",
+        help="data bits, parity and stop bits on the channels (default: found)",
+    )  # fmt: skip
     parser.add_argument("--format", metavar="F", help="capture format, if detection by content fails")
     parser.add_argument(
         "--group", action="append", type=address, default=[], metavar="ADDRESS",
@@ -326,7 +332,10 @@ def _kind(item: Chunk | CanFrame) -> str:
 
 def source_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what the user says of the capture itself, for `open_source`."""
-    return {"format": arguments.format, "baud": arguments.baud, "channels": arguments.channel, "inverted": arguments.inverted}
+    return {
+        "format": arguments.format, "baud": arguments.baud, "channels": arguments.channel, "inverted": arguments.inverted,
+        "uart": arguments.uart,
+    }  # fmt: skip
 
 
 def open_reading(path: str, arguments: argparse.Namespace, follow: Follow | None = None) -> OpenCapture:

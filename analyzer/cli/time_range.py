@@ -177,7 +177,12 @@ def _bounds(source: Source) -> tuple[int, int] | None:
     first: int | None = None
     last = 0
     with open_source(
-        Path(source.path), format=source.format, baud=source.baud, channels=source.channels, inverted=source.inverted
+        Path(source.path),
+        format=source.format,
+        baud=source.baud,
+        channels=source.channels,
+        inverted=source.inverted,
+        uart=source.uart,
     ) as before:
         for record in before:
             if isinstance(record, (Chunk, CanFrame)) and record.t_ns is not None:

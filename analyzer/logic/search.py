@@ -163,10 +163,13 @@ def _bit_times(stretches: Sequence[Levels]) -> list[float]:
     return found
 
 
-def spoken(levels: Levels, baud: int | None = None, inverted: bool | None = None, *, rated: bool = True) -> Spoken | None:
+def spoken(
+    levels: Levels, baud: int | None = None, inverted: bool | None = None, word: str = "", *, rated: bool = True
+) -> Spoken | None:
     """Return what a channel speaks, None where nothing is believed.
 
-    `baud`: the rate, `inverted`: the polarity, where given. `rated` False: times are no ns, so no rate is usual.
+    `baud`: the rate, `inverted`: the polarity, `word`: the format of a UART (8E1), where given. `rated` False: times are no ns,
+    so no rate is usual.
     """
     stretches = sample(levels)
     polarities = (False, True) if inverted is None else (inverted,)
@@ -177,11 +180,11 @@ def spoken(levels: Levels, baud: int | None = None, inverted: bool | None = None
         refined = _refined(given, _runs([each.without_glitches(given) for each in stretches]))
         times = [refined if abs(refined / given - 1) < NEAR else given]
     can_rates, uart_rates = (CAN_RATES, UART_RATES) if rated else ((), ())
-    tried = list(_as_can(stretches, times, polarities, can_rates, exact=baud is not None))
+    tried = [] if word else list(_as_can(stretches, times, polarities, can_rates, exact=baud is not None))
     sure = max((each for each in tried if each.count), key=lambda each: each.count, default=None)
     if sure is not None:
         return sure
-    found = _as_uart(stretches, times, polarities, uart_rates)
+    found = _as_uart(stretches, times, polarities, uart_rates, word)
     # CAN FD has a CRC of its own; so many frames of its head alone, and nothing else, are that.
     heads = (each for each in tried if each.fd >= _FEWEST_FD and each.quality >= _OF_FD)
     fd = max(heads, key=lambda each: each.fd, default=None)
@@ -227,7 +230,7 @@ def _snapped(bit_ns: float, rates: Sequence[int], near: float) -> float:
 
 
 def _as_uart(
-    stretches: Sequence[Levels], times: Sequence[float], polarities: Sequence[bool], rates: Sequence[int]
+    stretches: Sequence[Levels], times: Sequence[float], polarities: Sequence[bool], rates: Sequence[int], word: str
 ) -> Spoken | None:
     runs = _runs(stretches)
     tried = [
@@ -235,7 +238,7 @@ def _as_uart(
         for bit_ns in times
         for fraction in (_is_fraction(bit_ns, runs),)
         for inverted in polarities
-        for each in _formats(stretches, bit_ns, inverted, rates if len(runs) < _FEW_RUNS else (), rates)
+        for each in _formats(stretches, bit_ns, inverted, rates if len(runs) < _FEW_RUNS else (), rates, word)
     ]
     if not tried:
         return None
@@ -263,13 +266,16 @@ def _is_fraction(bit_ns: float, runs: Integers) -> bool:
 
 
 def _formats(
-    stretches: Sequence[Levels], bit_ns: float, inverted: bool, near: Sequence[int], rates: Sequence[int]
+    stretches: Sequence[Levels], bit_ns: float, inverted: bool, near: Sequence[int], rates: Sequence[int], word: str
 ) -> Iterator[Spoken]:
-    """Yield what a UART of a rate and polarity makes of a channel, in each format. `near`: rates taken where one is near."""
+    """Yield what a UART of a rate and polarity makes of a channel, in each format. `near`: rates taken where one is near.
+
+    `word`: the format, where it is given.
+    """
     usual = _usual(bit_ns, near) or _usual(bit_ns, rates, _tolerance(_runs(stretches), bit_ns))
     bit_ns = SECOND_NS / usual if usual else bit_ns
-    for data_bits, parity in _FORMATS:
-        each = _try(stretches, Format(bit_ns, data_bits, parity, inverted))
+    for form in [as_told(word, bit_ns, inverted)] if word else [Format(bit_ns, *each, inverted) for each in _FORMATS]:
+        each = _try(stretches, form, found=not word)
         if each is None:
             return
         yield each
@@ -277,19 +283,27 @@ def _formats(
             return
 
 
-def _try(stretches: Sequence[Levels], form: Format) -> Spoken | None:
-    """Return what a UART makes of a channel, None where its edges do not lie on the borders of bits."""
+def as_told(word: str, bit_ns: float, inverted: bool) -> Format:
+    """Return the format that a user names, 8N1 without a name; a second stop bit looks like an idle line."""
+    return Format(bit_ns, int(word[0]), word[1], inverted) if word else Format(bit_ns, inverted=inverted)
+
+
+def _try(stretches: Sequence[Levels], form: Format, *, found: bool) -> Spoken | None:
+    """Return what a UART makes of a channel, None where its edges do not lie on the borders of bits.
+
+    `found`: eight bits may be seven and a parity.
+    """
     clean = sum(len(each.without_glitches(form.bit_ns).edges) for each in stretches)
-    found = [uart.read(each, form) for each in stretches]
-    count = sum(map(len, found))
+    heard = [uart.read(each, form) for each in stretches]
+    count = sum(map(len, heard))
     if not count or clean < (1 - _GLITCHES) * sum(len(each.edges) for each in stretches):
         return None
-    on_borders = sum(uart.aligned(each, form, read) * len(read) for each, read in zip(stretches, found, strict=True)) / count
+    on_borders = sum(uart.aligned(each, form, read) * len(read) for each, read in zip(stretches, heard, strict=True)) / count
     if on_borders < _ALIGNED:
         return None
-    values, counts = np.unique(np.concatenate([each.values for each in found]), return_counts=True)
-    quality = 1 - sum(each.bad for each in found) / count
-    if (form.data_bits, form.parity) == (8, "N") and quality >= BELIEVED:
+    values, counts = np.unique(np.concatenate([each.values for each in heard]), return_counts=True)
+    quality = 1 - sum(each.bad for each in heard) / count
+    if found and (form.data_bits, form.parity) == (8, "N") and quality >= BELIEVED:
         data_bits, parity = _seven_bits(dict(zip(values.tolist(), counts.tolist(), strict=True)))
         form = form._replace(data_bits=data_bits, parity=parity)
     return Spoken("serial", form, count, quality, len(values))

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.sources.lines import head_lines, is_text
-from analyzer.sources.logic.heads import SCORES
+from analyzer.sources.logic.heads import SCORES, saleae_channels
 from analyzer.sources.source import Problem, Record, Source, quote
 from analyzer.sources.stream import BLOCK
 from analyzer.values import storable
@@ -113,13 +113,15 @@ def open_source(
     bus: str | None = None,
     channels: Sequence[str] = (),
     inverted: bool = False,
+    uart: str = "",
 ) -> Source:
-    """Open a capture; `-` is standard input. A folder, or the name that has none but numbered parts, is a log in parts.
+    """Open a capture; `-` is standard input. A folder, or the name that has none but numbered parts, is a log in parts;
+    a folder with Saleae's binary export, a file a channel, is one capture.
 
     `format`: a name in `FORMATS`, found by content if None. `baud`: the line speed, for formats that count samples.
     `bus`: the name of the capture's (first) line. `channels`: those of a logic analyzer that are read, found by themselves if
-    none is given; `inverted`: they are low when idle. Raises UsageError for wrong arguments and UnreadableError, which says
-    why, for what cannot be read or understood.
+    none is given; `inverted`: they are low when idle; `uart`: their format, as `8E1`. Raises UsageError for wrong arguments
+    and UnreadableError, which says why, for what cannot be read or understood.
     """
     if format is not None and format not in FORMATS:
         near = difflib.get_close_matches(format.lower(), FORMATS, 1, 0.5)
@@ -128,7 +130,7 @@ def open_source(
     if baud is not None and baud <= 0:
         raise UsageError(f"baud: expected a number above 0, got {baud}")
     files, notes = _files(str(path))
-    source = Source(files[0], baud=baud, bus=bus, channels=channels, inverted=inverted)
+    source = Source(files[0], baud=baud, bus=bus, channels=channels, inverted=inverted, uart=uart)
     for note in notes:
         source.note(note)
     if len(files) > 1 or files[0] != str(path):
@@ -138,9 +140,9 @@ def open_source(
         name = _find(source) if format is None else _forced(source, format)
         entry = FORMATS[name]
         source.format, source.title, source.kind = name, entry.title, entry.kind
-        if (channels or inverted) and not entry.levels:
+        if (channels or inverted or uart) and not entry.levels:
             raise UsageError(
-                f"{source.name} is {entry.title}, without levels: --channel and --inverted are for logic analyzers"
+                f"{source.name} is {entry.title}, without levels: --channel, --inverted and --uart are for logic analyzers"
             )
         source.stream.unread(source.head)
         source.begin(_module(name).read(source))
@@ -159,6 +161,8 @@ def _files(path: str) -> tuple[list[str], list[str]]:
         return [path], []
     if there and not is_folder:
         return [path], []
+    if is_folder and (channels := saleae_channels(given)):
+        return [str(path) for path in channels], []
     # Only now: it brings the library for logs with it.
     from analyzer.sources import recording_parts
 

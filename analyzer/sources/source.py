@@ -91,8 +91,8 @@ class Source:
     """A capture open for reading. Iterate it once for its records; it closes its file at `close`.
 
     `path` as given, `name` to show, `format` by its name in the table of formats. `kind`: "serial", "can", or "log"
-    for a log of this program, which can hold both. `channels`, `inverted`: of a logic analyzer, as the user says; empty: they
-    are found. `time_source`: what the times are and how exact, in words, or
+    for a log of this program, which can hold both. `channels`, `inverted`, `uart` (`8E1`): of a logic analyzer, as the user
+    says; empty: they are found. `time_source`: what the times are and how exact, in words, or
     "none". `size`: bytes on disk, None for a pipe.
     """
 
@@ -104,12 +104,14 @@ class Source:
         bus: str | None = None,
         channels: Sequence[str] = (),
         inverted: bool = False,
+        uart: str = "",
     ) -> None:
         self.path = path
         self.baud = baud
         self.bus = bus
         self.channels = channels
         self.inverted = inverted
+        self.uart = uart
         self.problems: list[Problem] = []
         self.problem_count = 0
         self._notes: list[str] = []

@@ -50,6 +50,23 @@ def test_every_format_gives_the_same(name: str, tmp_path: Path) -> None:
     assert source.problems == []
 
 
+def test_the_channels_of_a_saleae_export_are_one_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "export"
+    folder.mkdir()
+    asked = [(1e6 + n * 6e6, bytes.fromhex("FA 01 30 2B")) for n in range(8)]
+    came = [(3e6 + n * 6e6, bytes.fromhex("FB 01 30 00 00 00 01 20 00 4D")) for n in range(8)]
+    for number, rows in ((0, asked), (10, came)):
+        waves.write_saleae_binary(folder / f"digital_{number}.bin", uart(rows, 115200)[0], RATE, 1)
+    source, records = read_all(folder)
+    whole = b"".join(data for _, data in sorted(asked + came))
+    assert b"".join(record.data for record in records if isinstance(record, Chunk)) == whole
+    assert any(note.startswith("10: UART 115200 baud") for note in source.notes)
+    assert main(["decode", str(folder), "-o", str(tmp_path / "x.mcap")]) == 0
+    (folder / "digital_10.bin").write_bytes((folder / "digital_10.bin").read_bytes()[:-3])
+    with pytest.raises(UnreadableError, match=r"digital_10.bin: the Saleae export breaks off at byte \d+"):
+        read_all(folder)
+
+
 @pytest.mark.parametrize("width", [1, 2, 8])
 def test_sample_numbers_become_times_by_the_line_speed(width: int, tmp_path: Path) -> None:
     path = waves.write_logic1_binary(tmp_path / "x.bin", WAVES, RATE, width)

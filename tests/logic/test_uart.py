@@ -89,6 +89,36 @@ def test_wrong_stop_bits_are_counted_and_their_bytes_kept(tmp_path: Path) -> Non
     assert "2 bytes with a parity or framing error" in source.notes
 
 
+@pytest.mark.parametrize("form", ["8N1", "8E1", "8N2"])
+@pytest.mark.parametrize("share", [0, 0.1])
+def test_text_is_no_can(form: str, share: float, tmp_path: Path) -> None:
+    # Rows that begin alike look like the heads of CAN FD at another rate.
+    chance, rows = random.Random(7), []
+    for number in range(40):
+        rows.append((1e6 + number * 12e6, b"Speed=%d rpm pos=%d\r\n" % (chance.randrange(3000), chance.randrange(10**6))))
+    wrong = [number for number in range(1000) if chance.random() < share]
+    wave, sent = uart(rows, 38400, form, wrong_stops=wrong)
+    check(wave, sent, 384_000, tmp_path)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.33, 0.17), (0.2, 0.2)])
+def test_a_start_bit_with_a_glitch_in_it(low: float, high: float, tmp_path: Path) -> None:
+    wave, sent = uart(talk(9600), 9600)
+    bit = SECOND_NS / 9600
+    start = wave.edges[0]
+    wave.edges[1:1] = [start + low * bit, start + (low + high) * bit]
+    check(wave, sent, 40 * 9600, tmp_path)
+
+
+def test_a_format_that_is_given_is_taken(tmp_path: Path) -> None:
+    # Few bytes do not tell a parity from a bit, nor from a second stop bit.
+    wave, sent = uart([(1e6, b"\x03\x07\x11")], 9600, "7E1")
+    _, records = found(wave, 160_000, tmp_path, uart="7E1", baud=9600)
+    assert [value for _, value in bytes_of(records)] == [value for _, value in sent]
+    _, records = found(wave, 160_000, tmp_path, uart="8N1", baud=9600)
+    assert [value for _, value in bytes_of(records)] == [0x03, 0x87, 0x11]
+
+
 def test_a_byte_that_the_end_cuts_is_left_out(tmp_path: Path) -> None:
     wave, sent = uart(talk(9600), 9600, tail_ns=0)
     wave.end_ns -= 4.5 * SECOND_NS / 9600
@@ -173,7 +203,7 @@ def test_a_channel_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="has no channel 'buss'; did you mean bus"):
         found(BUS, RATE, tmp_path, channels=["buss"])
     (tmp_path / "x.log").write_text("FA 01 30 2B\n" * 3)
-    with pytest.raises(UsageError, match="hex text, without levels: --channel and"):
+    with pytest.raises(UsageError, match="hex text, without levels: --channel, --inverted and --uart"):
         open_source(tmp_path / "x.log", channels=["bus"])
 
 

@@ -165,3 +165,27 @@ def test_generated_frames_of_each_command(
     for mine, other in zip(ours, theirs, strict=True):
         changes = dialect.by_name[mine["command"]].changes_answers
         compare(mine, other, paired=not changes)
+
+
+@needs_tshark
+@pytest.mark.parametrize("name", ["mks-rs485", "mks-can", "mks-modbus", "lk-rs485"])
+def test_replies_that_are_late_missing_or_repeated(
+    name: str, script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dialect, rng = dialects.get(name), random.Random(16)
+    sent = list(exchanges(dialect, 12, rng))
+    frames: list[tuple[int, bytes]] = []
+    held: list[tuple[int, bytes]] = []
+    for frame in sent:
+        fate = rng.random()
+        frames += [frame] if fate < 0.7 else [frame, frame] if fate < 0.8 else []
+        held += [frame] if fate > 0.9 else []
+        if len(held) > 3:
+            frames.append(held.pop(0))
+    path = capture_of(dialect, frames, tmp_path / "made.pcap")
+    ours = seen_by_us(path, capsys, "--dialect", name)
+    theirs = seen_by_tshark(script, path, "-o", USER, "-o", f"servotap.dialect:{name}")
+    assert len(theirs) == len(ours) == len(frames)
+    for mine, other in zip(ours, theirs, strict=True):
+        command = dialect.by_name.get(mine["command"])
+        compare(mine, other, paired=mine.get("latency") is not None and not (command and command.changes_answers))

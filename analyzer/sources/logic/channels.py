@@ -27,7 +27,7 @@ from analyzer.detect import weigh
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.logic import uart
 from analyzer.logic.levels import Levels
-from analyzer.logic.search import SECOND_NS, Spoken, sample, shortest_ns, spoken
+from analyzer.logic.search import SECOND_NS, Spoken, as_told, sample, shortest_ns, spoken
 from analyzer.logic.uart import Format
 from analyzer.records import Chunk
 from analyzer.sources.marks import role_of_name
@@ -196,7 +196,7 @@ def _without_parts(source: Source, found: list[_Read]) -> list[_Read]:
 
 
 def _spoken(source: Source, levels: Levels, rated: bool) -> Spoken | None:
-    return spoken(levels, source.baud if rated else None, True if source.inverted else None, rated=rated)
+    return spoken(levels, source.baud if rated else None, True if source.inverted else None, source.uart, rated=rated)
 
 
 def _as_neighbours(found: list[_Read], silent: Sequence[int], names: Sequence[str], lines: Sequence[Levels]) -> list[_Read]:
@@ -222,7 +222,7 @@ def _as_neighbours(found: list[_Read], silent: Sequence[int], names: Sequence[st
 def _as_told(source: Source, place: int, name: str, levels: Levels) -> _Read:
     """Return a channel as the user says it is, though it does not look so."""
     assert source.baud is not None
-    form = Format(SECOND_NS / source.baud, inverted=source.inverted)
+    form = as_told(source.uart, SECOND_NS / source.baud, source.inverted)
     bytes_read = uart.read(levels, form)
     count = len(bytes_read)
     source.note(f"at {source.baud} baud {bytes_read.bad} of {counted(count, 'byte')} have a framing error: is that the rate?")
@@ -239,7 +239,7 @@ def _not_understood(source: Source, names: Sequence[str], lines: Sequence[Levels
     why = f"too few samples for a bit, at least {LEAST_SAMPLES + 1} are needed" if few else "neither a UART nor CAN fits"
     if source.baud:
         why += f" at {source.baud} baud"
-    return f"{source.name}: {why} on {told}; choose with --channel, --baud or --inverted, or sample faster"
+    return f"{source.name}: {why} on {told}; choose with --channel, --baud, --uart or --inverted, or sample faster"
 
 
 def _length(length_ns: float, step_ns: float) -> str:

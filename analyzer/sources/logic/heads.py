@@ -9,6 +9,7 @@ import re
 import struct
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 from analyzer.sources.lines import head_lines
@@ -18,6 +19,7 @@ _ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 #: Saleae's binary exports: how those of Logic 2 begin; the words of Logic 1 in bytes, with their codes for `struct`, the rows
 #: by which it is told, and a number that its samples do not reach.
 MAGIC = b"<SALEAE>"
+_CHANNEL = re.compile(r"digital_(\d{1,4})\.bin")
 _WORDS, _ROWS, SAMPLE_LIMIT = {1: "B", 2: "H", 4: "I", 8: "Q"}, 16, 1 << 48
 #: Saleae's CSV: the names of its first column, lines before the heading, and rows that are looked at.
 _TIMES, _SAMPLES = ("time [s]", "time[s]", "time(s)", "time (s)"), ("sample", "samples", "sample number", "sample #")
@@ -47,6 +49,12 @@ def saleae_binary(head: bytes) -> float:
     if head.startswith(MAGIC):
         return 1.0
     return 0.9 if word_size(head) else 0.0
+
+
+def saleae_channels(folder: Path) -> list[Path]:
+    """Return the files of the channels that Logic 2 exported into a folder, in their order."""
+    found = [(int(name[1]), path) for path in folder.glob("digital_*.bin") if (name := _CHANNEL.fullmatch(path.name))]
+    return [path for _, path in sorted(found)]
 
 
 def word_size(head: bytes) -> int:

@@ -5,8 +5,9 @@
     Logic 1, on each change       (sample number of 64 bits | levels in a word of 8, 16, 32 or 64 bits) ...
 
 Rules: a file must have as many times as it claims, or it is refused. Times before the trigger are all moved to begin at zero.
-In a gap between two chunks the line stays as it was. Logic 1 says no sample rate, so its times need the line speed (`--baud`).
-Its other form, a word for each sample, has nothing to tell it by, and is taken for raw bytes.
+The files of a folder `digital_0.bin`, `digital_1.bin` ... are the channels of one capture, and begin at the same time. In a gap
+between two chunks the line stays as it was. Logic 1 says no sample rate, so its times need the line speed (`--baud`). Its other
+form, a word for each sample, has nothing to tell it by, and is taken for raw bytes.
 """
 
 from __future__ import annotations
@@ -47,32 +48,53 @@ def read(source: Source) -> Iterator[Chunk | CanFrame | Event]:
     """Read the traffic. Raises UnreadableError for another type of export, and where the head is damaged."""
     if not source.head.startswith(MAGIC):
         return _read_changes(source)
-    if len(source.head) < _HEAD.size:
-        raise UnreadableError(f"{source.name}: the Saleae export breaks off at byte {len(source.head)}, in its head")
-    _, version, kind = _HEAD.unpack(source.stream.exactly(_HEAD.size))
-    if kind == _ANALOG:
-        raise UnreadableError(f"{source.name} is an analog export of Saleae, without bits: export the digital channels")
-    if version not in _VERSIONS or kind != _DIGITAL:
+    source.time_source = "capture: times of changes as a logic analyzer measured them"
+    files = source.files
+    wave = Waveform([path.stem.removeprefix("digital_") for path in files] if len(files) > 1 else ["0"], iter(()))
+    wave.stretches = _stretches(source, wave) if len(files) == 1 else iter([_joined(source, wave)])
+    return records(source, wave)
+
+
+def _joined(source: Source, wave: Waveform) -> Stretch:
+    """Return the channels of an export, which stand in files one after the other."""
+    channels, end_ns, more = [], 0, True
+    while more:
+        stretches = list(_stretches(source, wave))
+        channels.append(np.concatenate([each.edges[0] for each in stretches]))
+        end_ns = max(end_ns, stretches[-1].end_ns)
+        more = source.next_part()
+    return Stretch(channels, end_ns)
+
+
+def _version(source: Source) -> int:
+    """Return the version of the file that is read. Raises UnreadableError for another type of export."""
+    head = source.stream.exactly(_HEAD.size)
+    if len(head) < _HEAD.size:
+        raise UnreadableError(f"{source.stream.name}: the Saleae export breaks off at byte {len(head)}, in its head")
+    magic, version, kind = _HEAD.unpack(head)
+    if magic == MAGIC and kind == _ANALOG:
+        raise UnreadableError(f"{source.stream.name} is an analog export of Saleae, without bits: export the digital channels")
+    if magic != MAGIC or version not in _VERSIONS or kind != _DIGITAL:
         raise UnreadableError(
-            f"{source.name}: byte 8: expected version 0 or 1 and type 0 of a digital export, got {version} and {kind}: "
+            f"{source.stream.name}: byte 8: expected version 0 or 1 and type 0 of a digital export, got {version} and {kind}: "
             "export as CSV"
         )
-    source.time_source = "capture: times of changes as a logic analyzer measured them"
-    wave = Waveform(["0"], iter(()))
-    wave.stretches = _stretches(source, wave, version)
-    return records(source, wave)
+    return int(version)
 
 
 def _exactly(source: Source, size: int, at: int, what: str) -> bytes:
     data = source.stream.exactly(size)
     if len(data) < size:
         raise UnreadableError(
-            f"{source.name}: the Saleae export breaks off at byte {at + len(data)}: expected {counted(size, 'byte')} of {what}"
+            f"{source.stream.name}: the Saleae export breaks off at byte {at + len(data)}: "
+            f"expected {counted(size, 'byte')} of {what}"
         )
     return data
 
 
-def _stretches(source: Source, wave: Waveform, version: int) -> Iterator[Stretch]:
+def _stretches(source: Source, wave: Waveform) -> Iterator[Stretch]:
+    """Yield the edges of one channel, a file."""
+    version = _version(source)
     at = _HEAD.size
     count = 1
     if version:
@@ -88,7 +110,8 @@ def _stretches(source: Source, wave: Waveform, version: int) -> Iterator[Stretch
         source.stream.budget.record()
         if state > 1 or not all(math.isfinite(t) and abs(t) < _LONGEST_S for t in (begin, last)) or last < begin:
             raise UnreadableError(
-                f"{source.name}: byte {at}: expected a state of 0 or 1 and times that rise, got {state}, {begin:g} and {last:g}"
+                f"{source.stream.name}: byte {at}: expected a state of 0 or 1 and times that rise, "
+                f"got {state}, {begin:g} and {last:g}"
             )
         at += layout.size
         if rate and 0 < rate[0] < _LONGEST_S * 1000:
@@ -100,7 +123,7 @@ def _stretches(source: Source, wave: Waveform, version: int) -> Iterator[Stretch
                 source.note(f"times before the trigger: all are moved by {shift:g} s")
         begin_ns, last_ns = (round((t + shift) * SECOND_NS) for t in (begin, last))
         if begin_ns < end:
-            raise UnreadableError(f"{source.name}: byte {at}: a chunk begins before the one before it ends")
+            raise UnreadableError(f"{source.stream.name}: byte {at}: a chunk begins before the one before it ends")
         if level not in (-1, state):
             yield Stretch([np.array([begin_ns], dtype=np.int64)], begin_ns)
         end = begin_ns
@@ -113,7 +136,7 @@ def _stretches(source: Source, wave: Waveform, version: int) -> Iterator[Stretch
             if len(wrong):
                 place = at + _TIME * int(wrong[0])
                 raise UnreadableError(
-                    f"{source.name}: byte {place}: expected a time behind the one before, got {times[wrong[0]]:g} s"
+                    f"{source.stream.name}: byte {place}: expected a time behind the one before, got {times[wrong[0]]:g} s"
                 )
             at += size
             end = int(edges[-1])
