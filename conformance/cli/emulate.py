@@ -147,8 +147,10 @@ def _check(specifications: Sequence[Specification], arguments: argparse.Namespac
 
 def _emulate(specifications: Sequence[Specification], arguments: argparse.Namespace, stack: contextlib.ExitStack) -> None:
     from conformance.serve.log import BusLog
-    from conformance.serve.state import StateFile, load
+    from conformance.serve.state import StateFile, claimed, load
 
+    if arguments.state:
+        stack.enter_context(claimed(arguments.state))
     kept = load(arguments.state) if arguments.state else {}
     drives = _drives(specifications, arguments, kept)
     faults = _wire_faults(arguments)

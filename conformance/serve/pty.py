@@ -8,6 +8,7 @@ Rules:
 2. The line speed is read with each request, so a client at the wrong speed reads garbled bytes, as on a wire.
 3. If a client locks the terminal (TIOCEXCL), it is free again for the next client.
 4. When the terminal is full, unread bytes are lost, as on a wire.
+5. A link belongs to the terminal that it leads to, as long as that is there: it goes with its process. Then it is taken over.
 """
 
 from __future__ import annotations
@@ -54,6 +55,10 @@ class PtyPort:
 
     def _make_link(self, link: Path) -> None:
         if link.is_symlink() and (not link.exists() or str(link.readlink()).startswith("/dev/")):
+            if link.exists() and str(link.readlink()).startswith("/dev/pts/"):
+                raise UsageError(
+                    f"{link} leads to {link.readlink()}, which is in use: end the program that serves it, or remove the link"
+                )
             link.unlink()
         try:
             link.symlink_to(self.path)

@@ -3,6 +3,9 @@
     {"servotap": "drives", "version": 1, "drives": {"mks-rs485@1": {"settings": {"work_mode": 5, ...}}}}
 
 A drive is identified by its name on the command line. The file is replaced as a whole, so it is never half written.
+
+One run at a time keeps one file: of two with the same drive each would undo what the other keeps. The lock is on the folder's
+file `.NAME.lock`, for the file itself is replaced.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from typing import Any
 
 from analyzer.cli.output import write_whole
 from analyzer.errors import UsageError
+from analyzer.live.lock import Lock
 from analyzer.whole_file import read_whole
 from conformance.drives.drive import Drive
 
@@ -47,6 +51,17 @@ def _drives(whole: Any) -> dict[str, Settings]:
             if type(value) is not int:
                 raise ValueError(f"{name}: {setting}: expected a whole number, got {value!r}")
     return drives
+
+
+def claimed(path: str) -> Lock:
+    """Return the lock of a file, held until it is closed. Raises UsageError where another run keeps the file."""
+    real = Path(os.path.realpath(path))
+    try:
+        return Lock(
+            real.parent, f".{real.name}.lock", taken=f"{path} is kept by another servotap emulate: end it, or name another"
+        )
+    except OSError as error:
+        raise UsageError(f"{path} cannot be kept: {error.strerror}") from None
 
 
 class StateFile:

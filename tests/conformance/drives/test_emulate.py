@@ -18,7 +18,7 @@ from analyzer.encoder import build
 from analyzer.errors import UsageError
 from conformance.cli import HELP, emulate
 from conformance.drives import make
-from conformance.serve.state import StateFile
+from conformance.serve.state import StateFile, claimed
 from tests.conformance.drives.plain_drive import PlainDrive
 from tests.conformance.drives.served import Emulated, wait_for
 
@@ -122,6 +122,14 @@ def test_two_runs_with_one_state_keep_what_the_other_has_kept(tmp_path: Path) ->
     with pytest.raises(UsageError, match="does not hold the state of drives"):
         runs["one"].save()
     assert path.read_text() == "mine"
+
+
+def test_a_state_that_another_run_keeps_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    state = tmp_path / "drives.json"
+    with claimed(str(state)):
+        told = refused(capsys, "mks-rs485@1", "--pty", "--state", str(state))
+        assert f"{state} is kept by another servotap emulate" in told
+    assert run("mks-rs485@1", "--pty", "--duration", "0.01", "--state", str(state)) == 0
 
 
 def test_tcp_a_duration_and_a_noisy_wire(tmp_path: Path) -> None:

@@ -167,6 +167,10 @@ def test_the_link(tmp_path: Path) -> None:
         assert path == str(link)
         with serial.Serial(path, 38400, timeout=TIMEOUT) as port:
             assert ask(port, read(), 6) == reply()
+        terminal = link.readlink()
+        with pytest.raises(UsageError, match="in use: end the program that serves it"):
+            PtyPort(str(link))
+        assert link.readlink() == terminal
     assert not link.is_symlink()
     link.symlink_to("/dev/pts/9999")
     PtyPort(str(link)).close()
