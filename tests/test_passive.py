@@ -63,8 +63,8 @@ NOT_TO_A_BUS = {
 }
 #: Opens files of a recording to lock them.
 LOCKS = "analyzer/live/lock.py"
-#: Maps the memory that a reader and its successor share.
-MEMORY = "analyzer/live/reader_hand.py"
+#: Map memory that processes share: a reader and its successor, the processes of a decode.
+MEMORY = {"analyzer/live/reader_hand.py", "analyzer/sinks/shared.py"}
 #: The calls that set a serial port up.
 IOCTLS = {"TIOCMBIC", "TCGETS2", "TCSETS2", "TIOCGICOUNT"}
 #: What is used of an object that could write: its name in the file -> attributes.
@@ -122,7 +122,7 @@ def opens(source):
             yield module
         if first == "socket" and source.name not in SOCKETS:
             yield module
-        if first in ("pty", "tty", "ctypes", "usb") or (first == "mmap" and source.name != MEMORY):
+        if first in ("pty", "tty", "ctypes", "usb") or (first == "mmap" and source.name not in MEMORY):
             yield module
     for called, _ in source.calls:
         # `Bus` alone is also what a recording knows of one.
