@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer.fleet.ask import Question
 from analyzer.fleet.lake import Lake as _Lake
+from analyzer.fleet.lake import store_of
 from analyzer.fleet.place import Place
 from analyzer.table.extras import needed
 
@@ -21,7 +22,9 @@ class Lake:
     """A lake of captures, as it is when it is opened. `servotap.lake` makes it."""
 
     def __init__(self, url: str | os.PathLike[str], store: Mapping[str, Any] | None = None) -> None:
-        self._question = Question(_Lake(Place(os.fspath(url), store or {})))
+        text = os.fspath(url)
+        store_of(text)
+        self._question = Question(_Lake(Place(text, store or {})))
 
     @property
     def tables(self) -> tuple[str, ...]:

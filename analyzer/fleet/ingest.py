@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
+import posixpath
 import re
 import sys
 import time
@@ -27,12 +28,13 @@ from typing import Any
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.fleet.lake import Lake
-from analyzer.fleet.place import Found, Place
+from analyzer.fleet.place import Found, Place, again
 from analyzer.fleet.ranges import HUGE, Range, Scan, Task, do, is_split, joined, waiting, works_of
 from analyzer.fleet.rows import TAKEN, Taken, Work
+from analyzer.live import profile
 from analyzer.live.spool import spool_folder
 from analyzer.table.extras import needed
-from analyzer.values import quote
+from analyzer.values import printable, quote
 
 #: A task has at most so many bytes, or one capture; and so many captures.
 TASK_BYTES, TASK_FILES = 64 << 20, 200
@@ -118,26 +120,52 @@ def works(sources: Sequence[Place], lake: Lake, pattern: Pattern | None, retry: 
             known.setdefault(row["size"], set()).add(row["capture"])
     found = []
     for source in sources:
-        for each in _captures(source, lake.place):
+        files = source.files()
+        machines = Machines(source, files)
+        for each in _captures(source, files, lake.place):
             outcome.files += 1
-            if (source.url, each.name, each.size, each.mark) in there:
+            if each.mark and (source.url, each.name, each.size, each.mark) in there:
                 outcome.known += 1
                 continue
             machine, day = pattern.read(each.name) if pattern is not None else ("", None)
+            machine = machine or machines.of(each.name)
             found.append(Work(source, each, machine, day, frozenset(known.get(each.size, ()))))
     outcome.wanted = len(found)
     outcome.size = sum(work.found.size for work in found)
     return found
 
 
-def _captures(source: Place, lake: Place) -> Iterator[Found]:
-    """Yield the files of a source that are captures: no tables, spools and logs that `decode` made of its neighbours."""
-    files = source.files()
+class Machines:
+    """Whose captures are: the profiles beside them say it, each for its folder and those below."""
+
+    def __init__(self, source: Place, files: Sequence[Found]) -> None:
+        self._names: dict[str, str] = {}
+        beside = posixpath.join(posixpath.dirname(source.root), profile.FILE)
+        there = {posixpath.dirname(each.name): each.key for each in files if posixpath.basename(each.name) == profile.FILE}
+        if [each.key for each in files] == [source.root] and again(lambda: source.fs.exists(beside)):
+            # The source is one capture.
+            there[""] = beside
+        for folder, key in there.items():
+            data = again(partial(source.fs.cat_file, key))
+            self._names[folder] = profile.machine_of(data, printable(key))
+
+    def of(self, name: str) -> str:
+        """Return the machine of a capture, "" where no profile says it."""
+        while name:
+            name = posixpath.dirname(name)
+            if self._names.get(name):
+                return self._names[name]
+        return ""
+
+
+def _captures(source: Place, files: Sequence[Found], lake: Place) -> Iterator[Found]:
+    """Yield those of a source's files that are captures: no profiles, nor what `decode` and `record` made."""
     names = {each.name for each in files}
     own = f"{lake.root}/" if type(lake.fs) is type(source.fs) else ""
     for each in files:
         folders = each.name.split("/")[:-1]
         made = each.name.removesuffix(".mcap") in names and each.name.endswith(".mcap")
+        made |= posixpath.basename(each.name) == profile.FILE
         if not made and not any(name.endswith(_MADE) for name in folders) and not (own and each.key.startswith(own)):
             yield each
 

@@ -67,6 +67,15 @@ _SETTINGS = {"delta.dataSkippingNumIndexedCols": "0"}
 _RACES = 1000
 
 
+def store_of(url: str) -> str:
+    """Return the protocol of a lake's store. Raises UsageError for one to which Delta Lake cannot commit."""
+    protocol = url.partition("://")[0] if "://" in url else "file"
+    if protocol not in _STORES:
+        stores = ", ".join(sorted({f"{name}://" for name in _STORES if name not in ("file", "local")}))
+        raise UsageError(f"{url}: a lake can be in a folder or at {stores}; {protocol}:// cannot commit")
+    return protocol
+
+
 class Journal(msgspec.Struct):
     """A batch that is being committed. `seen`: the version of `captures` before; `files`: of all other tables."""
 
@@ -80,10 +89,7 @@ class Lake:
     def __init__(self, place: Place, *, make: bool = False) -> None:
         self.place = place
         self._delta = needed("deltalake")
-        protocol = place.url.partition("://")[0] if "://" in place.url else "file"
-        if protocol not in _STORES:
-            stores = ", ".join(sorted({f"{name}://" for name in _STORES if name not in ("file", "local")}))
-            raise UsageError(f"{place.url}: a lake can be in a folder or at {stores}; {protocol}:// cannot commit")
+        protocol = store_of(place.url)
         if not place.root.isprintable() or "%" in place.root:
             # Delta Lake would read %41 as A: its log and our files would be in two places.
             raise UsageError(f"{place.url}: a lake needs a name of printable text without %")

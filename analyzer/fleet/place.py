@@ -53,7 +53,10 @@ def no_room(error: Exception) -> bool:
 
 @dataclass(frozen=True)
 class Found:
-    """A file at a place. `key`: its path for the store; `name`: below the place; `mark`: changes with its content."""
+    """A file at a place. `key`: its path for the store; `name`: below the place.
+
+    `mark`: changes with its content; empty where the store tells nothing that does.
+    """
 
     key: str
     name: str
@@ -73,7 +76,9 @@ class Place:
         fsspec = needed("fsspec")
         try:
             self.fs, self.root = fsspec.url_to_fs(self.url, **self.options)
-        except (ValueError, ImportError, OSError) as error:
+        except ImportError as error:
+            raise UsageError(f"{quote(self.url)}: a package is missing: {error}") from None
+        except (ValueError, OSError) as error:
             raise UsageError(f"{quote(self.url)}: expected a folder, or a URL as s3://bucket/folder: {error}") from None
         # Names of files need not be text; what is shown and stored of them is.
         self.url = _as_text(self.url)
@@ -113,9 +118,13 @@ class Place:
             return
         with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
             target = Path(folder) / posixpath.basename(found.name)
-            again(lambda: self.fs.get_file(found.key, str(target)))
-            if target.stat().st_size != found.size:
-                raise OSError(f"{found.name}: expected {found.size} bytes, got {target.stat().st_size}")
+
+            def fetch() -> None:
+                self.fs.get_file(found.key, str(target))
+                if target.stat().st_size != found.size:
+                    raise OSError(f"{found.name}: expected {found.size} bytes, got {target.stat().st_size}")
+
+            again(fetch)
             yield target
 
     def put(self, source: Path, name: str) -> None:
@@ -162,12 +171,18 @@ class Place:
             again(lambda: self.fs.rm_file(self.path(name)))
 
 
+#: What stores call the time of a file, and what changes with its content. A folder's own files have times and numbers.
+_MODIFIED = ("mtime", "LastModified", "last_modified", "created")
+_TAGS = ("ETag", "etag", "md5Hash", "CRC")
+
+
 def _as_text(name: str) -> str:
     return name.encode(errors="backslashreplace").decode()
 
 
 def _found(key: str, name: str, about: Mapping[str, Any]) -> Found:
-    modified = about.get("mtime") or about.get("LastModified") or about.get("last_modified") or 0
+    modified = next((about[word] for word in _MODIFIED if about.get(word)), 0)
     seconds = modified.timestamp() if hasattr(modified, "timestamp") else float(modified)
-    mark = about.get("ETag") or about.get("etag") or about.get("md5Hash") or f"{seconds!r}/{about.get('ino', '')}"
-    return Found(key, _as_text(name), int(about.get("size") or 0), str(mark), seconds)
+    tag = next((about[word] for word in _TAGS if about.get(word)), "")
+    mark = str(tag) if tag or not seconds else f"{seconds!r}/{about.get('ino', '')}"
+    return Found(key, _as_text(name), int(about.get("size") or 0), mark, seconds)

@@ -35,6 +35,8 @@ from analyzer.values import addresses, near, printable, quote
 from analyzer.whole_file import read_whole
 
 FILE = "servotap.toml"
+#: The key of a profile beside captures that says whose they are.
+MACHINE = "machine"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
 #: Words that mean something else where a name may stand.
 _TAKEN = frozenset({"all", "auto", "emulated", "serial", "tcp", "can"})
@@ -169,6 +171,17 @@ def names() -> list[str]:
     return found
 
 
+def machine_of(data: bytes, where: str) -> str:
+    """Return the machine that a profile names, "" where it names none. `where`: it was found. Raises UsageError."""
+    try:
+        name = tomllib.loads(data.decode()).get(MACHINE, "")
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{where}: expected a profile in TOML: {error}") from None
+    if not isinstance(name, str) or not name.isprintable():
+        raise UsageError(f'{where}: expected {MACHINE} = "a name", got {name!r}')
+    return name
+
+
 def paths() -> list[Path]:
     """Return the profiles that there are: the nearest one of this folder and those above, then the user's."""
     try:
@@ -220,7 +233,7 @@ class _File:
     def check_tables(self) -> None:
         """Raise UsageError for a table that is none of a profile."""
         for key, value in self._whole.items():
-            if key not in self.TABLES or not isinstance(value, dict):
+            if key != MACHINE and (key not in self.TABLES or not isinstance(value, dict)):
                 where = self._place(key, "") if isinstance(value, dict) else self._place("", key)
                 raise UsageError(f"{where}: got {quote(key)}{near(key, self.TABLES)}, expected [bus.NAME] and [drive.NAME]")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import pyarrow as pa
@@ -314,6 +315,80 @@ def test_what_is_no_lake_is_told(tmp_path):
         Lake(Place(str(tmp_path)))
     with pytest.raises(UsageError, match="cannot commit"):
         Lake(Place("memory://lake"), make=True)
+
+
+@pytest.mark.parametrize("url", ["memory://hall", "zip://::{}/hall.zip", "zip://m1::{}/hall.zip"])
+def test_captures_lie_wherever_fsspec_reads(url, captures, clean, tmp_path):
+    shutil.make_archive(str(tmp_path / "hall"), "zip", captures)
+    there = Place(url.format(tmp_path))
+    if url.startswith("memory"):
+        there.fs.put(str(captures), "/hall", recursive=True)
+    made = lake(tmp_path / "lake")
+    pattern = "{date}/*" if "m1" in url else "{machine}/{date}/*"
+    assert ingest(made, there, pattern=pattern).new == (2 if "m1" in url else 4)
+    assert "m1" in url or rows(made) == clean
+    assert ingest(made, there, pattern=pattern).new == 0
+
+
+def test_what_a_store_gives_no_mark_for_is_looked_at_again(captures, tmp_path, monkeypatch):
+    there, made = Place(str(captures)), lake(tmp_path / "lake")
+    monkeypatch.setattr(places, "_MODIFIED", ())
+    assert ingest(made, there).wanted == ingest(made, there).wanted == 5
+
+
+def test_a_download_that_was_cut_is_fetched_again(captures, tmp_path, monkeypatch):
+    there = Place("memory://cut")
+    there.fs.put(str(captures / "m0"), "/cut/m0", recursive=True)
+    fetch, cut = there.fs.get_file, []
+
+    def cuts(key, target, **named):
+        fetch(key, target, **named)
+        if len(cut) < 2:
+            cut.append(key)
+            os.truncate(target, 10)
+
+    monkeypatch.setattr(there.fs, "get_file", cuts)
+    monkeypatch.setattr(places, "FIRST_WAIT", 0)
+    assert (ingest(lake(tmp_path / "lake"), there).new, len(cut)) == (2, 2)
+
+
+@pytest.mark.parametrize("url", ["sftp://host/lake", "zip://lake.zip", "memory://lake", "https://host/lake"])
+@pytest.mark.parametrize("command", ["ingest", "ask", "fleet", "compact"])
+def test_where_no_lake_can_be_is_told_in_a_line(command, url, tmp_path, capsys):
+    words = {"ingest": [str(tmp_path), "--to", url], "fleet": [url, "-o", str(tmp_path / "page.html")]}.get(command, [url])
+    assert main([command, *words]) == 2
+    told = capsys.readouterr().err
+    assert (told.count("\n"), "cannot commit" in told) == (1, True)
+
+
+def test_a_source_whose_package_is_missing_names_it(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "paramiko", None)
+    monkeypatch.delitem(sys.modules, "fsspec.implementations.sftp", raising=False)
+    assert main(["ingest", "sftp://host/captures", "--to", str(tmp_path / "lake")]) == 2
+    assert "paramiko" in capsys.readouterr().err
+
+
+def test_profiles_beside_captures_say_whose_they_are(captures, tmp_path):
+    hall = tmp_path / "hall"
+    shutil.copytree(captures, hall)
+    (hall / "servotap.toml").write_text('machine = "press"\n')
+    (hall / "m1" / "servotap.toml").write_text('machine = "arm"\n[drive.arm]\nport = "/dev/ttyUSB0"\ndialect = "mks-can"\n')
+    made = lake(tmp_path / "lake")
+    assert ingest(made, hall, pattern=None).files == 5
+    asked = "select machine, count(*) from captures group by all order by all"
+    assert Question(made).sql(asked).fetchall() == [("arm", 2), ("press", 3)]
+    one = lake(tmp_path / "one")
+    ingest(one, hall / "m1" / "2026-03-01" / "1.log", pattern=None)
+    ingest(one, hall / "m1", pattern="{machine}/*")
+    assert Question(one).sql(asked).fetchall() == [("2026-03-01", 1), (None, 1)]
+
+
+@pytest.mark.parametrize("text", ["machine = 3", "machine = ", 'machine = "a\\u0000"'])
+def test_a_profile_that_names_no_machine_is_told(text, tmp_path):
+    (tmp_path / "servotap.toml").write_text(text)
+    (tmp_path / "a.log").write_text(candump(1))
+    with pytest.raises(UsageError, match=r"servotap\.toml: expected"):
+        ingest(lake(tmp_path / "lake"), tmp_path)
 
 
 def test_a_store_that_fails_now_and_then_is_asked_again():

@@ -12,8 +12,7 @@ from analyzer.cli.option_types import positive
 from analyzer.cli.output import free_target, whole
 from analyzer.errors import UsageError
 from analyzer.fleet.ask import Question, answering, bounded
-from analyzer.fleet.cli.stores import add_store_argument, place
-from analyzer.fleet.lake import Lake
+from analyzer.fleet.cli.stores import add_store_argument, lake
 from analyzer.table.extras import needed
 from analyzer.values import printable
 
@@ -52,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     target = None if arguments.output is None else free_target(Path(arguments.output), arguments.force)
     if target is not None and target.suffix not in _SUFFIXES:
         raise UsageError(f"-o {target}: expected a name that ends in {' or '.join(_SUFFIXES)}")
-    question = Question(Lake(place(arguments.lake, arguments)))
+    question = Question(lake(arguments, arguments.lake))
     query = arguments.query
     if query is None:
         _show(["table", "columns"], [[name, str(len(list(question.columns(name))))] for name in question.tables])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 
 from analyzer.errors import UsageError
-from analyzer.fleet.cli.stores import add_store_argument, place
-from analyzer.fleet.lake import Lake
+from analyzer.fleet.cli.stores import add_store_argument, lake
 from analyzer.table.extras import needed
 from analyzer.values import counted
 
@@ -32,8 +31,8 @@ def run(arguments: argparse.Namespace) -> int:
     needed("deltalake")
     if not 0 <= arguments.keep <= 36_500:
         raise UsageError(f"--keep {arguments.keep:g}: expected days, 0 or more")
-    lake = Lake(place(arguments.lake, arguments))
-    lake.recover()
-    joined, removed = lake.compact(arguments.keep)
+    opened = lake(arguments, arguments.lake)
+    opened.recover()
+    joined, removed = opened.compact(arguments.keep)
     print(f"{arguments.lake}: joined {counted(joined, 'file')}, removed {counted(removed, 'file')}")
     return 0

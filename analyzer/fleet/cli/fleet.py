@@ -7,9 +7,8 @@ from pathlib import Path
 
 from analyzer.cli.output import free_target, write_whole
 from analyzer.fleet.ask import Question, answering
-from analyzer.fleet.cli.stores import add_store_argument, place
+from analyzer.fleet.cli.stores import add_store_argument, lake
 from analyzer.fleet.health import health, html
-from analyzer.fleet.lake import Lake
 from analyzer.table.extras import needed
 from analyzer.values import counted
 
@@ -33,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     for package in ("pyarrow", "deltalake", "duckdb"):
         needed(package)
     target = free_target(Path(arguments.output), arguments.force)
-    question = Question(Lake(place(arguments.lake, arguments)))
+    question = Question(lake(arguments, arguments.lake))
     with answering():
         found = health(question)
     data = html(found).encode(errors="backslashreplace")

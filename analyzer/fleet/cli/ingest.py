@@ -14,9 +14,8 @@ from analyzer.cli.decode import cores
 from analyzer.cli.option_types import positive
 from analyzer.cli.reading import add_reading_arguments, showing_progress
 from analyzer.cli.signals import Interrupt
-from analyzer.fleet.cli.stores import add_store_argument, place
+from analyzer.fleet.cli.stores import add_store_argument, lake, place
 from analyzer.fleet.ingest import Ingest, Outcome, Pattern, workers, works
-from analyzer.fleet.lake import Lake
 from analyzer.table.extras import needed
 from analyzer.values import counted, printable
 
@@ -42,7 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--to", required=True, metavar="LAKE", help="the lake: a folder, or s3://, gs://, abfs://; made where it is not"
     )
-    parser.add_argument("--machine", metavar="PATTERN", help="what a path below SOURCE says, as '{machine}/{date}/*'")
+    parser.add_argument(
+        "--machine", metavar="PATTERN",
+        help="what a path below SOURCE says, as '{machine}/{date}/*' (default: servotap.toml beside the captures)",
+    )  # fmt: skip
     parser.add_argument(
         "--scheduler", default="local", metavar="URL", help="a scheduler of Dask, tcp://HOST:8786 (default: this machine)"
     )
@@ -62,16 +64,16 @@ def run(arguments: argparse.Namespace) -> int:
     pattern = None if arguments.machine is None else Pattern(arguments.machine)
     sources = [place(url, arguments) for url in arguments.sources]
     with Interrupt() as interrupt:
-        lake = interrupt.opened(lambda: Lake(place(arguments.to, arguments), make=True))
+        to = interrupt.opened(lambda: lake(arguments, arguments.to, make=True))
         outcome, started = Outcome(), time.monotonic()
-        outcome.recovered = lake.recover()
-        found = interrupt.opened(lambda: works(sources, lake, pattern, arguments.retry, outcome))
+        outcome.recovered = to.recover()
+        found = interrupt.opened(lambda: works(sources, to, pattern, arguments.retry, outcome))
         if found:
             with (
                 workers(arguments.scheduler, min(arguments.workers, len(found))) as client,
                 showing_progress(outcome.told, outcome.size, lambda: outcome.read, lambda: outcome.frames),
             ):
-                Ingest(lake, arguments, outcome, interrupt).run(client, found)
+                Ingest(to, arguments, outcome, interrupt).run(client, found)
     _report(arguments, outcome, time.monotonic() - started)
     if interrupt.asked:
         raise KeyboardInterrupt

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from analyzer.errors import UsageError
+from analyzer.fleet.lake import Lake, store_of
 from analyzer.fleet.place import Place
 from analyzer.values import quote
 
@@ -15,6 +16,13 @@ def add_store_argument(parser: argparse.ArgumentParser) -> None:
         "--store", action="append", default=[], metavar="NAME=VALUE",
         help="an option of fsspec for buckets and servers, as endpoint_url=http://minio:9000; may be repeated",
     )  # fmt: skip
+
+
+def lake(arguments: argparse.Namespace, url: str, *, make: bool = False) -> Lake:
+    """Return a lake. `make`: make it if it is not there. Raises UsageError for a place where none can be."""
+    # What a lake cannot be at is told before a package for it is asked for.
+    store_of(url)
+    return Lake(place(url, arguments), make=make)
 
 
 def place(url: str, arguments: argparse.Namespace) -> Place:
