@@ -3,14 +3,16 @@
     python benchmarks/lake.py [--frames 500000] [--files 4] [--small 10000] [--rows 100000000]
 
 Captures are made: candump logs of four drives that are polled, with values that the manual allows. Long ones are ingested by
-one and by two workers of Dask, and decoded by `servotap decode --to parquet --jobs 1`; seconds of the clock, so the machine
-should have nothing else to do. Small ones are taken here, without Dask: CPU seconds of decoding alone, of taking them into
-files of a lake, and of committing. For the question, rows of `states` are generated as drives of 100 machines would give them.
+one and by two workers of Dask, as they are and in ranges, and decoded by `servotap decode --to parquet --jobs 1`. Where the
+machine has other work, the clock says nothing: CPU seconds of the busiest process then say what two workers would take. Small
+ones are taken here, without Dask: CPU seconds of decoding alone, of taking them into files of a lake, and of committing. For the
+question, rows of `states` are generated as drives of 100 machines would give them.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import random
 import resource
 import subprocess
@@ -19,6 +21,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -29,11 +32,14 @@ sys.path.insert(0, str(ROOT))
 from analyzer import dialects  # noqa: E402
 from analyzer.cli.reading import add_reading_arguments  # noqa: E402
 from analyzer.cli.signals import Interrupt  # noqa: E402
+from analyzer.fleet import ingest as ingesting  # noqa: E402
+from analyzer.fleet import ranges as splitting  # noqa: E402
 from analyzer.fleet.ask import Question  # noqa: E402
 from analyzer.fleet.ingest import Ingest, Outcome, Pattern, tasks, workers, works  # noqa: E402
 from analyzer.fleet.lake import Lake  # noqa: E402
 from analyzer.fleet.place import Place  # noqa: E402
-from analyzer.fleet.rows import decoded_alone, take  # noqa: E402
+from analyzer.fleet.ranges import do  # noqa: E402
+from analyzer.fleet.rows import decoded_alone  # noqa: E402
 from tests.columns.can_traffic import frames  # noqa: E402
 
 POLLS = ("read_encoder_carry", "read_speed", "read_pulses", "read_position", "read_angle_error")
@@ -75,26 +81,67 @@ def options() -> argparse.Namespace:
     return parser.parse_args([])
 
 
+class Cost(NamedTuple):
+    """What some work took, in seconds: by the clock, and of CPU of the process that had most of it and of all together."""
+
+    clock: float
+    busiest: float
+    all: float
+
+    def __str__(self) -> str:
+        return f"{self.clock:.1f} s, CPU {self.all:.1f} s, of the busiest process {self.busiest:.1f} s"
+
+
+def of_decode(path: Path, folder: Path) -> Cost:
+    """Return the cost of decoding captures into tables, one after the other, each by one process."""
+    command = [sys.executable, "-m", "analyzer", "decode", "--to", "parquet", "--jobs", "1", "--force", "-o", str(folder)]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = clock(lambda: subprocess.run([*command, path], check=True, stdout=subprocess.DEVNULL, cwd=ROOT))
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return Cost(seconds, used, used)
+
+
+def of_ingest(source: Path, lake: Lake, number: int, *, ranges: int = 0) -> Cost:
+    """Return the cost of ingesting captures by workers that have loaded all. `ranges`: the size of one; 0: none is split."""
+    found = works([Place(str(source))], lake, Pattern("{machine}/{date}/*"), False, Outcome())
+    ingesting.HUGE = 1 if ranges else 1 << 62
+    with workers("local", number) as client:
+        client.run(prepare, found[0].found.key, options(), ranges)
+        before, own = client.run(time.process_time), time.process_time()
+        seconds = clock(lambda: Ingest(lake, options(), Outcome(), Interrupt()).run(client, found))
+        after = client.run(time.process_time)
+        own = time.process_time() - own
+    used = [after[each] - before[each] for each in after]
+    return Cost(seconds, max(*used, own), sum(used) + own)
+
+
+def prepare(path: str, given: argparse.Namespace, size: int) -> None:
+    """Have a worker load all that it needs, and make ranges of a size."""
+    decoded_alone(path, given)
+    splitting.RANGE_BYTES = size or splitting.RANGE_BYTES
+
+
 def long_captures(folder: Path, files: int, count: int) -> None:
-    """Print what one and two workers take for long captures, beside decoding alone."""
-    source = folder / "long"
+    """Print what one and two workers take for long captures, beside decoding alone, and for one capture in ranges."""
+    source, small, frames = folder / "long", folder / "few" / "m" / "2026-03-01" / "a.log", files * count
     for number in range(files):
         capture(source / f"m{number}" / "2026-03-01" / "a.log", count, number)
-    every = sorted(source.rglob("*.log"))
-    command = [sys.executable, "-m", "analyzer", "decode", "--to", "parquet", "--jobs", "1", "--force", "-o", str(folder)]
-    alone = clock(lambda: [subprocess.run([*command, path], check=True, stdout=subprocess.DEVNULL, cwd=ROOT) for path in every])
-    print(f"| decode --to parquet, one process | {files * count:,} frames | {alone:.2f} s | |")
-    taken = {}
-    for number in (1, 2):
-        lake = Lake(Place(str(folder / f"lake{number}")), make=True)
-        found = works([Place(str(source))], lake, Pattern("{machine}/{date}/*"), False, Outcome())
-        with workers("local", number) as client:
-            # What the workers load, they have loaded.
-            client.run(decoded_alone, str(every[0]), options())
-            run = Ingest(lake, options(), Outcome(), Interrupt()).run
-            taken[number] = clock(lambda client=client, run=run, found=found: run(client, found))
-        share = f"{alone / taken[1]:.2f} of decode" if number == 1 else f"{taken[1] / taken[2]:.2f} times one"
-        print(f"| ingest, {number} worker{'s' * (number > 1)} | {files * count:,} frames | {taken[number]:.2f} s | {share} |")
+    # What a start costs is no decoding.
+    capture(small, SMALL, 0)
+    start = of_decode(small, folder)
+    each = [of_decode(path, folder) for path in sorted(source.rglob("*.log"))]
+    alone = Cost(*(sum(column) - files * least for column, least in zip(zip(*each, strict=True), start, strict=True)))
+    print(f"| decode --to parquet, one process, without its start | {frames:,} frames | {alone} | |")
+    whole, split = (
+        [of_ingest(source, Lake(Place(str(folder / f"{what}{n}")), make=True), n, ranges=size) for n in (1, 2)]
+        for what, size in (("lake", 0), ("ranges", 8 << 20))
+    )
+    for what, (one, two) in (("", whole), (", in ranges", split)):
+        told = f"{one}, {frames / one.all:,.0f} frames/s"
+        print(f"| ingest{what}, 1 worker | {frames:,} frames | {told} | {alone.all / one.all:.2f} of decode |")
+        told = f"{one.busiest / two.busiest:.2f} times one, by the clock {one.clock / two.clock:.2f}"
+        print(f"| ingest{what}, 2 workers | {frames:,} frames | {two} | {told} |")
 
 
 def small_captures(folder: Path, count: int) -> None:
@@ -109,7 +156,7 @@ def small_captures(folder: Path, count: int) -> None:
         alone = cpu(lambda found=found: [decoded_alone(work.found.key, options()) for work in found])
         made: list = []
         taking = cpu(
-            lambda found=found, lake=lake, made=made: made.extend(take(each, lake.place, options()) for each in tasks(found))
+            lambda found=found, lake=lake, made=made: made.extend(do(each, lake.place, options()) for each in tasks(found))
         )
         committing = cpu(lambda lake=lake, made=made: lake.commit(made))
         more = (taking + committing - alone) / size * 1000
@@ -176,6 +223,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         print("| work | size | cost | ratio |\n| --- | --- | --- | --- |")
+        print(f"load before: {os.getloadavg()[0]:.1f}", file=sys.stderr)
         long_captures(Path(folder), arguments.files, arguments.frames)
         small_captures(Path(folder), arguments.small)
         questions(Path(folder), arguments.rows)

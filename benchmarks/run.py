@@ -31,6 +31,7 @@ RUNS = (
     ("record_rate.py", (), ("--seconds", "2")),
     ("record_soak.py", (), ("--seconds", "5")),
     ("tap_delay.py", (), ("--count", "200")),
+    ("lake.py", (), ("--frames", "20000", "--files", "2", "--small", "10", "--rows", "300000")),
     ("mutation.py", (), ("--dialect", "mks-modbus", "--quick")),
 )
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import time
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
@@ -63,6 +64,8 @@ _OPTIONS |= {"endpoint_url": "aws_endpoint_url", "region_name": "aws_region"}
 _SAME = f"old.capture = new.capture or (old.capture like '{UNSEEN}%' and old.source = new.source and old.name = new.name)"
 #: Least and greatest values stand in the Parquet files. A log that had those of some columns would make readers lose rows.
 _SETTINGS = {"delta.dataSkippingNumIndexedCols": "0"}
+#: Colours in texts of Delta Lake.
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 #: Losses of a race for one commit, one after the other, after which something else must be wrong.
 _RACES = 1000
 
@@ -102,9 +105,19 @@ class Lake:
         self._seen = -1
         self._open: dict[str, deltalake.DeltaTable] = {}
         if make:
-            self.table(CAPTURES, captures_schema(), ())
+            with self._writing():
+                self.table(CAPTURES, captures_schema(), ())
         elif not self._exists(CAPTURES):
             raise UnreadableError(f"{place.url} is no lake: make one with servotap ingest CAPTURES --to {place.url}")
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Raise UsageError where the lake cannot be written: its disk is full, its store refuses."""
+        try:
+            yield
+        except (OSError, self._delta.exceptions.DeltaError) as error:
+            why = " ".join(_COLOURS.sub("", str(error)).split())
+            raise UsageError(f"{self.place.url} cannot be written: {printable(why)}") from None
 
     # --- tables ---------------------------------------------------------------------------------------------------
 
@@ -151,6 +164,8 @@ class Lake:
         for depth in ("*", "*/*/*/*"):
             for path in again(lambda depth=depth: place.fs.glob(place.path(f"{depth}/_delta_log"))):  # type: ignore[misc]
                 found.append(path[len(place.root) :].strip("/").removesuffix("/_delta_log"))
+        # A client that died while it made a table, or found no room for it, leaves a log without a commit.
+        found = [name for name in found if name in self._open or self._exists(name)]
         return sorted(found, key=lambda name: (name != CAPTURES, name.startswith("messages/"), name))
 
     def fitting(self, name: str, schema: pyarrow.Schema) -> str:
@@ -193,10 +208,15 @@ class Lake:
         return self._known
 
     def commit(self, tasks: Sequence[Taken]) -> int:
-        """Commit what some tasks took as one batch: all of it or nothing. Return how many captures it brought into the tables.
+        """Commit what some tasks took as one batch: all of it or nothing. Return how many captures it brought.
 
-        Content that others have committed since, or that comes twice, is left out.
+        Content that others have committed since, or that comes twice, is left out. Raises UsageError where nothing can be
+        written.
         """
+        with self._writing():
+            return self._commit(tasks)
+
+    def _commit(self, tasks: Sequence[Taken]) -> int:
         for _ in range(_RACES):
             known, batch = self.known(), uuid.uuid4().hex
             fresh: dict[str, dict[str, Any]] = {}
@@ -294,6 +314,10 @@ class Lake:
 
     def compact(self, days: float) -> tuple[int, int]:
         """Join small files, and remove those that no table has needed for some days; return how many of both."""
+        with self._writing():
+            return self._compact(days)
+
+    def _compact(self, days: float) -> tuple[int, int]:
         joined = removed = 0
         for name in self.tables():
             opened = self.open(name)
@@ -311,6 +335,10 @@ class Lake:
 
     def recover(self) -> int:
         """Finish batches whose client died in the middle; return how many."""
+        with self._writing():
+            return self._recover()
+
+    def _recover(self) -> int:
         finished = 0
         for batch, journal in list(self.pending()):
             captures = self.open(CAPTURES)

@@ -21,6 +21,7 @@ from analyzer.fleet.ingest import Outcome, Pattern, tasks, works
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Place
 from analyzer.fleet.rows import take
+from analyzer.sinks import parquet as parquet_tables
 from tests.fleet.lakes import candump, hall, ingest, options, rows
 
 
@@ -149,63 +150,6 @@ def test_a_race_is_lost_by_who_has_read_the_table_before(captures, clean, tmp_pa
     assert Question(second).sql(count).fetchall()[0][0] == len(clean["transactions"])
 
 
-class Died(BaseException):
-    """The process is gone."""
-
-
-@pytest.fixture
-def steps(monkeypatch):
-    """Count what changes the lake, and die before one of these steps."""
-    state = {"count": 0, "dies": None}
-
-    def watch(owner, name):
-        real = getattr(owner, name)
-
-        def step(*arguments, **named):
-            state["count"] += 1
-            if state["count"] == state["dies"]:
-                raise Died
-            return real(*arguments, **named)
-
-        monkeypatch.setattr(owner, name, step)
-
-    import deltalake
-
-    for owner, name in (
-        (places.Place, "put"), (places.Place, "remove"), (deltalake, "write_deltalake"),
-        (deltalake.DeltaTable, "create_write_transaction"), (deltalake.DeltaTable, "create"),
-    ):  # fmt: skip
-        watch(owner, name)
-    return state
-
-
-def test_a_client_that_dies_at_any_step_leaves_all_of_a_batch_or_nothing(captures, tmp_path, steps):
-    one = captures / "m0" / "2026-03-01" / "0.log"
-    whole = lake(tmp_path / "whole")
-    steps["count"] = 0
-    ingest(whole, one)
-    expected, every = rows(whole), steps["count"]
-    assert every > 12
-    seen = set()
-    for number in range(1, every + 1):
-        made = lake(tmp_path / str(number))
-        steps["count"], steps["dies"] = 0, number
-        with pytest.raises(Died):
-            ingest(made, one)
-        steps["dies"] = None
-        after = Lake(Place(str(tmp_path / str(number))))
-        # Who asks now sees nothing of it, or all.
-        there = rows(after)
-        assert there in ({}, expected)
-        outcome = ingest(after, one)
-        seen.add((bool(there), outcome.recovered, outcome.new))
-        assert rows(after) == expected
-        after.recover()
-        assert list(after.pending()) == []
-    assert (False, 0, 1) in seen
-    assert (False, 1, 0) in seen
-
-
 def test_what_cannot_be_read_says_why_and_is_tried_again(tmp_path):
     folder = tmp_path / "in"
     folder.mkdir()
@@ -279,6 +223,24 @@ def test_a_new_column_is_added_and_another_unit_is_another_version(tmp_path):
     other = pa.schema([first[0], speed.with_metadata({"unit": "deg/s"})])
     assert (made.fitting("states", other), made.fitting("states", other)) == ("states@2", "states@2")
     assert made.notes == ["states: a column has another unit or type than before; its rows go to states@2"]
+
+
+def test_what_a_later_version_adds_or_changes_stands_beside_what_was_there(captures, tmp_path, monkeypatch):
+    made = lake(tmp_path / "lake")
+    before = ingest(made, captures / "m0").notes[:]
+    monkeypatch.setattr(parquet_tables, "STATE_UNITS", parquet_tables.STATE_UNITS | {"torque": "Nm"})
+    added = ingest(made, captures / "m1" / "2026-03-01" / "1.log").notes[:]
+    monkeypatch.setattr(parquet_tables, "STATE_UNITS", parquet_tables.STATE_UNITS | {"speed": "deg/s"})
+    changed = ingest(made, captures / "m1").notes
+    assert (before, added) == ([], [])
+    assert changed == ["states: a column has another unit or type than before; its rows go to states@2"]
+    question = Question(Lake(made.place))
+    units = [{column.name: column.unit for column in question.columns(name)} for name in ("states", "states_v2")]
+    assert [each["speed"] for each in units] == ["rpm", "deg/s"]
+    assert units[0]["torque"] == "Nm"
+    both = "select count(*), count(torque) from states union all select count(*), count(torque) from states_v2 order by 1 desc"
+    (first, none), (second, no) = question.sql(both).fetchall()
+    assert first > second > none == no == 0
 
 
 def test_compacting_keeps_the_rows(captures, clean, tmp_path):
