@@ -5,7 +5,7 @@
 Captures are made: candump logs of four drives that are polled, with values that the manual allows. Long ones are ingested by
 one and by two workers of Dask, as they are and in ranges, and decoded by `servotap decode --to parquet --jobs 1`. Where the
 machine has other work, the clock says nothing: CPU seconds of the busiest process then say what two workers would take. Small
-ones are taken here, without Dask: CPU seconds of decoding alone, of taking them into files of a lake, and of committing. For the
+ones are taken here, without Dask: CPU seconds of decoding alone, of taking them into files of a lake, of committing. For the
 question, rows of `states` are generated as drives of 100 machines would give them.
 """
 
