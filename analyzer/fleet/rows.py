@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 HELD = 1 << 17
 #: Rows that stand together in a file.
 GROUP = 1 << 17
+#: Columns whose values hardly repeat and mostly grow: a dictionary of them would cost ten times as much as their differences.
+_RUNNING = ("time", "time_ns", "sequence", "_request_sequence", "request_sequence", "_offset")
 #: The partitions of every table but `captures`.
 PARTITIONS = ("date", "machine")
 #: Findings of a reply that say what became of its request.
@@ -182,8 +184,13 @@ class _File:
     def write(self, rows: pyarrow.Table, captures: Iterable[str]) -> None:
         """Write rows as the lake has them, as one row group. `captures`: whose they are."""
         if self._writer is None:
-            parquet = needed("pyarrow.parquet")
-            self._writer = parquet.ParquetWriter(self._path, self._schema, compression="zstd", compression_level=1)
+            running = [name for name in _RUNNING if name in self._schema.names]
+            others = [each.name for each in self._schema if each.name not in running]
+            self._writer = needed("pyarrow.parquet").ParquetWriter(
+                self._path, self._schema, compression="zstd", compression_level=1,
+                use_dictionary=[*others, *(f"{name}.list.element" for name in others)],
+                column_encoding=dict.fromkeys(running, "DELTA_BINARY_PACKED"),
+            )  # fmt: skip
         self._writer.write_table(rows)
         self._count += len(rows)
         self._captures |= dict.fromkeys(captures)
