@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 import pyarrow as pa
@@ -105,8 +106,7 @@ def of_decode(path: Path, folder: Path) -> Cost:
 def of_ingest(source: Path, lake: Lake, number: int, *, ranges: int = 0) -> Cost:
     """Return the cost of ingesting captures by workers that have loaded all. `ranges`: the size of one; 0: none is split."""
     found = works([Place(str(source))], lake, Pattern("{machine}/{date}/*"), False, Outcome())
-    ingesting.HUGE = 1 if ranges else 1 << 62
-    with workers("local", number) as client:
+    with patch.object(ingesting, "HUGE", 1 if ranges else 1 << 62), workers("local", number) as client:
         client.run(prepare, found[0].found.key, options(), ranges)
         before, own = client.run(time.process_time), time.process_time()
         seconds = clock(lambda: Ingest(lake, options(), Outcome(), Interrupt()).run(client, found))
