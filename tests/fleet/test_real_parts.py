@@ -133,9 +133,11 @@ def test_a_process_that_is_killed_costs_time_alone(victim, huge, cluster, captur
 
         Watching(made, options(), outcome, Interrupt()).run(client, found)
     assert {"scheduler": scheduler, "worker": worker}[victim].wait() == -signal.SIGKILL
-    assert made.place.count("ranges/*") == 0
     assert outcome.new == 6
     assert rows(made) == clean
+    # A worker of the scheduler that was killed may write a range after its scan was forgotten: `compact` removes it later.
+    if victim == "worker":
+        assert made.place.count("ranges/*") == 0
 
 
 def test_the_commands(captures, tmp_path, capsys):
