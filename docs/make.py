@@ -307,6 +307,7 @@ def main() -> int:
         makers = {
             ROOT / "README.md": lambda: played(filled((ROOT / "README.md").read_text(), Path(folder))),
             ROOT / "docs" / "devices.md": lambda: filled((ROOT / "docs" / "devices.md").read_text(), Path(folder)),
+            ROOT / "docs" / "logic.md": lambda: filled((ROOT / "docs" / "logic.md").read_text(), Path(folder)),
             ROOT / "docs" / "first-hour.md": lambda: played((ROOT / "docs" / "first-hour.md").read_text()),
             ROOT / "docs" / "show.svg": picture,
             ROOT / "docs" / "findings.md": findings,

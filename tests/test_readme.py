@@ -20,10 +20,10 @@ make = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(make)
 
 README = (ROOT / "README.md").read_text()
-DEVICES = (ROOT / "docs" / "devices.md").read_text()
+PAGES = "".join((ROOT / "docs" / page).read_text() for page in ("devices.md", "logic.md"))
 
 
-@pytest.mark.parametrize("block", make.commands(README) + make.commands(DEVICES), ids=lambda b: b[0][:60])
+@pytest.mark.parametrize("block", make.commands(README) + make.commands(PAGES), ids=lambda b: b[0][:60])
 def test_a_command_prints_what_stands_below_it(block, tmp_path):
     command, output = block
     assert make.tidy(make.run(command, tmp_path)) == output

@@ -470,3 +470,25 @@ def test_a_commit_that_was_emptied_is_told(captures, tmp_path, capsys):
     for words in (["select count(*) from captures"], ["captures"], []):
         assert main(["ask", str(tmp_path / "lake"), *words]) == 2
         assert f"{commits[-1].name} is empty" in capsys.readouterr().err
+
+
+_DOCS = Path(__file__).parents[2] / "docs" / "fleet.md"
+_INDENTED = re.findall(r"\n\n((?: {4}.+\n)+)", _DOCS.read_text())
+_QUESTIONS = [" ".join(block.split()) for block in _INDENTED if block.lstrip().startswith("select")]
+
+
+@pytest.mark.parametrize("question", _QUESTIONS, ids=lambda question: question[:40])
+def test_questions_of_the_docs_are_answered(question, captures, tmp_path):
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    answer = Question(made).sql(question)
+    answer.fetchall()
+    assert answer.description
+
+
+def test_the_docs_ask_for_the_slowest_drives(captures, tmp_path):
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    answer = Question(made).sql(_QUESTIONS[0]).fetchall()
+    assert {row[0] for row in answer} == {"m0", "m1"}
+    assert len(_QUESTIONS) == 5
