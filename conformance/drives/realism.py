@@ -262,13 +262,16 @@ class _Real:
             return now
         read_ns, was, shown = self._read
         passed_ns = drive.now_ns - read_ns
-        rests_ns = min(passed_ns, max(0.0, drive.rest.since_ns)) if not now else 0.0
-        # A speed changes by a ramp, and a filter follows it; of a shaft that rests it dies away.
-        if passed_ns > rests_ns:
-            ramp_ns = passed_ns - rests_ns
-            behind = (was - now) * lag_ns / ramp_ns
-            shown = now + behind + (shown - was - behind) * math.exp(-ramp_ns / lag_ns)
-        shown = now + (shown - now) * math.exp(-rests_ns / lag_ns)
+        if now:
+            # It turns as it does since then, as far as a filter shows.
+            shown = now + (shown - now) * math.exp(-passed_ns / lag_ns)
+        else:
+            # It came to rest by a ramp, which a filter follows; then what is shown dies away.
+            rests_ns = min(passed_ns, max(0.0, drive.rest.since_ns))
+            if ramp_ns := passed_ns - rests_ns:
+                behind = was * lag_ns / ramp_ns
+                shown = behind + (shown - was - behind) * math.exp(-ramp_ns / lag_ns)
+            shown *= math.exp(-rests_ns / lag_ns)
         self._read = (drive.now_ns, now, shown)
         return shown
 
