@@ -332,7 +332,7 @@ def _at_one(data: bytes) -> bytes:
 
 
 _MODBUS_LAST = 247
-#: The address at which some meters answer, whatever their own is.
+#: Some meters answer at this address as well as at their own.
 _GENERAL = 0xF8
 _MODBUS_SHORTEST = 5
 _WRITE_ONE = 8
@@ -390,7 +390,7 @@ def _switched_off(scene: Scene) -> Iterator[Suspicion]:
         right = build(dialect, command, message.address, {setting[1].name: 1, **({active: 1} if active else {})})
         frame = shown(right, dialect.link.identifier(command, message.address))
         yield Suspicion(
-            # The frame itself says it; that somebody misses replies is told by the words alone.
+            # The frame shows the setting. Only words can show that somebody misses replies.
             "respond_off", Confidence.CERTAIN if scene.words else Confidence.LIKELY,
             [t for t in scene.troubles if t.offset >= piece.offset],
             f"Address {message.who} is told to answer no motion command: respond is set to 0.",

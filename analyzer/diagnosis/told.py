@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from analyzer.diagnosis.reports import MISFIT, reports
-from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link import READS
 from analyzer.values import counted
 
@@ -49,13 +49,13 @@ def _as_string(scene: Scene, words: str) -> Iterator[Suspicion]:
     if found is None or not cut:
         return
     data = cut[0].data
-    yield Suspicion(
-        "text_mode", Confidence.LIKELY, scene.troubles or [Trouble("damaged", cut[0].offset, None, cut[0])],
+    yield _as_text(
+        scene,
+        cut,
         "The program handles frames as strings: a string ends at its first 00, and the rest is not sent.",
-        f"{found[0].strip(' )')!r} in the text; {shown(data)} at byte {cut[0].offset} ends as {shown(data[:data.index(0)])}",
+        f"{found[0].strip(' )')!r} in the text; {shown(data)} at byte {cut[0].offset} ends as {shown(data[: data.index(0)])}",
         "Give the number of bytes to what copies and sends: sizeof of the array, memcpy, write(data, length)",
-        tuple(Shown(p.offset, shown(p.data)) for p in cut),
-    )  # fmt: skip
+    )
 
 
 def _as_digits(scene: Scene, words: str) -> Iterator[Suspicion]:
@@ -68,13 +68,20 @@ def _as_digits(scene: Scene, words: str) -> Iterator[Suspicion]:
     if found is None or not sent or any(p.is_reply for p in scene.pieces):
         return
     data = sent[0].data
-    yield Suspicion(
-        "text_mode", Confidence.LIKELY, scene.troubles or [Trouble("damaged", sent[0].offset, None, sent[0])],
+    yield _as_text(
+        scene,
+        sent,
         "The program prints its bytes as digits: letters go out in their place.",
         f"{found[0].strip()!r} in the text; {shown(data)} at byte {sent[0].offset}",
         f"Write the bytes themselves: {found[1]}.write(data, length)",
-        tuple(Shown(p.offset, shown(p.data)) for p in sent),
-    )  # fmt: skip
+    )
+
+
+def _as_text(scene: Scene, pieces: list[Piece], say: str, evidence: str, todo: str) -> Suspicion:
+    """Return the suspicion that a program takes these pieces for text."""
+    troubles = scene.troubles or [Trouble("damaged", pieces[0].offset, None, pieces[0])]
+    frames = tuple(Shown(p.offset, shown(p.data)) for p in pieces)
+    return Suspicion("text_mode", Confidence.LIKELY, troubles, say, evidence, todo, frames)
 
 
 #: Calls of Arduino on a port: what prints an element of an array as digits, what writes, what hears; and remarks.

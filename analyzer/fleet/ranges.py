@@ -9,8 +9,8 @@ from then on. So one worker reads the capture through and pairs its frames, whic
 state of the pipeline over at each border. Another worker goes on from there as if it had read all before. The items lie in the
 range's file, so no format needs a way to begin in the middle, and no worker fetches the capture again.
 
-Rules: ranges are taken while the scan goes on. A capture whose scan or range fails reaches no table. A range's file is of this
-program: its key, which the client alone makes, says that nobody else wrote it.
+Rules: ranges are taken while the scan goes on. A capture whose scan or range fails reaches no table. The client
+makes a key for each scan, and the scan signs its files with it. A worker reads no file without that signature.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from analyzer.sinks.mcap_chunk import Batch, Packed
 from analyzer.sinks.object_table import Table
 from analyzer.sinks.shared import Shared
 
-#: More processes than this wait for the one that has the order.
+#: More workers would idle: the first process, which keeps the order, has no tasks for them.
 MOST = 3
 #: Tasks that a worker has at once: one under way, one in its pipe.
 _AT_ONCE = 2
@@ -49,7 +49,7 @@ class Task(Generic[R]):
         return self._workers.done(self._function, self._argument)
 
     def begun(self) -> bool:
-        """Say whether somebody does it, or did."""
+        """Say whether it is under way or has ended."""
         return self._future.running() or self._future.done()
 
     def done(self) -> bool:
@@ -200,7 +200,7 @@ class _Worker:
         with contextlib.suppress(OSError, ValueError):
             with self._giving:
                 self._forked.give(data)
-                # Answers come as tasks were given: whoever gave first takes first.
+                # Answers come in the order of the tasks, so the locks are taken in that order, too.
                 self._taking.acquire()
             try:
                 answer = self._forked.take()

@@ -437,7 +437,7 @@ def _called(groups: dict[str, str | None], stamp: Stamp) -> _Line | None:
     """Return the frame that a program sends, by its identifier and its bytes."""
     number = _number(groups["id"] or "")
     values = [_number(token) for token in _TOKEN.findall(groups["listed"] or "")] * int(groups.get("times") or 1)
-    # A program that asks for 11 bits gets them, whatever its number needs.
+    # A program that asks for 11 bits sends 11 bits, however large its number is.
     extended = bool(groups.get("extended")) or (number > _STANDARD and not groups.get("standard"))
     if number > _ID_MASK or not values or max(values) > 0xFF or (len(values) > _CAN_BYTES and len(values) not in _FD_BYTES):
         return None

@@ -61,8 +61,10 @@ def _set(probe: Probe, name: str, value: int) -> Exchange:
 # --- limits -----------------------------------------------------------------------------------------------------------
 
 
-#: The speed limits that are tried, as sent and in rpm, how long each has to hold and is looked at, and how near is near.
-_WIDER, _LIMIT, _LIMIT_RPM, _HOLDS_NS, _SEEN_NS, _LIMIT_NEAR = 18_000, 9_000, 15, 300 * MS, 300 * MS, 0.5
+#: A wide and a narrow speed limit as they are sent; the narrow one in rpm, and its tolerance.
+_WIDER, _LIMIT, _LIMIT_RPM, _LIMIT_NEAR = 18_000, 9_000, 15, 0.5
+#: A speed reaches its limit within the first time, and is measured for the second.
+_HOLDS_NS, _SEEN_NS = 300 * MS, 300 * MS
 
 
 def limited_runs(probe: Probe, run: Command) -> tuple[_Limited, ...]:

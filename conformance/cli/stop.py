@@ -173,7 +173,7 @@ class _Everywhere:
         return []
 
     def said(self) -> str:
-        """Return what is to be said where no drive was found."""
+        """Return the message for the case that no drive was found."""
         told = "every stop was sent to every address, and whether a shaft stands cannot be read"
         return "; ".join([told, *self._others_send, *filter(None, [self._refused]), "name a drive that does not answer reads"])
 

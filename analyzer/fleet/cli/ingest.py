@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--machine", metavar="PATTERN",
-        help="what a path below SOURCE says, as '{machine}/{date}/*' (default: servotap.toml beside the captures)",
+        help="what a path below SOURCE says, as '{machine}/{date}/*' (default: what a servotap.toml beside them names)",
     )  # fmt: skip
     parser.add_argument(
         "--scheduler", default="local", metavar="URL", help="a scheduler of Dask, tcp://HOST:8786 (default: this machine)"

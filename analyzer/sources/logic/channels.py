@@ -71,7 +71,7 @@ class _Read:
 
     @property
     def worth(self) -> tuple[bool, bool, float, int]:
-        """How well it is understood; of a pair the one that is high when idle comes first."""
+        """How well it is understood. Of two alike, the line that idles high comes first."""
         return not self.monotonous, not self.spoken.form.inverted, self.spoken.quality, self.spoken.count
 
     @property
@@ -163,7 +163,7 @@ def _without_twins(source: Source, names: Sequence[str], lines: Sequence[Levels]
             continue
         times = (a.edges[:_COMPARED] + 2 * near_ns).astype(np.int64)
         differ = float((a.at(times) != b.at(times)).mean()) > 0.5
-        # The one that is high most of the time is high when idle.
+        # A line is idle most of the time: the line that is high for longer idles high.
         dropped = other if _high(a) >= _high(b) else one
         kept = one if dropped == other else other
         left.remove(dropped)
