@@ -34,7 +34,7 @@ from conformance.talk.scan import Found, scan
 
 #: How often all are told to stop, and looked for, where none is found.
 _ROUNDS = 2
-#: Of a frame of CAN that is no drive's.
+#: So many bytes a frame of another sender on CAN is taken to have.
 _CAN_BYTES = 8
 EXAMPLES = """\
 examples:
