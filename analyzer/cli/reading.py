@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -19,7 +18,7 @@ from analyzer.cli.option_types import add_ids_argument, address, ids_of, millise
 from analyzer.cli.time_range import TimeRange, add_time_range_arguments
 from analyzer.detect import Choice, choose
 from analyzer.devices import load
-from analyzer.errors import UnreadableError, UsageError
+from analyzer.errors import UsageError
 from analyzer.events import SETUPS
 from analyzer.framer import SILENCE_NS
 from analyzer.pipeline import Item, Options, Pipeline, PortSetup, Sink
@@ -32,16 +31,7 @@ if TYPE_CHECKING:
     from analyzer.sources import Source
     from analyzer.sources.tail import Follow
 
-__all__ = [
-    "Item",
-    "OpenCapture",
-    "add_reading_arguments",
-    "now_text",
-    "open_reading",
-    "progress",
-    "require_file",
-    "source_options",
-]
+__all__ = ["Item", "OpenCapture", "add_reading_arguments", "now_text", "open_reading", "progress", "source_options"]
 
 #: From this size on, in bytes, a capture is read in blocks, and a process of its own is worth starting.
 LONG_CAPTURE = 1 << 20
@@ -409,19 +399,6 @@ def showing_progress(
     finally:
         done.set()
         watcher.join()
-
-
-def require_file(path: str) -> Path:
-    """Return the path of an existing file.
-
-    Raises UnreadableError with the reason if it is none.
-    """
-    found = Path(path)
-    if found.is_dir():
-        raise UnreadableError(f"{path} is a folder, expected a capture file")
-    if not found.exists():
-        raise UnreadableError(f"{path} does not exist")
-    return found
 
 
 def now_text() -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
 import threading
 import time
@@ -277,10 +276,9 @@ class ViewDisplay(LineDisplay):
     """The terminal view; messages wait until it is closed."""
 
     def __init__(self) -> None:
-        from analyzer.live.snapshot_pipe import SnapshotWriter
+        from analyzer.view.live import SnapshotQueue
 
-        self._read_fd, write_fd = os.pipe()
-        self._writer = SnapshotWriter(write_fd)
+        self._snapshots = SnapshotQueue()
         self._lock = threading.Lock()
         self._notes: list[tuple[str, str]] = []
         self._open = True
@@ -295,9 +293,7 @@ class ViewDisplay(LineDisplay):
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Pass it on."""
-        with self._lock:
-            if self._open:
-                self._writer.offer(snapshot)
+        self._snapshots.offer(snapshot)
 
     def say(self, text: str) -> None:
         """Say it unless the view has the terminal."""
@@ -308,8 +304,7 @@ class ViewDisplay(LineDisplay):
         """Show the view until the user quits or the recording ends."""
         from analyzer.view import run_live
 
-        ender = threading.Thread(target=self._end_with, args=(thread,), daemon=True)
-        ender.start()
+        threading.Thread(target=self._end_with, args=(thread,), daemon=True).start()
 
         def mark(text: str) -> str:
             supervisor.mark(text)
@@ -317,11 +312,12 @@ class ViewDisplay(LineDisplay):
 
         config = supervisor.config
         try:
-            why = run_live(self._read_fd, mark=mark, log=config.log, model=config.model)
+            why = run_live(self._snapshots, mark=mark, log=config.log, model=config.model)
         except Exception as error:
             report(error)
             why = "see above"
-        self._shut()
+        with self._lock:
+            self._open = False
         for bus, text in self._notes:
             super().note(bus, text)
         if why not in ("quit", "ended"):
@@ -331,12 +327,6 @@ class ViewDisplay(LineDisplay):
         super().watch(supervisor, thread)
 
     def _end_with(self, thread: threading.Thread) -> None:
-        """Close the pipe when the recording is over, which ends the view."""
+        """End the view when the recording is over."""
         thread.join()
-        self._shut()
-
-    def _shut(self) -> None:
-        with self._lock:
-            if self._open:
-                self._open = False
-                self._writer.close()
+        self._snapshots.close()

@@ -219,7 +219,7 @@ def can_interfaces(root: Path = ROOT, ip: str | None = None) -> list[CanInterfac
     names = [e.name for e in sorted(tree.iterdir(), key=lambda e: _natural(e.name)) if _text(e / "type") == _CAN_TYPE]
     if not names:
         return []
-    links = links_of(_ask_ip() if ip is None else ip)
+    links = links_of(ask_ip() if ip is None else ip)
     return [_socketcan(tree / name, links.get(name, {})) for name in names]
 
 
@@ -232,7 +232,8 @@ def links_of(text: str) -> dict[str, dict[str, Any]]:
     return {link["ifname"]: link for link in listed if isinstance(link, dict) and "ifname" in link}
 
 
-def _ask_ip() -> str:
+def ask_ip() -> str:
+    """Return what `ip` tells of all network interfaces as JSON; empty where it cannot be asked."""
     program = shutil.which("ip") or shutil.which("ip", path="/usr/sbin:/sbin")
     if program is None:
         return ""

@@ -12,13 +12,11 @@ SocketCAN is a setting of the kernel (`ip link set can0 type can ... listen-only
 
 from __future__ import annotations
 
-import json
-import shutil
-import subprocess
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from analyzer.errors import UsageError
+from analyzer.live.adapters import ask_ip, links_of
 from analyzer.live.endpoint import DEFAULT_BITRATE, Endpoint
 
 
@@ -80,7 +78,7 @@ def options_for(endpoint: Endpoint) -> tuple[dict[str, Any], list[str]]:
 
 def kernel_notes(channel: str, speed: int | None) -> list[str]:
     """Return what the kernel's settings of a SocketCAN interface are worth telling. `speed`: what the user said it runs at."""
-    return notes_of_link(_link(channel), channel, speed)
+    return notes_of_link(links_of(ask_ip()).get(channel), channel, speed)
 
 
 def notes_of_link(link: Mapping[str, Any] | None, channel: str, speed: int | None) -> list[str]:
@@ -102,16 +100,3 @@ def notes_of_link(link: Mapping[str, Any] | None, channel: str, speed: int | Non
     if speed is not None and actual and actual != speed:
         notes.append(f"{channel} runs at {actual} bit/s instead of {speed}")
     return notes
-
-
-def _link(channel: str) -> Mapping[str, Any] | None:
-    tool = shutil.which("ip", path="/usr/sbin:/sbin:/usr/bin:/bin")
-    if tool is None:
-        return None
-    words = [tool, "-details", "-json", "link", "show", channel]
-    try:
-        done = subprocess.run(words, capture_output=True, timeout=2, check=True)
-        found = json.loads(done.stdout)
-    except (OSError, subprocess.SubprocessError, ValueError):
-        return None
-    return found[0] if isinstance(found, list) and found and isinstance(found[0], dict) else None

@@ -46,7 +46,7 @@ DECODER_NICE = 5
 
 _UNIX = os.name == "posix"
 #: So that nothing in the folder where the user happens to be is taken for a module.
-_PYTHON = [sys.executable, "-P"]
+PYTHON = [sys.executable, "-P"]
 
 MessageQueue = queue.SimpleQueue[tuple[str, Any, Any]]
 
@@ -58,14 +58,15 @@ class Child(ABC):
     object), ("snapshot", name, Snapshot), ("said", name, text), ("exit", name, status), which is the last of all.
     """
 
+    #: Told where its segments begin, as one that stores.
+    stores = False
+
     def __init__(self, name: str, command: Sequence[str], heard: MessageQueue, nice: int, handed: Sequence[int] = ()) -> None:
         self.name = name
         self._command = list(command)
         self._heard = heard
         self._nice = nice
         self._handed = tuple(handed)
-        #: Told where its segments begin, as one that stores.
-        self._stores = False
         self._process: subprocess.Popen[bytes] | None = None
         self._leash: socket.socket | IO[bytes] | None = None
         self._words: deque[str] = deque(maxlen=_LAST_WORDS)
@@ -98,7 +99,7 @@ class Child(ABC):
         if kept is not None:
             words += ["--adopt", str(kept)]
             handed += (kept,)
-        if self._stores and self.restarts:
+        if self.stores and self.restarts:
             words += ["--first-segment", str(self.restarts * SEGMENTS)]
         self.drop_leash()
         self._words.clear()
@@ -232,23 +233,10 @@ class Child(ABC):
                 leash.close()
 
 
-class ReaderChild(Child):
-    """The reader process of one port."""
+class StoringChild(Child):
+    """A process that stores, and tells events as lines of JSON. Those of one that stores several spools name theirs."""
 
-    def __init__(self, folder: Path, stem: str, heard: MessageQueue, *, plain: bool = False) -> None:
-        command = [*_PYTHON, "-m", "analyzer.live.reader", str(folder), stem]
-        self._hand = Hand.make()
-        handed = [] if self._hand is None else [self._hand]
-        command += [*(["--plain"] * plain), *(f"--hand={fd}" for fd in handed)]
-        super().__init__(stem, command, heard, READER_NICE, handed)
-        self._stores = True
-
-    def close(self) -> None:
-        """Give back what is held."""
-        super().close()
-        hand, self._hand = self._hand, None
-        if hand is not None:
-            os.close(hand)
+    stores = True
 
     def _hear(self, line: bytes) -> None:
         try:
@@ -257,14 +245,32 @@ class ReaderChild(Child):
             return
         if event.get("event") == "lost":
             self.let_go()
-        self._heard.put(("event", self.name, event))
+        self._heard.put(("event", event.pop("stem", self.name), event))
+
+
+class ReaderChild(StoringChild):
+    """The reader process of one port."""
+
+    def __init__(self, folder: Path, stem: str, heard: MessageQueue, *, plain: bool = False) -> None:
+        command = [*PYTHON, "-m", "analyzer.live.reader", str(folder), stem]
+        self._hand = Hand.make()
+        handed = [] if self._hand is None else [self._hand]
+        command += [*(["--plain"] * plain), *(f"--hand={fd}" for fd in handed)]
+        super().__init__(stem, command, heard, READER_NICE, handed)
+
+    def close(self) -> None:
+        """Give back what is held."""
+        super().close()
+        hand, self._hand = self._hand, None
+        if hand is not None:
+            os.close(hand)
 
 
 class DecoderChild(Child):
     """The decoding process: it follows the spools and writes the log."""
 
     def __init__(self, folder: Path, heard: MessageQueue) -> None:
-        command = [*_PYTHON, "-m", "analyzer.live.recorder", str(folder), "--feed", "1"]
+        command = [*PYTHON, "-m", "analyzer.live.recorder", str(folder), "--feed", "1"]
         nice = 0 if _UNIX and os.geteuid() == 0 else DECODER_NICE
         super().__init__("decoding", command, heard, nice)
 

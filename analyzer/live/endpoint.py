@@ -163,14 +163,12 @@ def _serial(text: str, place: str, options: dict[str, str]) -> Endpoint:
     stop = options.pop("stop", "1")
     if stop not in ("1", "2"):
         raise UsageError(f"{quote(text)}: stop: got {quote(stop)}, expected 1 or 2 stop bits")
-    direction = options.pop("direction", "unknown")
-    if direction not in ("request", "reply", "unknown"):
-        raise UsageError(f"{quote(text)}: direction: got {quote(direction)}, expected request or reply")
+    direction = _direction(text, options)
     baud = options.pop("baud", None)
     auto = baud == "auto"
     speed = None if auto or baud is None else _speed(text, "baud", baud, "bits per second or auto")
     _refuse_rest(text, options, ("baud", "parity", "stop", "serial", "direction"))
-    return Endpoint(text, "serial", place, "", speed, auto, PARITIES[parity], int(stop), adapter, Role(direction))
+    return Endpoint(text, "serial", place, "", speed, auto, PARITIES[parity], int(stop), adapter, direction)
 
 
 def _tcp(text: str, place: str, options: dict[str, str]) -> Endpoint:
@@ -179,12 +177,10 @@ def _tcp(text: str, place: str, options: dict[str, str]) -> Endpoint:
         raise UsageError(f"{quote(text)}: got {quote(place)}, expected tcp:HOST:PORT with a port 1..65535")
     baud = options.pop("baud", None)
     speed = None if baud is None else _speed(text, "baud", baud)
-    direction = options.pop("direction", "unknown")
-    if direction not in ("request", "reply", "unknown"):
-        raise UsageError(f"{quote(text)}: direction: got {quote(direction)}, expected request or reply")
+    direction = _direction(text, options)
     _refuse_rest(text, options, ("baud", "direction"))
     host = match["host"] or "127.0.0.1"
-    return Endpoint(text, "tcp", f"{host}:{int(match['port'])}", "", speed, direction=Role(direction))
+    return Endpoint(text, "tcp", f"{host}:{int(match['port'])}", "", speed, direction=direction)
 
 
 def _can(text: str, place: str, options: dict[str, str]) -> Endpoint:
@@ -211,6 +207,13 @@ def _speed(text: str, name: str, value: str, wanted: str = "bits per second") ->
     if not 0 < speed <= 100_000_000:
         raise UsageError(f"{quote(text)}: {name}: got {quote(value)}, expected {wanted}")
     return speed
+
+
+def _direction(text: str, options: dict[str, str]) -> Role:
+    direction = options.pop("direction", "unknown")
+    if direction not in ("request", "reply", "unknown"):
+        raise UsageError(f"{quote(text)}: direction: got {quote(direction)}, expected request or reply")
+    return Role(direction)
 
 
 def _refuse_rest(text: str, options: Mapping[str, str], known: Sequence[str]) -> None:

@@ -6,6 +6,7 @@ A port is opened, listened to until it is lost or the reader is to end, closed, 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import signal
@@ -46,11 +47,12 @@ class Opened:
 class Stop:
     """The request to end: SIGTERM, or the end of standard input, when the supervisor has died.
 
-    `asked`: why, empty until then. `fileno` is readable from then on.
+    `asked`: why, empty until then. `fileno` is readable from then on. `gone`: why, in words, where the supervisor has died.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, gone: str = "the supervisor has gone") -> None:
         self.asked = ""
+        self._gone = gone
         self._woken, self._waker = socket.socketpair()
         self._waker.setblocking(False)
 
@@ -71,15 +73,12 @@ class Stop:
         threading.Thread(target=self._hold, args=(fd,), daemon=True).start()
 
     def _hold(self, fd: int) -> None:
-        # Nothing is sent on it. A thread, because not every system can wait for it together with a port.
-        try:
+        # Nothing is sent on it, and an error is as good as its end. A thread, because not every system can wait for it
+        # together with a port.
+        with contextlib.suppress(OSError):
             while os.read(fd, 64):
                 pass
-        except OSError:
-            # As good as its end.
-            self.ask("the supervisor has gone")
-            return
-        self.ask("the supervisor has gone")
+        self.ask(self._gone)
 
     def ask(self, reason: str) -> None:
         """Request the end."""

@@ -17,10 +17,8 @@ import argparse
 import contextlib
 import gc
 import os
-import signal
 import stat
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -31,6 +29,7 @@ from analyzer.live import config as settings
 from analyzer.live.config import RecordingConfig
 from analyzer.live.lock import DECODING, RUNNING, Lock
 from analyzer.live.log_parts import LogParts, Wrap
+from analyzer.live.reader_port import LEASH, Stop
 from analyzer.live.recording import Recording
 from analyzer.live.snapshot_pipe import SnapshotWriter
 from analyzer.live.snapshot_sink import SnapshotSink
@@ -308,42 +307,19 @@ def remove(folder: Path) -> None:
         folder.rmdir()
 
 
-class _Leash:
-    """Says why to end: SIGTERM, or the end of standard input if that is a pipe."""
-
-    def __init__(self) -> None:
-        self.why = ""
-        for name in ("SIGINT", "SIGHUP"):
-            # They are for the supervisor.
-            if hasattr(signal, name):
-                signal.signal(getattr(signal, name), signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, lambda number, frame: self._end("asked to end"))
-        mode = os.fstat(0).st_mode
-        if stat.S_ISSOCK(mode) or stat.S_ISFIFO(mode):
-            threading.Thread(target=self._hold, daemon=True).start()
-
-    def _hold(self) -> None:
-        with contextlib.suppress(OSError):
-            while os.read(0, 64):
-                pass
-        self._end("the process that had started the recording died")
-
-    def _end(self, why: str) -> None:
-        self.why = self.why or why
-
-    def __call__(self) -> str:
-        return self.why
-
-
 def main(words: Sequence[str] | None = None) -> int:
     """Run the process; return its exit status: 0 when the log is whole, 1 when something is left to be mended."""
     parser = argparse.ArgumentParser(prog="analyzer.live.recorder", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("folder", type=Path, help="the folder of the spools")
     parser.add_argument("--feed", type=int, metavar="FD", help="descriptor for snapshots")
     arguments = parser.parse_args(words)
-    leash = _Leash()
+    stop = Stop("the process that had started the recording died")
+    stop.on_signals()
+    # A terminal or a file is no leash.
+    if stat.S_ISSOCK(mode := os.fstat(LEASH).st_mode) or stat.S_ISFIFO(mode):
+        stop.on_leash()
     try:
-        recorder = Recorder(arguments.folder, feed_fd=arguments.feed, asked=leash)
+        recorder = Recorder(arguments.folder, feed_fd=arguments.feed, asked=lambda: stop.asked)
         # What is loaded by now stays; the collector need not look at it while records come and go.
         gc.collect()
         gc.freeze()

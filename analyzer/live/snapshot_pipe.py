@@ -1,4 +1,4 @@
-"""Snapshots through a pipe: written without ever waiting, read without ever blocking.
+"""Snapshots into a pipe, written without ever waiting.
 
 A line that has been begun is finished before the next one begins; a snapshot that comes while the pipe is full is dropped.
 """
@@ -10,24 +10,14 @@ import io
 import os
 import sys
 
-import msgspec
-
 from analyzer.errors import UsageError
-from analyzer.live.snapshot import Snapshot, decode, encode
+from analyzer.live.snapshot import Snapshot, encode
 
 if sys.platform == "linux":
     from fcntl import F_SETPIPE_SZ, fcntl
 
 #: Wished size of the pipe's buffer in the kernel: a few snapshots.
 PIPE_BYTES = 1 << 20
-#: Longer lines are none of ours.
-LINE_LIMIT = 8 << 20
-
-
-def _never_wait(fd: int) -> None:
-    if not hasattr(os, "set_blocking"):
-        raise UsageError("watching needs Python 3.12 on this system, for pipes that do not block")
-    os.set_blocking(fd, False)
 
 
 class SnapshotWriter:
@@ -38,7 +28,9 @@ class SnapshotWriter:
 
     def __init__(self, fd: int) -> None:
         self._file = io.FileIO(fd, "wb")
-        _never_wait(fd)
+        if not hasattr(os, "set_blocking"):
+            raise UsageError("watching needs Python 3.12 on this system, for pipes that do not block")
+        os.set_blocking(fd, False)
         # A larger buffer is a wish: a user may have used up his share, and files have none at all.
         if sys.platform == "linux":
             with contextlib.suppress(OSError):
@@ -73,53 +65,4 @@ class SnapshotWriter:
     def close(self) -> None:
         """Close the pipe; what did not fit is lost."""
         self._push()
-        self._file.close()
-
-
-class SnapshotReader:
-    """Reads snapshots from a pipe that it owns. `ended`: the writer has closed it. `damaged`: lines that were none."""
-
-    def __init__(self, fd: int) -> None:
-        self._file = io.FileIO(fd, "rb")
-        _never_wait(fd)
-        self._parts: list[bytes] = []
-        self._size = 0
-        self.ended = False
-        self.damaged = 0
-
-    def fileno(self) -> int:
-        """Return the descriptor, to be waited on."""
-        return self._file.fileno()
-
-    def read(self, most: int = 1 << 21) -> list[Snapshot]:
-        """Return the whole snapshots that are there now, of about `most` bytes."""
-        found: list[Snapshot] = []
-        taken = 0
-        while taken < most and not self.ended:
-            data = self._file.read(1 << 18)
-            if data is None:
-                break
-            if not data:
-                self.ended = True
-                break
-            taken += len(data)
-            *lines, rest = data.split(b"\n")
-            for line in lines:
-                self._take(b"".join([*self._parts, line]), found)
-                self._parts, self._size = [], 0
-            self._parts.append(rest)
-            self._size += len(rest)
-            if self._size > LINE_LIMIT:
-                self.damaged += 1
-                self._parts, self._size = [], 0
-        return found
-
-    def _take(self, line: bytes, found: list[Snapshot]) -> None:
-        try:
-            found.append(decode(line))
-        except msgspec.MsgspecError:
-            self.damaged += 1
-
-    def close(self) -> None:
-        """Close the pipe."""
         self._file.close()

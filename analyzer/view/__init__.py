@@ -1,22 +1,9 @@
 """The terminal view: frames as they come, counts, bus load, findings, a plot, and the bytes of a frame explained.
 
-    run_live(fd, mark=...)       a recording, from the snapshots that its decoding process writes into a pipe
-    run_capture(reading, ...)    a capture or a log
+    run_live(snapshots, mark=...)    a recording, from the snapshots of its supervisor (`live.SnapshotQueue`)
+    run_capture(reading, ...)        a capture or a log
 
-In the supervisor of a recording:
-
-    read, write = os.pipe()
-    # give `write` to the decoding process: SnapshotWriter(write).offer(feed.snapshot(now_ns)) ten times a second
-    # close `write` here; run the supervision in another thread
-    why = run_live(read, mark=mark, log="week.mcap", model="")
-    # "quit": the user has ended it; "ended": the pipe was closed; anything else: why the view could not go on.
-    # In any case the recording itself goes on until its supervisor ends it.
-
-`run_live` blocks. It needs the main thread and the terminal; nothing else may print meanwhile. To end it from outside, close
-the writing end of the pipe (or send a snapshot with `ended`). When the user makes a mark, `mark(text)` is called in the main
-thread. It writes the note into the log and returns a message for the user (or ""), or raises ServotapError.
-
-The view cannot slow a recording: the writer drops and counts snapshots that the view does not take in time.
+Both block. They need the main thread and the terminal; nothing else may print meanwhile.
 """
 
 from __future__ import annotations
@@ -29,6 +16,7 @@ from analyzer.errors import UsageError
 
 if TYPE_CHECKING:
     from analyzer.cli.reading import OpenCapture
+    from analyzer.view.live import SnapshotQueue
 
 
 def require_terminal(command: str = "servotap view") -> None:
@@ -47,10 +35,11 @@ def require_terminal(command: str = "servotap view") -> None:
         raise UsageError(f"{command} needs the package textual: pip install textual") from None
 
 
-def run_live(snapshots: int, *, mark: Callable[[str], str], log: str = "", model: str = "") -> str:
-    """Show a recording until the user quits or the pipe is closed; return `quit`, `ended`, or why it broke off.
+def run_live(snapshots: SnapshotQueue, *, mark: Callable[[str], str], log: str = "", model: str = "") -> str:
+    """Show a recording until the user quits or the queue is closed; return `quit`, `ended`, or why it broke off.
 
-    `snapshots`: descriptor of the reading end, which is closed at the end; `log`: the file to name; `model`: of the drives.
+    The recording goes on until its supervisor ends it. `mark` writes a note of the user into the log, in the main thread. It
+    returns a message for the user or "", or raises ServotapError. `log`: the file to name; `model`: of the drives.
     """
     from analyzer.view.app import run
     from analyzer.view.live import LiveSource

@@ -98,6 +98,8 @@ class _Keeper:
 class WantedNumbers(Wanted):
     """Lines of a store that are wanted: eight bytes for each."""
 
+    first = 0
+
     def __init__(self, store: FrameStore, condition: Condition) -> None:
         super().__init__(store, condition)
         self._store = store
@@ -107,21 +109,13 @@ class WantedNumbers(Wanted):
         self._lanes: dict[int, bool | None] = {}
 
     @property
-    def first(self) -> int:
-        """The number of the oldest."""
-        return 0
-
-    @property
     def stop(self) -> int:
-        """One more than the number of the newest."""
         return len(self._numbers)
 
     def line(self, number: int) -> FrameLine:
-        """Return one of them."""
         return self._store.line(self._numbers[number])
 
     def number_of(self, sequence: int) -> int | None:
-        """Return the number of the frame with a sequence, None where it is not wanted."""
         number = self._store.number_of(sequence)
         if number is None:
             return None

@@ -6,7 +6,7 @@ An item keeps its number while older items are dropped, so a cursor stays on its
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
@@ -18,9 +18,7 @@ T = TypeVar("T")
 class Lines(Protocol):
     """Frames by number, `first` to `stop` - 1."""
 
-    @property
-    def first(self) -> int:
-        """The number of the oldest."""
+    first: int
 
     @property
     def stop(self) -> int:
@@ -97,7 +95,7 @@ class KeptLines(Kept[FrameLine]):
         return 1 << 62
 
 
-class Wanted(ABC):
+class Wanted(Lines):
     """Those lines for which a test holds, as far as they have been looked at; numbered among themselves.
 
     `look` continues the search and stops after a while, so that the caller stays responsive.
@@ -107,24 +105,6 @@ class Wanted(ABC):
         self._lines = lines
         self._test = test
         self.looked = lines.first
-
-    @property
-    @abstractmethod
-    def first(self) -> int:
-        """The number of the oldest."""
-
-    @property
-    @abstractmethod
-    def stop(self) -> int:
-        """One more than the number of the newest."""
-
-    @abstractmethod
-    def line(self, number: int) -> FrameLine:
-        """Return one of them."""
-
-    @abstractmethod
-    def number_of(self, sequence: int) -> int | None:
-        """Return the number of the frame with a sequence, None where it is not wanted."""
 
     @abstractmethod
     def _add(self, number: int, line: FrameLine) -> None:
@@ -150,30 +130,12 @@ class Wanted(ABC):
         self.looked = number
 
 
-class WantedKept(Wanted):
+class WantedKept(KeptLines, Wanted):
     """Of lines that come and go: what is wanted is kept on its own, longer than the others."""
 
     def __init__(self, lines: Lines, test: Callable[[FrameLine], bool], limit: int) -> None:
-        super().__init__(lines, test)
-        self._found = KeptLines(limit)
-
-    @property
-    def first(self) -> int:
-        """The number of the oldest."""
-        return self._found.first
-
-    @property
-    def stop(self) -> int:
-        """One more than the number of the newest."""
-        return self._found.stop
-
-    def line(self, number: int) -> FrameLine:
-        """Return one of them."""
-        return self._found.line(number)
-
-    def number_of(self, sequence: int) -> int | None:
-        """Return the number of the frame with a sequence, None where it is not wanted."""
-        return self._found.number_of(sequence)
+        KeptLines.__init__(self, limit)
+        Wanted.__init__(self, lines, test)
 
     def _add(self, number: int, line: FrameLine) -> None:
-        self._found.append(line)
+        self.append(line)

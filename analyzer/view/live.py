@@ -1,4 +1,4 @@
-"""A live recording in the view: snapshots from a pipe become counts, lines and series, in bounded memory.
+"""A live recording in the view: the snapshots of its supervisor become counts, lines and series, in bounded memory.
 
 A full bus has more frames than a person can read. A snapshot holds some of them, the newest are kept, and the view counts
 the frames not shown. During a pause the lines stay, and the newest of the further lines wait.
@@ -6,6 +6,7 @@ the frames not shown. During a pause the lines stay, and the newest of the furth
 
 from __future__ import annotations
 
+import queue
 from collections import deque
 from collections.abc import Callable, Sequence
 
@@ -13,7 +14,6 @@ import msgspec
 
 from analyzer import dialects as registry
 from analyzer.live.snapshot import FrameLine, Snapshot
-from analyzer.live.snapshot_pipe import SnapshotReader
 from analyzer.sources.times import ShownTime
 from analyzer.view.condition import Condition
 from analyzer.view.kept import KeptLines, Wanted, WantedKept
@@ -22,6 +22,41 @@ from analyzer.view.watch import Watch
 
 #: Lines that are kept, of all and of those that a filter lets through.
 LINES = 20_000
+#: Snapshots that wait for the view: those of about two seconds.
+WAITING = 20
+
+
+class SnapshotQueue:
+    """Snapshots on their way from the thread of a recording to its view.
+
+    One that finds no room is dropped, and the view sees that its number is missing: it cannot slow a recording. `ended`: it
+    was closed, and nothing waits any more.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: queue.Queue[Snapshot] = queue.Queue(WAITING)
+        self._closed = False
+
+    @property
+    def ended(self) -> bool:
+        # In this order: what comes before it is closed waits by then.
+        return self._closed and self._waiting.empty()
+
+    def offer(self, snapshot: Snapshot) -> bool:
+        """Add a snapshot if there is room; say whether there was."""
+        try:
+            self._waiting.put_nowait(snapshot)
+        except queue.Full:
+            return False
+        return True
+
+    def take(self) -> list[Snapshot]:
+        """Return what waits."""
+        return [self._waiting.get_nowait() for _ in range(self._waiting.qsize())]
+
+    def close(self) -> None:
+        """Say that nothing more comes."""
+        self._closed = True
 
 
 class LivePlot:
@@ -46,15 +81,15 @@ class LivePlot:
 
 
 class LiveSource:
-    """Snapshots from a pipe, which it owns. `mark`: see `run_live`."""
+    """Snapshots of a recording. `mark`: see `run_live`."""
 
     live = True
     growing = True
     broken = ""
     note = ""
 
-    def __init__(self, snapshots: int, *, mark: Callable[[str], str], log: str = "", model: str = "") -> None:
-        self._reader = SnapshotReader(snapshots)
+    def __init__(self, snapshots: SnapshotQueue, *, mark: Callable[[str], str], log: str = "", model: str = "") -> None:
+        self._snapshots = snapshots
         self._mark = mark
         self.watch = Watch(log)
         self.lines = KeptLines(LINES)
@@ -82,12 +117,12 @@ class LiveSource:
     @property
     def done(self) -> bool:
         """Whether the recording has ended."""
-        return self._reader.ended or self.watch.ended
+        return self._snapshots.ended or self.watch.ended
 
     def take(self) -> bool:
         """Take the snapshots that have come."""
         was_done = self.done
-        snapshots = self._reader.read()
+        snapshots = self._snapshots.take()
         for snapshot in snapshots:
             self._snapshot(snapshot)
         return bool(snapshots) or self.done != was_done
@@ -146,5 +181,4 @@ class LiveSource:
         return self._mark(text)
 
     def close(self) -> None:
-        """Close the pipe."""
-        self._reader.close()
+        """Leave the snapshots to their supervisor."""

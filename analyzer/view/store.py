@@ -87,7 +87,9 @@ class Record(NamedTuple):
 
 
 class FrameStore:
-    """Frames, junk and comments in the order in which they came; the first has the number 0."""
+    """Frames, junk and comments in the order in which they came."""
+
+    first = 0
 
     def __init__(self, memory: int = MEMORY) -> None:
         self._lock = threading.Lock()
@@ -176,11 +178,6 @@ class FrameStore:
             self._late[sequence] = rule if known is None else f"{known} {rule}"
 
     # --- looking --------------------------------------------------------------------------------------------------
-
-    @property
-    def first(self) -> int:
-        """The number of the oldest."""
-        return 0
 
     @property
     def stop(self) -> int:

@@ -75,9 +75,11 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"servotap tap: {port.name} is the program's port (it leads to {port.path})", file=sys.stderr, flush=True)
 
         def readers(folder: Path, heard: MessageQueue) -> Mapping[str, Child]:
-            from conformance.tap.child import TapChild
+            from analyzer.live.children import PYTHON, READER_NICE, StoringChild
 
-            return {stems[1]: TapChild(folder, stems, heard, ends, _options(arguments))}
+            command = [*PYTHON, "-m", "conformance.tap.process", str(folder), *stems, "--terminal", *map(str, ends)]
+            # It stores both directions of the bus, and is known by the second.
+            return {stems[1]: StoringChild(stems[1], [*command, *_options(arguments)], heard, READER_NICE, ends)}
 
         duration_ns = asked_duration_ns(arguments)
         return record(config, display, duration_ns=duration_ns, readers=readers, replaces=arguments.replaces)

@@ -20,7 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer.errors import UsageError
-from analyzer.live import can_listen_only, reader_can_library, reader_can_socket, reader_port
+from analyzer.live import reader_can_library, reader_can_socket, reader_port
+from analyzer.live.adapters import ask_ip, links_of
 from analyzer.live.can_listen_only import LISTEN_ONLY, notes_of_link, options_for
 from analyzer.live.endpoint import parse
 from analyzer.live.reader import make_port
@@ -520,9 +521,9 @@ def test_what_the_kernel_says_of_an_interface():
 
 
 def test_the_tool_that_is_asked_answers_for_what_is_there():
-    assert can_listen_only._link("no_such_interface") is None
-    found = can_listen_only._link("lo")
-    assert found is None or found["ifname"] == "lo"
+    links = links_of(ask_ip())
+    assert "no_such_interface" not in links
+    assert not links or links["lo"]["ifname"] == "lo"
 
 
 def test_which_reader_serves_which_endpoint():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import html
-import os
 import re
 import time
 from collections.abc import Awaitable, Callable
@@ -15,11 +14,10 @@ from textual.keys import _character_to_key
 
 from analyzer.cli.reading import add_reading_arguments, open_reading
 from analyzer.live.snapshot import Snapshot
-from analyzer.live.snapshot_pipe import SnapshotWriter
 from analyzer.sources.tail import Follow
 from analyzer.view.app import ViewApp
 from analyzer.view.capture import CaptureSource
-from analyzer.view.live import LiveSource
+from analyzer.view.live import LiveSource, SnapshotQueue
 from analyzer.view.source import ViewSource
 
 CAPTURES = Path(__file__).parents[2] / "captures"
@@ -43,14 +41,13 @@ def capture_of(path: Path | str, *options: str) -> CaptureSource:
 
 
 class Live:
-    """A recording under way: snapshots are put into its pipe, marks come out."""
+    """A recording under way: snapshots are put into its queue, marks come out."""
 
     def __init__(self) -> None:
-        read, write = os.pipe()
         self.marks: list[str] = []
         self.refusal: Exception | None = None
-        self.source = LiveSource(read, mark=self._mark, log="week.mcap")
-        self.writer = SnapshotWriter(write)
+        self.snapshots = SnapshotQueue()
+        self.source = LiveSource(self.snapshots, mark=self._mark, log="week.mcap")
 
     def _mark(self, text: str) -> str:
         if self.refusal is not None:
@@ -59,14 +56,9 @@ class Live:
         return ""
 
     def put(self, *snapshots: Snapshot) -> None:
-        """Put snapshots into the pipe."""
+        """Put snapshots into the queue."""
         for snapshot in snapshots:
-            assert self.writer.offer(snapshot)
-
-    def close(self) -> None:
-        """Close both ends."""
-        self.writer.close()
-        self.source.close()
+            assert self.snapshots.offer(snapshot)
 
 
 def drive(source: ViewSource, steps: Callable[[Driver], Awaitable[None]], size: tuple[int, int] = SMALL, **options):

@@ -43,9 +43,7 @@ class Bus:
 
 @pytest.fixture
 def live():
-    live = Live()
-    yield live
-    live.close()
+    return Live()
 
 
 @pytest.fixture
@@ -132,9 +130,9 @@ def test_it_ends_with_the_recording(live, bus):
     assert drive(live.source, steps) == "ended"
 
 
-def test_it_ends_when_the_pipe_does(live):
+def test_it_ends_when_no_more_snapshots_come(live):
     async def steps(driver):
-        live.writer.close()
+        live.snapshots.close()
         await driver.settle()
 
     assert drive(live.source, steps) == "ended"

@@ -102,20 +102,19 @@ def test_it_ends_when_its_terminal_goes():
 
 
 LIVE = """
-import os, signal, sys, threading, time
+import signal, sys, threading, time
 from analyzer.live.snapshot_sink import SnapshotSink
-from analyzer.live.snapshot_pipe import SnapshotWriter
 from analyzer.view import run_live
+from analyzer.view.live import SnapshotQueue
 signal.signal(signal.SIGHUP, signal.SIG_IGN)
-read, write = os.pipe()
-writer, feed = SnapshotWriter(write), SnapshotSink()
+snapshots, feed = SnapshotQueue(), SnapshotSink()
 def go_on():
     while True:
         feed.event(time.time_ns(), "left", "note", "still here")
-        writer.offer(feed.snapshot(time.time_ns()))
+        snapshots.offer(feed.snapshot(time.time_ns()))
         time.sleep(0.05)
 threading.Thread(target=go_on, daemon=True).start()
-why = run_live(read, mark=str, log="week.mcap")
+why = run_live(snapshots, mark=str, log="week.mcap")
 sys.exit(7 if why == "its terminal has gone" else 1)
 """
 
