@@ -114,6 +114,12 @@ def every() -> list[Dialect]:
     return [dialect for dialect in map(get, names()) if not dialect.link.left_out]
 
 
+def asked_for(name: str | None, model: str | None) -> list[Dialect]:
+    """Return the dialects that a user asks for: one, those that know the model, or all. Raises UsageError."""
+    adapted = for_model([get(name)] if name else every(), model)
+    return [d for d in adapted if d.model] if model else adapted
+
+
 def of_no_drive() -> list[Dialect]:
     """Return the dialects that a capture may turn out to be in where no drive speaks."""
     return [get(name) for name in _OF_NO_DRIVE]

@@ -175,7 +175,10 @@ class _Kept:
 
 
 class Capture:
-    """A capture, a log, or a folder of parts. `servotap.open` makes it.
+    """A capture of any format, a log, or a folder of parts.
+
+    `dialect`, `model`, `ids`, `since` and `until` as for `servotap show`; `channels`, `inverted` and `uart` (`8E1`) of a logic
+    analyzer; `dbc`, `modbus_map`: files that describe the other devices of the bus. Raises UnreadableError, UsageError.
 
     `dialects`: those that were chosen; `format`: what it is; `notes`: what a reader of it should know. A capture that breaks
     off gives what came before, with a warning.

@@ -82,9 +82,14 @@ class NotDone(ServotapError):
 
 
 class Drive:
-    """A drive. `servotap.drive` makes it; leaving its `with` stops it and gives the port back.
+    """A drive: an emulated one, a real one at an endpoint (`serial:/dev/ttyUSB0,baud=38400`), or one of a profile.
 
-    `emulated`: time passes only while something is waited for.
+    Leaving its `with` stops it and gives the port back. `emulated`: time passes only while something is waited for.
+
+    Only reads and stops are sent, besides what is allowed here or with each command; bounds as for `servotap send`. A guard
+    process owns a real port. It stops the drive if this program dies, and a run without an end after `max_run` seconds.
+    `timeout`: of a reply, in seconds. `log`: a file for all that is sent and comes, which `servotap.open` reads.
+    Raises UsageError; DriveNotFound where a real drive does not answer.
     """
 
     def __init__(

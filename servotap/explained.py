@@ -46,20 +46,22 @@ class Explained:
         return [as_object(frame) for frame in self.frames]
 
 
-def explained(
+def explain(
     frame: str | bytes,
     *,
-    dialect: str | None,
-    role: str | None,
-    model: str | None,
-    request: str | bytes | None,
-    no_checksum: bool,
+    dialect: str | None = None,
+    role: str | None = None,
+    model: str | None = None,
+    request: str | bytes | None = None,
+    no_checksum: bool = False,
 ) -> Explained:
-    """Return what a frame means. Raises UnreadableError, UsageError."""
+    """Explain a frame byte by byte: hex as `servotap explain` takes it, or the bytes themselves.
+
+    `request`: what this frame answers. Raises UsageError; UnreadableError where no dialect reads it.
+    """
     if role not in (None, "request", "reply"):
         raise UsageError(f"role: got {role!r}, expected 'request' or 'reply'")
-    chosen = registry.for_model([registry.get(dialect)] if dialect else registry.every(), model)
-    explainer = Explainer([d for d in chosen if d.model] if model else chosen)
+    explainer = Explainer(registry.asked_for(dialect, model))
     asked = None if request is None else _given(request)
     of = Role(role) if role else Role.UNKNOWN
     if isinstance(frame, str):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from analyzer.fleet.ask import Question
@@ -19,12 +18,16 @@ if TYPE_CHECKING:
 
 
 class Lake:
-    """A lake of captures, as it is when it is opened. `servotap.lake` makes it."""
+    """A lake that `servotap ingest` made, as it is when it is opened: a folder, or a URL.
 
-    def __init__(self, url: str | os.PathLike[str], store: Mapping[str, Any] | None = None) -> None:
+    `store`: options of fsspec, as `endpoint_url`. Raises UnreadableError for a place without a lake, UsageError for a store
+    that cannot be used.
+    """
+
+    def __init__(self, url: str | os.PathLike[str], **store: Any) -> None:
         text = os.fspath(url)
         store_of(text)
-        self._question = Question(_Lake(Place(text, store or {})))
+        self._question = Question(_Lake(Place(text, store)))
 
     @property
     def tables(self) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print what is asked for; return 0."""
-    dialects = _dialects(arguments)
+    dialects = registry.asked_for(arguments.dialect, arguments.model)
     chosen: dict[str, list[Command]] | None = None
     several = False
     if arguments.command is not None:
@@ -79,13 +79,6 @@ def run(arguments: argparse.Namespace) -> int:
         for line in lines:
             print(line)
     return 0
-
-
-def _dialects(arguments: argparse.Namespace) -> list[Dialect]:
-    """Return the dialects asked for: one, those that know the model, or all."""
-    found = [registry.get(arguments.dialect)] if arguments.dialect else registry.every()
-    adapted = registry.for_model(found, arguments.model)
-    return [d for d in adapted if d.model] if arguments.model else adapted
 
 
 def _texts(

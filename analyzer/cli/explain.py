@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Role
 from analyzer.codec import codec
 from analyzer.decoder import physical, slots_of
 from analyzer.dialects import code_text
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Explain the frames; return 0, or 2 if one was none."""
-    explainer = Explainer(_dialects(arguments))
+    explainer = Explainer(registry.asked_for(arguments.dialect, arguments.model))
     role = Role(arguments.role) if arguments.role else Role.UNKNOWN
     request = read_frame(arguments.request) if arguments.request else None
 
@@ -87,13 +87,6 @@ def run(arguments: argparse.Namespace) -> int:
             if not arguments.json:
                 print()
     return status
-
-
-def _dialects(arguments: argparse.Namespace) -> list[Dialect]:
-    """Return the dialects to be tried: the one asked for, those that know the model, or all."""
-    chosen = [registry.get(arguments.dialect)] if arguments.dialect else registry.every()
-    adapted = registry.for_model(chosen, arguments.model)
-    return [d for d in adapted if d.model] if arguments.model else adapted
 
 
 def _lines() -> Iterator[tuple[int, str]]:

@@ -118,7 +118,6 @@ class LineDisplay:
     _told: frozenset[str] = frozenset()
 
     def note(self, bus: str, text: str) -> None:
-        """Print a note."""
         print(printable(f"{bus}: {text}" if bus else text) + "\n", end="", file=sys.stderr, flush=True)
 
     def snapshot(self, snapshot: Snapshot) -> None:
@@ -137,12 +136,10 @@ class LineDisplay:
             stderr.write(f"servotap record: {text}\n".encode())
 
     def begin(self, supervisor: Supervisor) -> None:
-        """Print what is recorded."""
         buses = ", ".join(dict.fromkeys(p.bus for p in supervisor.tallies.values()))
         _out(f"recording {printable(buses)} to {printable(supervisor.config.log)}; Ctrl-C ends it")
 
     def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
-        """Print a line a second."""
         due = time.monotonic() + _SECOND_S
         while thread.is_alive():
             thread.join(max(0.0, due - time.monotonic()))
@@ -172,7 +169,6 @@ class LineDisplay:
         _out(printable("  ".join(parts)))
 
     def end(self, summary: Summary) -> None:
-        """Print how it ended."""
         print("\n".join(as_text(summary)), flush=True)
 
 
@@ -185,11 +181,9 @@ class JsonDisplay(LineDisplay):
         _out(msgspec.json.encode({"event": event, **about}).decode())
 
     def note(self, bus: str, text: str) -> None:
-        """Print a note."""
         self._print("note", bus=bus, text=text)
 
     def begin(self, supervisor: Supervisor) -> None:
-        """Print what is recorded."""
         ports = [
             {"bus": p.bus, "endpoint": p.endpoint, "precision": p.precision, "notes": p.notes}
             for p in supervisor.tallies.values()
@@ -197,7 +191,6 @@ class JsonDisplay(LineDisplay):
         self._print("begin", log=supervisor.config.log, ports=ports)
 
     def line(self, supervisor: Supervisor) -> None:
-        """Print the counts."""
         snapshot = supervisor.snapshot
         seconds, frames = behind(supervisor)
         buses = [{"state": state, **msgspec.structs.asdict(count)} for _, state, count in counts(supervisor)]
@@ -216,7 +209,6 @@ class JsonDisplay(LineDisplay):
         )
 
     def end(self, summary: Summary) -> None:
-        """Print how it ended."""
         self._print("end", **msgspec.to_builtins(summary))
 
 
@@ -235,7 +227,6 @@ class TableDisplay(LineDisplay):
         self._console.print(Text(printable(f"{bus}: {text}" if bus else text), style="yellow"))
 
     def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
-        """Draw the table."""
         from rich.live import Live
 
         with Live(console=self._console, auto_refresh=False, transient=True) as live:

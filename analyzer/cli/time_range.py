@@ -129,26 +129,22 @@ class _Within:
         self._happened = sink.happened if isinstance(sink, EventSink) else None
 
     def entry(self, entry: Entry) -> None:
-        """Pass a frame on."""
         if entry.message.frame.last_ns >= self._stretch.since_ns:
             self._sink.entry(entry)
         elif self._counts:
             self._stretch.unseen_bytes += len(entry.message.frame.data)
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Pass junk on."""
         if junk.last_ns >= self._stretch.since_ns:
             self._sink.junk(junk, sequence, topic)
         elif self._counts:
             self._stretch.unseen_bytes += len(junk.data)
 
     def finding(self, found: Finding) -> None:
-        """Pass a finding on."""
         if found.last_ns >= self._stretch.since_ns:
             self._sink.finding(found)
 
     def comment(self, comment: Comment) -> None:
-        """Pass a comment on."""
         if comment.t_ns is None or comment.t_ns >= self._stretch.since_ns:
             self._sink.comment(comment)
 

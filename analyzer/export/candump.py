@@ -24,7 +24,6 @@ class CandumpWriter(Writer):
     """Writes a line for each CAN frame."""
 
     def traffic(self, item: Chunk | CanFrame) -> None:
-        """Write a frame."""
         assert isinstance(item, CanFrame)  # the table of formats says what is held
         assert item.t_ns is not None  # the export makes times up where there are none
         seconds, rest = divmod(item.t_ns, SECOND_NS)

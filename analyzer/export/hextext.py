@@ -41,7 +41,6 @@ class HexTextWriter(Writer):
         self._names: dict[str, str] = {}
 
     def traffic(self, item: Chunk | CanFrame) -> None:
-        """Write a piece of serial bytes."""
         assert isinstance(item, Chunk)  # the table of formats says what is held
         name = self._names.get(item.port)
         if name is None:

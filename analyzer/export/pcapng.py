@@ -56,7 +56,6 @@ class PcapngWriter(Writer):
         self._block(_SECTION, head + _option(_APPLICATION, APPLICATION.encode()) + _END)
 
     def traffic(self, item: Chunk | CanFrame) -> None:
-        """Write a packet."""
         assert item.t_ns is not None  # the export makes times up where there are none
         if isinstance(item, CanFrame):
             link, data = SOCKETCAN, _socketcan(item)

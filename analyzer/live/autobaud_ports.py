@@ -86,7 +86,6 @@ class LinuxListener:
             raise UsageError(f"{endpoint}: {error}") from None
 
     def listen(self, rate: int, seconds: float, enough: Enough) -> Sequence[Chunk]:
-        """Return what came at a rate."""
         import termios
 
         from analyzer.live.reader_serial import set_raw
@@ -124,7 +123,6 @@ class LinuxListener:
         return data
 
     def close(self) -> None:
-        """Give the port back."""
         self._port.close()
 
 
@@ -135,7 +133,6 @@ class PyserialListener:
         self._endpoint = endpoint
 
     def listen(self, rate: int, seconds: float, enough: Enough) -> Sequence[Chunk]:
-        """Return what came at a rate."""
         from analyzer.live.reader_pyserial import PlainPort
 
         port = PlainPort(self._endpoint.at(rate))
@@ -180,7 +177,6 @@ class _Collected(Store):
         self.chunks: list[Chunk] = []
 
     def chunk(self, t_ns: int, data: bytes) -> None:
-        """Take bytes."""
         super().chunk(t_ns, data)
         self.chunks.append(Chunk(t_ns, _PORT, data))
         if not self._stop.asked and self._enough(self.chunks):

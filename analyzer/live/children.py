@@ -259,7 +259,6 @@ class ReaderChild(StoringChild):
         super().__init__(stem, command, heard, READER_NICE, handed)
 
     def close(self) -> None:
-        """Give back what is held."""
         super().close()
         hand, self._hand = self._hand, None
         if hand is not None:

@@ -24,26 +24,21 @@ class RecordingCounts:
         self._before: dict[str, int] = dict.fromkeys((*_NAMES, "findings"), 0)
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
-        """Count a frame that is in order."""
         self.frames += 1
         self.frame_bytes += len(frame.data)
 
     def entry(self, entry: Entry) -> None:
-        """Count a frame."""
         self.frames += 1
         self.frame_bytes += len(entry.message.frame.data)
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Count bytes that are no frame."""
         self.junk_bytes += len(junk.data)
         self._junk_of(junk.port, len(junk.data))
 
     def finding(self, found: Finding) -> None:
-        """Count a finding."""
         self.findings[found.rule] += 1
 
     def comment(self, comment: Comment) -> None:
-        """Count a mark."""
         self.marks += 1
 
     def begin_part(self) -> None:

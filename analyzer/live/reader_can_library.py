@@ -114,7 +114,6 @@ class CanLibraryPort(LibraryPort):
         return last_ns
 
     def close(self) -> None:
-        """Close the interface."""
         shut, self._shut, self._receive, self._number = self._shut, None, None, None
         if shut is not None:
             # It may be gone already.

@@ -75,7 +75,6 @@ class SlcanPort(CanLibraryPort):
     """An slcan adapter that python-can has opened."""
 
     def listen(self, store: Store, stop: Stop) -> None:
-        """Store what comes. Raises Lost when the adapter is gone."""
         fd = int(self._number())
         wait = readable(fd, stop)
         bad = BadCount("lines of the adapter that are not frames")

@@ -137,7 +137,6 @@ class CanSocketPort:
         self._overflows = 0
 
     def open(self, stop: Stop) -> Opened:
-        """Open the socket."""
         made: socket.socket | None = None
         try:
             made = self._open_kernel() if self._kernel else self._open_multicast()
@@ -214,11 +213,9 @@ class CanSocketPort:
         return made
 
     def descriptor(self) -> int | None:
-        """Return the socket's descriptor."""
         return None if self._socket is None else self._socket.fileno()
 
     def close(self) -> None:
-        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -226,7 +223,6 @@ class CanSocketPort:
     # --- listening ------------------------------------------------------------------------------------------------
 
     def listen(self, store: Store, stop: Stop) -> None:
-        """Store what comes. Raises Lost when the interface is gone or down."""
         assert self._socket is not None
         bad = BadCount("datagrams that are not frames")
 

@@ -37,7 +37,6 @@ class PlainPort(LibraryPort):
         self._close: Any = None
 
     def open(self, stop: Stop) -> Opened:
-        """Open the port."""
         import serial
 
         endpoint = self._endpoint
@@ -59,7 +58,6 @@ class PlainPort(LibraryPort):
         return Opened(_PRECISION, (_UNCOUNTED,))
 
     def listen(self, store: Store, stop: Stop) -> None:
-        """Store what comes. Raises Lost when reading fails."""
         byte_ns = self._endpoint.byte_ns
         listen(store, stop, lambda ready: self._take(store), idle_ns=IDLE_NS + 2 * byte_ns)
         # What had come before the end; a busy line never falls silent.
@@ -84,7 +82,6 @@ class PlainPort(LibraryPort):
         return t_ns
 
     def close(self) -> None:
-        """Close the port."""
         close, self._close, self._read, self._waiting = self._close, None, None, None
         if close is not None:
             # An adapter that is gone cannot be asked to close.

@@ -32,7 +32,6 @@ class TcpPort(DescriptorPort):
         self._endpoint = endpoint
 
     def open(self, stop: Stop) -> Opened:
-        """Connect."""
         host, port = self._endpoint.host
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
@@ -55,12 +54,10 @@ class TcpPort(DescriptorPort):
         raise Unopened(f"cannot connect to {self._endpoint.place}: {reason}")
 
     def adopt(self, fd: int) -> Opened:
-        """Take over the connection of another reader."""
         self._fd = fd
         return Opened(_PRECISION)
 
     def listen(self, store: Store, stop: Stop) -> None:
-        """Store what comes. Raises Lost when the server closes the connection or is gone."""
         listen_to_stream(self._fd, store, stop, byte_ns=self._endpoint.byte_ns, ended="the server closed the connection")
 
 

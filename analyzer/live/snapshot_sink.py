@@ -114,7 +114,6 @@ class SnapshotSink:
     # --- sink -----------------------------------------------------------------------------------------------------
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
-        """Take a frame that is in order."""
         row = self._rows.get(lane.topic)
         if row is None:
             row = self._row(lane.topic, lane.message(frame))
@@ -130,7 +129,6 @@ class SnapshotSink:
         self._recent.append(kept)
 
     def entry(self, entry: Entry) -> None:
-        """Take a decoded frame."""
         message = entry.message
         row = self._row(entry.topic, message)
         row.count += 1
@@ -147,14 +145,12 @@ class SnapshotSink:
             self._marked.append(entry)
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Take bytes that are no frame."""
         bus = self._bus(junk.port, junk.first_ns)
         bus.junk += 1
         bus.junk_bytes += len(junk.data)
         self._recent.append(_Piece(junk, sequence, topic))
 
     def finding(self, found: Finding) -> None:
-        """Take a finding."""
         self._bus(found.port, found.first_ns).severities[found.severity] += 1
         self._rules[found.rule] += 1
         self._findings.append(found)

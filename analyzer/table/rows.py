@@ -128,7 +128,6 @@ class Rows:
     # --- sink -----------------------------------------------------------------------------------------------------
 
     def entry(self, entry: Entry) -> None:
-        """Keep a message."""
         message, frame, form = entry.message, entry.message.frame, entry.message.form
         key = (entry.topic, frame.dialect.name, message.role, id(message.command), id(form))
         number = self._numbers.get(key)
@@ -162,7 +161,6 @@ class Rows:
         )
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Keep bytes that are no frame."""
         number = self._plain_shape(topic, junk.port, "junk")
         raw = junk.data.hex(" ").upper()
         self._add(Row(number, junk.last_ns, None, junk.offset, sequence, raw, [], junk=junk.reason.value))

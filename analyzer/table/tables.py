@@ -126,7 +126,6 @@ class Long(Table):
         chosen.check(recorded)
 
     def lines(self) -> Iterator[list[Any]]:
-        """Yield a line for each row."""
         shapes, topics, every = self.recorded.shapes, self._topics, self._places
         width, some, by_latency = len(self.columns), bool(self.chosen.fields), self._by_latency
         tail = width - len(TAIL)

@@ -46,7 +46,6 @@ class _Keeper:
         self.last_ns = 0
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
-        """Store a frame that is in order."""
         if frame.last_ns > self.last_ns:
             self.last_ns = frame.last_ns
         if (lane.topic, id(lane.form)) not in self._seen:
@@ -58,7 +57,6 @@ class _Keeper:
         self._store.add_plain(lane, frame, sequence, latency_ns, request_sequence)
 
     def entry(self, entry: Entry) -> None:
-        """Store a frame."""
         line = frame_line(entry)
         self.last_ns = max(self.last_ns, line.t_ns)
         if (entry.topic, id(entry.message.form)) not in self._seen:
@@ -75,22 +73,18 @@ class _Keeper:
                 self.series[name] = unit
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Store a piece of junk."""
         self.last_ns = max(self.last_ns, junk.last_ns)
         self._store.add_line(junk_line(junk, sequence, topic))
 
     def finding(self, found: Finding) -> None:
-        """Store a finding."""
         self._store.late(found.sequence, found.rule)
         if len(self.findings) < FINDINGS:
             self.findings.append(finding_line(found))
 
     def happened(self, event: Event, sequence: int) -> None:
-        """Store what happened to the recording."""
         self._store.add_line(event_line(event, sequence))
 
     def comment(self, comment: Comment) -> None:
-        """Store a comment."""
         t_ns = self.last_ns if comment.t_ns is None else comment.t_ns
         self._store.add_line(FrameLine(0, t_ns, comment.port, EVENT, "comment", text=comment.text))
 
@@ -162,11 +156,9 @@ class CapturePlot:
 
     @property
     def done(self) -> bool:
-        """Whether all blocks of this time have been looked through."""
         return self._block > self._last or self._block >= self._store.blocks
 
     def look(self, seconds: float) -> None:
-        """Look through further blocks for about this long."""
         until = time.perf_counter() + seconds
         while not self.done and time.perf_counter() < until:
             for record in self._store.records(self._block)[:]:
@@ -189,7 +181,6 @@ class CapturePlot:
                     series.add(line.t_ns, value)
 
     def points(self, name: str) -> list[Point]:
-        """Return the points found so far."""
         series = self._series.get(name)
         return series.points(self._low_ns, self._high_ns) if series is not None else []
 
@@ -269,7 +260,6 @@ class CaptureSource:
 
     @property
     def state(self) -> str:
-        """How far it has been read."""
         if self.broken:
             return "BROKEN OFF"
         if self.done:
@@ -288,11 +278,9 @@ class CaptureSource:
 
     @property
     def done(self) -> bool:
-        """Whether it has been read to its end, and all of it was taken."""
         return self._taken
 
     def take(self) -> bool:
-        """Take the counts so far."""
         if self._taken:
             return False
         ended = self._ended.is_set()
@@ -313,23 +301,18 @@ class CaptureSource:
         return 0
 
     def wanted(self, condition: Condition) -> Wanted:
-        """Return those lines for which a condition holds."""
         return WantedNumbers(self.lines, condition)
 
     def hop(self, number: int, step: int) -> int:
-        """Return the next number from here on that may have findings."""
         return self.lines.hop(number, step)
 
     def series(self) -> dict[str, str]:
-        """Return the series that frames so far have points of, and their units."""
         return self._keeper.series.copy()
 
     def span(self) -> tuple[int, int]:
-        """Return the times of the first and the last frame so far."""
         return self._keeper.first_ns or 0, self._keeper.last_ns
 
     def plot(self, names: Sequence[str], low_ns: int, high_ns: int) -> CapturePlot:
-        """Return the points of series over a time."""
         return CapturePlot(self.lines, names, low_ns, high_ns)
 
     def mark(self, text: str) -> str:
@@ -337,7 +320,6 @@ class CaptureSource:
         raise UsageError("a file is read-only; marks need a recording (servotap record --view)")
 
     def close(self) -> None:
-        """Stop reading."""
         self._stop.set()
         self._thread.join(2.0)
         self.lines.close()

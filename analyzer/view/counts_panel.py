@@ -53,18 +53,15 @@ class CountsPanel(Rows):
             self.sync()
 
     def sync(self) -> None:
-        """Take over what has changed."""
         ordered = sorted(self._watch.rows.values(), key=_ORDERS[self.order])
         below = self.order == "address"
         self._rows = tree.rows([((r.bus, r.who) if below else (), r) for r in ordered], lambda path: path not in self._folded)
         super().sync()
 
     def bounds(self) -> tuple[int, int]:
-        """Return the numbers of the rows."""
         return 0, len(self._rows)
 
     def heading(self, width: int) -> Text:
-        """Return the names of the columns."""
         where = "bus, drive, command" if self.order == "address" else "bus, drive: command"
         text = f"{where:<{_NAME_WIDTH}}{'requests':>9}{'replies':>8}{'per s':>8}{'last ms':>8}{'mean':>8}{'max':>8}"
         return Text(text, style="bold", no_wrap=True)

@@ -33,15 +33,12 @@ class FindingRows(Rows):
         return kept.item(self.cursor) if kept.first <= self.cursor < kept.stop else None
 
     def bounds(self) -> tuple[int, int]:
-        """Return the numbers of the findings."""
         return self._watch.findings.first, self._watch.findings.stop
 
     def heading(self, width: int) -> Text:
-        """Return the names of the columns."""
         return Text(f"  {f'time {self._times.zone}'.rstrip():>15} {'bus':<8} {'addr':>5} finding", style="bold", no_wrap=True)
 
     def row(self, number: int, width: int) -> Text:
-        """Return a finding as a row."""
         found = self._watch.findings.item(number)
         letter, colour = SEVERITIES.get(found.severity, (" ", ""))
         text = Text(no_wrap=True)

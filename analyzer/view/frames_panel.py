@@ -36,19 +36,16 @@ class FramesPanel(Rows):
         return lines.line(self.cursor) if lines.first <= self.cursor < lines.stop else None
 
     def bounds(self) -> tuple[int, int]:
-        """Return the numbers of the frames."""
         lines = self.lines
         return lines.first, lines.stop
 
     def heading(self, width: int) -> Text:
-        """Return the names of the columns."""
         buses = self._source.watch.buses
         self.columns.bus_width = min(10, max([3, *(len(name) for name in buses)]))
         self.columns.first_ns = self._source.watch.first_ns
         return self.columns.heading(width)
 
     def row(self, number: int, width: int) -> Text:
-        """Return a frame as a row."""
         lines = self.lines
         before_ns = None
         if self.columns.time == STEP and number > lines.first:

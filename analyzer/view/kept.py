@@ -69,7 +69,6 @@ class KeptLines(Kept[FrameLine]):
     """The newest frames, by sequence; events stand among them with the sequence 0."""
 
     def line(self, number: int) -> FrameLine:
-        """Return a frame."""
         return self.item(number)
 
     def number_of(self, sequence: int) -> int | None:

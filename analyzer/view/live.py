@@ -75,7 +75,6 @@ class LivePlot:
         """Do nothing: they are all here."""
 
     def points(self, name: str) -> list[Point]:
-        """Return the points of a series."""
         series = self._plotted.series.get(name)
         return series.points(*self._span) if series is not None else []
 
@@ -103,7 +102,6 @@ class LiveSource:
 
     @property
     def state(self) -> str:
-        """How the recording is doing."""
         if self.done:
             return "ENDED"
         behind = self.watch.behind_ns
@@ -116,11 +114,9 @@ class LiveSource:
 
     @property
     def done(self) -> bool:
-        """Whether the recording has ended."""
         return self._snapshots.ended or self.watch.ended
 
     def take(self) -> bool:
-        """Take the snapshots that have come."""
         was_done = self.done
         snapshots = self._snapshots.take()
         for snapshot in snapshots:
@@ -147,7 +143,6 @@ class LiveSource:
                 self.lines.put(number, changed)
 
     def pause(self, paused: bool) -> int:
-        """Stop or go on adding to the lines; return how many wait."""
         if not paused:
             for line in self._waiting:
                 self.lines.append(line)
@@ -157,7 +152,6 @@ class LiveSource:
         return self._waited
 
     def wanted(self, condition: Condition) -> Wanted:
-        """Return those lines for which a condition holds."""
         return WantedKept(self.lines, condition, LINES)
 
     def hop(self, number: int, step: int) -> int:
@@ -165,19 +159,15 @@ class LiveSource:
         return number
 
     def series(self) -> dict[str, str]:
-        """Return the series so far, and their units."""
         return {name: series.unit for name, series in self._plotted.series.items()}
 
     def span(self) -> tuple[int, int]:
-        """Return the times of the first frame that was shown, and of now."""
         return self._plotted.first_ns, max(self._plotted.last_ns, self.watch.t_ns)
 
     def plot(self, names: Sequence[str], low_ns: int, high_ns: int) -> LivePlot:
-        """Return the points of series over a time."""
         return LivePlot(self._plotted, (low_ns, high_ns))
 
     def mark(self, text: str) -> str:
-        """Write a note into the log."""
         return self._mark(text)
 
     def close(self) -> None:

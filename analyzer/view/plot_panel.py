@@ -48,7 +48,6 @@ class SeriesRows(Rows):
         self.plotted: list[str] = []
 
     def sync(self) -> None:
-        """Take over what has changed."""
         units = self._source.series()
         if len(units) != len(self.units):
             self.units = units
@@ -91,7 +90,6 @@ class SeriesRows(Rows):
             self._fill()
 
     def bounds(self) -> tuple[int, int]:
-        """Return the numbers of the rows."""
         return 0, len(self._rows)
 
     def heading(self, width: int) -> Text:
@@ -99,7 +97,6 @@ class SeriesRows(Rows):
         return Text("Enter plots; ← → read out; + - time", style="bold", no_wrap=True)
 
     def row(self, number: int, width: int) -> Text:
-        """Return a series or a branch as a row."""
         row = self._rows[number]
         if row.leaf is None:
             named = f"drive {row.path[1]}" if len(row.path) == 2 and number_of(row.path[1]) >= 0 else ""

@@ -181,7 +181,6 @@ class FrameStore:
 
     @property
     def stop(self) -> int:
-        """One more than the number of the newest."""
         return self._stop
 
     @property

@@ -43,7 +43,6 @@ class CanLine(Line):
             raise UsageError(f"{error}{_hint(interface, channel, str(error))}") from None
 
     def now_ns(self) -> int:
-        """Return the system's monotonic time."""
         return time.monotonic_ns()
 
     def write(self, item: bytes | CanFrame) -> int:
@@ -95,7 +94,6 @@ class CanLine(Line):
             raise LineLost(f"{self.endpoint.place} is gone: it was closed")
 
     def close(self) -> None:
-        """Give the interface back."""
         if not self._closed:
             self._closed = True
             self._port.close()

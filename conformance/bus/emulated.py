@@ -60,7 +60,6 @@ class EmulatedLine(Line):
         return self.bus.speed or self.bus.stations[0].speed
 
     def now_ns(self) -> int:
-        """Return the virtual time."""
         return self.bus.now_ns
 
     def write(self, item: bytes | CanFrame) -> int:
@@ -94,5 +93,4 @@ class EmulatedLine(Line):
         self.endpoint = self.endpoint.at(bits_per_second)
 
     def close(self) -> None:
-        """End the line."""
         self._closed = True

@@ -70,7 +70,6 @@ class SerialLine(StreamLine):
                 fcntl.ioctl(self.fileno(), termios.TIOCEXCL if taken else termios.TIOCNXCL)
 
     def fileno(self) -> int:
-        """Return the port's descriptor."""
         return int(self._port.fileno())
 
     def _read(self) -> bytes:

@@ -38,7 +38,6 @@ class StreamLine(Line):
         self._closed = False
 
     def now_ns(self) -> int:
-        """Return the system's monotonic time."""
         return time.monotonic_ns()
 
     # --- what a kind of stream differs in -------------------------------------------------------------------------
@@ -129,7 +128,6 @@ class StreamLine(Line):
         return LineLost(f"{self.endpoint.place or self.endpoint.text} is gone: {why}")
 
     def close(self) -> None:
-        """Give the port back."""
         if not self._closed:
             self._closed = True
             self._shut()

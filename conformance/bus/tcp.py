@@ -28,7 +28,6 @@ class TcpLine(StreamLine):
         self._socket.setblocking(False)
 
     def fileno(self) -> int:
-        """Return the socket's descriptor."""
         return self._socket.fileno()
 
     def _read(self) -> bytes:

@@ -431,11 +431,9 @@ class Gate:
     # --- the rest of the line -------------------------------------------------------------------------------------
 
     def now_ns(self) -> int:
-        """Return the time of the line's clock."""
         return self.line.now_ns()
 
     def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
-        """Return what comes next, None when the time is over. Raises LineLost."""
         if self._judge.early:
             return self._judge.early.popleft()
         got = self.line.receive(timeout_ns)
@@ -444,7 +442,6 @@ class Gate:
         return got
 
     def wait(self, duration_ns: int) -> list[Chunk | CanFrame]:
-        """Let time pass and return what came meanwhile. Raises LineLost."""
         got = self.line.wait(duration_ns)
         if self.log is not None:
             for item in got:
@@ -452,9 +449,7 @@ class Gate:
         return got
 
     def set_speed(self, bits_per_second: int) -> None:
-        """Change this end's speed. Raises UsageError where it cannot be changed."""
         self.line.set_speed(bits_per_second)
 
     def close(self) -> None:
-        """Give the port back."""
         self.line.close()

@@ -170,7 +170,6 @@ class GuardedLine(Line):
         return done.t_ns
 
     def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
-        """Return what comes next, None when the time is over."""
         until_ns = self.now_ns() + max(0, timeout_ns)
         while True:
             left_ns = max(0, until_ns - self.now_ns())
@@ -181,7 +180,6 @@ class GuardedLine(Line):
                 return None
 
     def set_speed(self, bits_per_second: int) -> None:
-        """Change this end's speed."""
         self._ask(say.Speed(bits_per_second))
         self.endpoint = self.endpoint.at(bits_per_second)
 

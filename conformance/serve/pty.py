@@ -66,7 +66,6 @@ class PtyPort:
             raise UsageError(f"cannot make the link {link}: {error.strerror}") from None
 
     def descriptors(self) -> Sequence[int]:
-        """Return the master's descriptor."""
         return (self._master,)
 
     @property
@@ -75,7 +74,6 @@ class PtyPort:
         return self._slave
 
     def read(self, ready: Sequence[int]) -> bytes:
-        """Return what the client has written."""
         try:
             data = os.read(self._master, _READ_SIZE)
         except OSError:
@@ -93,7 +91,6 @@ class PtyPort:
         self.lost += len(data) - written
 
     def speed(self) -> int | None:
-        """Return the line speed that the client has set."""
         return line_speed(self._slave)
 
     def idle(self) -> None:

@@ -58,7 +58,6 @@ class TcpPort:
         self._deaf = False
 
     def descriptors(self) -> Sequence[int]:
-        """Return the descriptors of the listener and of each client."""
         return [*self._clients] if self._deaf else [self._listener.fileno(), *self._clients]
 
     def read(self, ready: Sequence[int]) -> bytes:

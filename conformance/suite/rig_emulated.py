@@ -65,7 +65,6 @@ class EmulatedRig(ClaimRig):
 
     @cached_property
     def group(self) -> int | None:
-        """The group address of its drives."""
         drive = self.make_drive()
         return drive.settings.get(drive.group_setting)
 
@@ -89,7 +88,6 @@ class EmulatedRig(ClaimRig):
         return plain_probe(self.dialect, self.address, Gate(EmulatedLine([self.make_drive()]), self._allowance))
 
     def probe(self, claim: Claim) -> Probe:
-        """Return a probe of a new drive."""
         if not self._ideal and self._in_motion is None and claim.risks & MAY_MOVE and motion.can_move(self.dialect):
             self._to_set = self._answers_once_set()
             measuring = self._plain_probe()

@@ -163,7 +163,6 @@ class RealRig(ClaimRig):
     # --- claims -------------------------------------------------------------------------------------------------------
 
     def missing(self, claim: Claim) -> str:
-        """Return why a claim cannot run here, or nothing."""
         unproved = (self._unproved or self._unheard) if claim.risks & MAY_MOVE else ""
         return super().missing(claim) or unproved or self.keeper.cannot_keep(claim.settings)
 
@@ -198,7 +197,6 @@ class RealRig(ClaimRig):
         return found
 
     def probe(self, claim: Claim) -> Probe:
-        """Return a probe of the drive."""
         if not self._names_what_is_left(claim):
             # What fails is tried again in the end.
             self._put_back()

@@ -125,7 +125,6 @@ class SerialAdapter(Adapter):
                 raise Unopened(f"{path}: its driver cannot raise RTS while it sends (RS485 mode): {reason}") from None
 
     def set(self, settings: LineSettings) -> None:
-        """Set the line up."""
         set_raw(self.fd, settings.speed, settings.parity, settings.stop_bits)
 
 
@@ -133,7 +132,6 @@ class TcpAdapter(Adapter):
     """A connection to a serial server."""
 
     def open(self, stop: Stop, settings: LineSettings) -> Opened:
-        """Connect."""
         port = TcpPort(self.endpoint)
         opened = port.open(stop)
         descriptor = port.descriptor()

@@ -107,7 +107,6 @@ class _Reader:
         self._same: dict[gate.Item, gate.Item] = {}
 
     def entry(self, entry: Entry) -> None:
-        """Take a frame."""
         message = entry.message
         frame = message.frame
         if message.role is Role.REQUEST:
@@ -141,7 +140,6 @@ class _Reader:
         self._open[entry.sequence] = step
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Count a piece of junk."""
         if not self._bus or junk.port == self._bus:
             self.plan.left_out["pieces of junk"] += 1
 

@@ -331,7 +331,6 @@ class LkDrive(Drive):
         self._outbox.append(self._ready(frame.data))
 
     def behave(self, request: Request) -> Values | None:
-        """Do what a request says; return the values of its reply."""
         act, fields = self.acts.get(request.command.name), request.form.layout.named
         # Only a fault asks for what the bits of a field do not hold.
         if act is not None and all(fields[n].wire_minimum <= v <= fields[n].wire_maximum for n, v in request.values.items()):
@@ -381,7 +380,6 @@ class LkDrive(Drive):
     # --- time -----------------------------------------------------------------------------------------------------
 
     def reach(self, t_ns: int) -> None:
-        """Be at a time, with the motor."""
         super().reach(t_ns)
         self.motor.to(t_ns)
 
@@ -402,18 +400,15 @@ class LkDrive(Drive):
 
     @property
     def rest(self) -> Rest:
-        """When and how the shaft came to rest, or will."""
         at_ns, way = self.motor.rests
         return Rest(at_ns, self.now_ns - at_ns, way)
 
     def hold(self, settings: Mapping[str, int]) -> None:
-        """Have held these settings all the time."""
         for name, value in settings.items():
             if name in self.parameters:
                 self.keep(name, value)
 
     def stand(self, told: Mapping[str, int]) -> None:
-        """Let a shaft that rests be where these fields of reads say that it is."""
         if "encoder_raw" in told:
             motor, raw = self.motor, told["encoder_raw"]
             angle = told.get("angle", 0) / 36_000

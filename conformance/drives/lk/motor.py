@@ -101,7 +101,6 @@ class Torque:
         return Lag(now.angle, now.speed, begin, end, motor.limits.torque_ramp * scale, motor.build.lag)
 
     def push(self, motor: LkMotor) -> float:
-        """Return the torque."""
         return _within(self.torque, motor.limits.torque)
 
 
@@ -116,7 +115,6 @@ class Free:
         return Lag(now.angle, now.speed, 0.0, 0.0, 0.0, motor.build.lag)
 
     def push(self, motor: LkMotor) -> float:
-        """Return no torque."""
         return 0.0
 
 

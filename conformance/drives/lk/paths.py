@@ -76,7 +76,6 @@ class Ramps:
 
     @cached_property
     def seconds(self) -> float:
-        """The time of all stretches."""
         return sum(s.seconds for s in self.stretches)
 
     @cached_property
@@ -85,7 +84,6 @@ class Ramps:
         return self._walk(self.seconds).angle if self.rest is None else self.rest
 
     def at(self, seconds: float) -> Motion:
-        """Return the motion at a time."""
         over = seconds - self.seconds
         if over >= 0:
             return Motion(self.end + self.final_speed * over, self.final_speed, 0.0)

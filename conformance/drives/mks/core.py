@@ -115,11 +115,9 @@ class MksCore(MksState):
         return ramped and (violation.rule == "reserved_bits" or violation.field == "speed")
 
     def silenced(self, command: Command) -> bool:
-        """Say whether the replies of a command are switched off."""
         return command.silenced and not self.settings.get("respond", 1) and "respond" not in self.heedless
 
     def refused(self, request: Request) -> Values:
-        """Return the answer that a request failed."""
         return {"status": min(request.responder.meanings(request.command).failed, default=0)}
 
     # --- scripts --------------------------------------------------------------------------------------------------

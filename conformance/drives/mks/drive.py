@@ -80,7 +80,6 @@ class MksDrive(MksCore):
 
     @property
     def rest(self) -> Rest:
-        """When and how the shaft came to rest, or will."""
         now, path = self.now_ns, self.motor.path
         speed = path.speed(now)
         if speed:
@@ -89,13 +88,11 @@ class MksDrive(MksCore):
         return Rest(at_ns, now - at_ns, next((s.way for s in reversed(path.segments) if s.way), 0))
 
     def hold(self, settings: Mapping[str, int]) -> None:
-        """Have held these settings all the time."""
         self.settings.update({name: value for name, value in settings.items() if name in self.fields})
         self.tune()
         self.grip()
 
     def stand(self, told: Mapping[str, int]) -> None:
-        """Let a shaft that rests be where these fields of reads say that it is."""
         if "enabled" in told and self.by_bus:
             self.memory.enabled = bool(told["enabled"])
             self.grip()
