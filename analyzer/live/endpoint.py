@@ -192,7 +192,7 @@ def _can(text: str, place: str, options: dict[str, str]) -> Endpoint:
             raise UsageError(f"{quote(text)}: {taken} stands before the options, expected can:INTERFACE:CHANNEL")
     rate = options.pop("bitrate", None)
     speed = None if rate is None else _speed(text, "bitrate", rate)
-    rest = {key: _value(value) for key, value in options.items()}
+    rest = {key: value_of(value) for key, value in options.items()}
     return Endpoint(text, "can", f"{interface}:{channel}", "", speed, options=rest)
 
 
@@ -221,7 +221,8 @@ def _refuse_rest(text: str, options: Mapping[str, str], known: Sequence[str]) ->
         raise UsageError(f"{quote(text)}: no option {quote(next(iter(options)))}, expected {', '.join(known)}")
 
 
-def _value(text: str) -> int | float | str:
+def value_of(text: str) -> int | float | str:
+    """Return the value of an option of python-can's interfaces: a number where it is one."""
     for kind in (int, float):
         with contextlib.suppress(ValueError):
             return kind(text)

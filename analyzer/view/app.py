@@ -95,7 +95,6 @@ class ViewApp(App[str]):
         self._exit_renderables.clear()
 
     def compose(self) -> ComposeResult:
-        """Put the panels together."""
         yield self._head
         with self._switch:
             with Vertical(id="frames_box"):
@@ -111,7 +110,6 @@ class ViewApp(App[str]):
         yield footer
 
     def on_mount(self) -> None:
-        """Begin."""
         self.frames.focus()
         if self._filter_text:
             self._set_filter(self._filter_text)
@@ -188,7 +186,6 @@ class ViewApp(App[str]):
     # --- panels ---------------------------------------------------------------------------------------------------
 
     def action_panel(self, name: str) -> None:
-        """Show a panel."""
         self._switch.current = "frames_box" if name == "frames" else name
         self._focus[name].focus()
         self._stale = True
@@ -222,7 +219,6 @@ class ViewApp(App[str]):
             self.counts.toggle()
 
     def action_details(self) -> None:
-        """Show the frame under the cursor byte by byte, or no longer."""
         if self.shown != "frames":
             self.action_panel("frames")
         self.details.display = not self.details.display
@@ -243,7 +239,6 @@ class ViewApp(App[str]):
         return None if number is None else self.source.lines.line(number)
 
     def action_scroll_details(self, step: int) -> None:
-        """Scroll the details."""
         self.details.scroll_relative(y=step * 4, animate=False)
 
     def _go_to(self, sequence: int) -> None:
@@ -261,19 +256,16 @@ class ViewApp(App[str]):
     # --- keys -----------------------------------------------------------------------------------------------------
 
     def action_pause(self) -> None:
-        """Hold the lines, or go on."""
         self._paused = not self._paused
         self._waiting = self.source.pause(self._paused)
         self._stale = True
         self.tick()
 
     def action_shows(self) -> None:
-        """Show fields, bytes or both."""
         self.say(f"showing {self.frames.columns.next_shows(self.frames.size.width - 1)}")
         self.frames.sync()
 
     def action_time(self) -> None:
-        """Show times otherwise."""
         names = {
             "clock": f"time of day {self.source.times.zone}".rstrip(),
             "elapsed": "seconds since the first frame",
@@ -283,16 +275,13 @@ class ViewApp(App[str]):
         self.frames.sync()
 
     def action_order(self) -> None:
-        """Order the counts otherwise."""
         self.counts.next_order()
         self._tell()
 
     def action_zoom(self, step: int) -> None:
-        """Plot a shorter or a longer time."""
         self.say(f"plot: {self.plot.zoom(step)}")
 
     def action_keys(self) -> None:
-        """Show the keys."""
         self.push_screen(HelpScreen(help_text(self.source.live)))
 
     def action_step_back(self) -> None:
@@ -323,21 +312,17 @@ class ViewApp(App[str]):
         self.action_leave()
 
     def action_stop(self) -> None:
-        """End the view at once."""
         self.exit("quit")
 
     # --- the line to type in --------------------------------------------------------------------------------------
 
     def action_filter(self) -> None:
-        """Ask for a filter."""
         self._prompt.ask(FILTER, self._filter_text)
 
     def action_search(self) -> None:
-        """Ask for a text to look for."""
         self._prompt.ask(SEARCH, self._seeker.text)
 
     def action_mark(self) -> None:
-        """Ask for a note."""
         self._prompt.ask(MARK, "")
 
     def _close_prompt(self) -> None:
@@ -402,7 +387,6 @@ class ViewApp(App[str]):
         self._seek(lambda: self._seeker.for_text(self.frames.lines, self.frames.cursor, step))
 
     def action_finding(self, step: int) -> None:
-        """Go to the next line with a finding."""
         hop = self.source.hop if self.frames.wanted is None else None
         self._seek(lambda: self._seeker.for_finding(self.frames.lines, self.frames.cursor, step, hop))
 

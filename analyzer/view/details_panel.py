@@ -112,7 +112,6 @@ class DetailsPanel(VerticalScroll):
         self._text = Static(markup=False)
 
     def compose(self) -> ComposeResult:
-        """Put the text in."""
         yield self._text
 
     def show(self, text: Text) -> None:

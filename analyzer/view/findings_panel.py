@@ -73,7 +73,6 @@ class FindingsPanel(Vertical):
         self._text = Static(markup=False)
 
     def compose(self) -> ComposeResult:
-        """Put the counts above the rows."""
         yield self._counts
         yield self.rows
         yield self._text

@@ -141,7 +141,6 @@ class PlotPanel(Horizontal):
         self._centre_ns: int | None = None
 
     def compose(self) -> ComposeResult:
-        """Put the series to the left of the charts."""
         yield self.rows
         yield self._chart
 

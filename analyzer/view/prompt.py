@@ -43,7 +43,6 @@ class Prompt(Horizontal):
         self._input.styles.height = 1
 
     def compose(self) -> ComposeResult:
-        """Put the name before the text."""
         yield self._label
         yield self._input
 
@@ -66,6 +65,5 @@ class Prompt(Horizontal):
         self.display = False
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Hand the text on."""
         event.stop()
         self.post_message(self.Given(self.asking, event.value.strip()))

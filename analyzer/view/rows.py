@@ -128,16 +128,13 @@ class Rows(Widget, can_focus=True, metaclass=_AbstractWidget):  # type: ignore[m
         self.sync()
 
     def action_page(self, pages: int) -> None:
-        """Move the cursor by pages."""
         self.action_move(pages * max(1, self.page - 1))
 
     def action_begin(self) -> None:
-        """Move the cursor to the first row."""
         first, stop = self.bounds()
         self.action_move(first - self.cursor if stop > first else 0)
 
     def action_end(self) -> None:
-        """Move the cursor to the last row, and follow it."""
         _, stop = self.bounds()
         self.action_move(max(1, stop - 1 - self.cursor))
         self.following = self.follows
@@ -149,12 +146,10 @@ class Rows(Widget, can_focus=True, metaclass=_AbstractWidget):  # type: ignore[m
             self.post_message(self.Chosen(self))
 
     def on_mouse_scroll_up(self, event: events.MouseScrollUp) -> None:
-        """Move with the wheel."""
         event.stop()
         self.action_move(-3)
 
     def on_mouse_scroll_down(self, event: events.MouseScrollDown) -> None:
-        """Move with the wheel."""
         event.stop()
         self.action_move(3)
 
@@ -170,7 +165,6 @@ class Rows(Widget, can_focus=True, metaclass=_AbstractWidget):  # type: ignore[m
             self.put(number)
 
     def on_resize(self) -> None:
-        """Keep the cursor in sight."""
         self.sync()
 
     # --- drawing --------------------------------------------------------------------------------------------------

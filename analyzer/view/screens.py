@@ -25,7 +25,6 @@ class HelpScreen(ModalScreen[None]):
         self._text = text
 
     def compose(self) -> ComposeResult:
-        """Put the text in."""
         with VerticalScroll():
             yield Static(Text(self._text), markup=False)
 
@@ -43,9 +42,7 @@ class EndQuestion(ModalScreen[bool]):
     ]
 
     def compose(self) -> ComposeResult:
-        """Put the question in."""
         yield Static(Text("End the recording?  y ends it, n continues"), markup=False)
 
     def action_answer(self, yes: bool) -> None:
-        """Give the answer."""
         self.dismiss(yes)

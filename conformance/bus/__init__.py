@@ -2,6 +2,38 @@
 
 from __future__ import annotations
 
-from conformance.bus.open import at_default_rate, open_line
+from dataclasses import replace
+from importlib import import_module
+
+from analyzer.catalogue import Dialect
+from analyzer.errors import UsageError
+from analyzer.live.endpoint import Endpoint
+from conformance.bus.line import Line
 
 __all__ = ["at_default_rate", "open_line"]
+
+#: Kind of endpoint -> module and class of its line, imported only when one is opened.
+_KINDS = {
+    "serial": ("conformance.bus.serial", "SerialLine"),
+    "tcp": ("conformance.bus.tcp", "TcpLine"),
+    "can": ("conformance.bus.can", "CanLine"),
+}
+
+
+def open_line(endpoint: Endpoint) -> Line:
+    """Open the host's end of a bus.
+
+    Raises UsageError where it cannot be opened, with what to do about it.
+    """
+    if endpoint.auto:
+        raise UsageError(f"{endpoint.text}: the speed is missing, expected baud=N (servotap scan finds it)")
+    module, name = _KINDS[endpoint.kind]
+    line: Line = getattr(import_module(module), name)(endpoint)
+    return line
+
+
+def at_default_rate(endpoint: Endpoint, dialect: Dialect) -> Endpoint:
+    """Return a serial port at the rate that a dialect's drives are delivered with, where it names no rate; its text says so."""
+    if endpoint.kind != "serial" or endpoint.speed is not None or endpoint.auto or not dialect.baud_rates:
+        return endpoint
+    return replace(endpoint, speed=dialect.baud_rates[0], text=f"{endpoint.text},baud={dialect.baud_rates[0]}")

@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
+from analyzer.cli.signals import handled
 from analyzer.errors import UsageError
 from analyzer.live import profile
+from analyzer.live.reader_port import Stop
 from conformance.drives import make, realism
 from conformance.drives.bus import Bus
 from conformance.drives.can_bus import CanBus
@@ -26,7 +28,6 @@ from conformance.drives.make import Specification
 from conformance.drives.serial_bus import SerialBus
 from conformance.drives.wire_faults import WireFaults, parse_rates
 from conformance.serve.clock import Clock
-from conformance.serve.stop import Stop, on_signals
 
 if TYPE_CHECKING:
     from conformance.serve.can import CanPort
@@ -163,7 +164,7 @@ def _emulate(specifications: Sequence[Specification], arguments: argparse.Namesp
     # The signals are taken over before anything is opened, so that all of it is closed again.
     stop = Stop()
     stack.callback(stop.close)
-    stack.enter_context(on_signals(stop))
+    stack.enter_context(handled(lambda number, frame: stop.ask("a signal")))
     place = _open(bus, arguments)
     stack.callback(place.port.close)
     clock = Clock()

@@ -41,7 +41,7 @@ from conformance.suite.target import Target
 if TYPE_CHECKING:
     import can
 
-    from conformance.serve.stop import Stop
+    from analyzer.live.reader_port import Stop
     from servotap import Drive
 
 _END_SECONDS = 10
@@ -86,7 +86,7 @@ def can_bus_of(*drives: str) -> Iterator[can.BusABC]:
 @contextmanager
 def _served(serve: Callable[[Stop], None], close: Callable[[], None]) -> Iterator[None]:
     """Run drives in a thread of their own, and always end them."""
-    from conformance.serve.stop import Stop
+    from analyzer.live.reader_port import Stop
 
     stop = Stop()
     thread = threading.Thread(target=serve, args=(stop,), daemon=True)
@@ -94,7 +94,7 @@ def _served(serve: Callable[[Stop], None], close: Callable[[], None]) -> Iterato
     try:
         yield
     finally:
-        stop.set()
+        stop.ask("the test is over")
         thread.join(_END_SECONDS)
         close()
         stop.close()

@@ -151,9 +151,9 @@ class _Controller:
         """Keep the tests of one real port together; with emulated drives alone tests go anywhere."""
         if not _any_real(config):
             return None
-        from conformance.pytest_plugin.workers import scheduler
+        from conformance.pytest_plugin.workers import ByPort
 
-        return scheduler(config, log)
+        return ByPort(config, log)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Stop where a worker gave up: no other one may go on with its port."""

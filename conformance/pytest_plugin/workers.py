@@ -16,7 +16,7 @@ from conformance.pytest_plugin.plan import label
 from conformance.suite import target as targets
 
 
-class _ByPort(LoadScopeScheduling):  # type: ignore[misc]  # xdist has no types
+class ByPort(LoadScopeScheduling):  # type: ignore[misc]  # xdist has no types
     """Hands out all tests of one port at once; tests of emulated drives one by one."""
 
     def __init__(self, config: pytest.Config, log: Any) -> None:
@@ -28,8 +28,3 @@ class _ByPort(LoadScopeScheduling):  # type: ignore[misc]  # xdist has no types
 
     def _split_scope(self, nodeid: str) -> str:
         return next((port for pattern, port in self._ports.items() if pattern.search(nodeid)), nodeid)
-
-
-def scheduler(config: pytest.Config, log: Any) -> Any:
-    """Return what hands out the tests of a run with real ports."""
-    return _ByPort(config, log)

@@ -11,16 +11,16 @@ Rules:
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from typing import Any
 
 from analyzer.errors import UsageError
+from analyzer.live.endpoint import value_of
+from analyzer.live.reader_port import Stop
 from analyzer.values import quote
 from conformance.bus.python_can import CanPort
 from conformance.drives.can_bus import CanBus
 from conformance.serve.clock import Clock
-from conformance.serve.stop import Stop
 
 __all__ = ["CanPort", "parse_endpoint", "serve"]
 
@@ -45,18 +45,11 @@ def parse_endpoint(text: str) -> tuple[str, str, dict[str, Any]]:
         name, equals, value = part.partition("=")
         if not equals or not name.isidentifier():
             raise UsageError(f"got {quote(part)} after {quote(place)}, expected NAME=VALUE, as in bitrate=500000")
-        options[name] = _value(value)
+        options[name] = value_of(value)
     rate = options.get("bitrate", 1)
     if not isinstance(rate, int) or rate <= 0:
         raise UsageError(f"bitrate: got {quote(str(rate))}, expected bits per second, as in bitrate=500000")
     return interface, channel, options
-
-
-def _value(text: str) -> int | float | str:
-    for kind in (int, float):
-        with contextlib.suppress(ValueError):
-            return kind(text)
-    return text
 
 
 def serve(
@@ -70,7 +63,7 @@ def serve(
 ) -> None:
     """Run a bus until `stop` or `until_ns`. `tick(now_ns)` is called now and then, at least five times a second."""
     ticked_ns = 0
-    while not stop.is_set:
+    while not stop.asked:
         now_ns = clock.now_ns()
         bus.run_until(now_ns)
         for frame in bus.received():

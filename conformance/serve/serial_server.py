@@ -10,9 +10,9 @@ import select
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from analyzer.live.reader_port import Stop
 from conformance.drives.serial_bus import SerialBus
 from conformance.serve.clock import Clock
-from conformance.serve.stop import Stop
 
 #: The longest sleep: how late what is done now and then (`tick`) can be.
 IDLE_NS = 200_000_000
@@ -56,7 +56,7 @@ def serve(
 ) -> None:
     """Run a bus until `stop` or `until_ns`. `tick(now_ns)` is called now and then, at least five times a second."""
     ticked_ns = 0
-    while not stop.is_set:
+    while not stop.asked:
         # The client may change its speed between its request and the reply, which then reaches it garbled.
         bus.speed = port.speed()
         now_ns = clock.now_ns()

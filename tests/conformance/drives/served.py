@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
+from analyzer.live.reader_port import Stop
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
 from conformance.drives.drive import Drive
@@ -24,7 +25,6 @@ from conformance.serve.can import CanPort
 from conformance.serve.clock import Clock
 from conformance.serve.pty import PtyPort
 from conformance.serve.serial_server import SerialPort
-from conformance.serve.stop import Stop
 
 READY_S = 30.0
 _MAIN = (
@@ -53,7 +53,7 @@ def _threaded(serve: Callable[[Stop], None]) -> Iterator[None]:
     try:
         yield
     finally:
-        stop.set()
+        stop.ask("the test is over")
         thread.join(10)
         stop.close()
     assert not thread.is_alive()
@@ -170,14 +170,14 @@ class Bridge:
 
     def _run(self) -> None:
         masters = [end.descriptors()[0] for end in self._ends]
-        while not self._stop.is_set:
+        while not self._stop.asked:
             ready, _, _ = select.select([*masters, self._stop.fileno()], [], [])
             for here, there in ((0, 1), (1, 0)):
                 if masters[here] in ready:
                     self._ends[there].write(self._ends[here].read(ready))
 
     def close(self) -> None:
-        self._stop.set()
+        self._stop.ask("the test is over")
         self._thread.join(5)
         self._stop.close()
         for end in self._ends:

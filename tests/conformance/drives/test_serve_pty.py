@@ -18,12 +18,12 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.encoder import build
 from analyzer.errors import UsageError
+from analyzer.live.reader_port import Stop
 from conformance.drives.serial_bus import SerialBus
 from conformance.serve import serial_server
 from conformance.serve.clock import Clock
 from conformance.serve.line_speed import line_speed
 from conformance.serve.pty import PtyPort
-from conformance.serve.stop import Stop
 from tests.conformance.drives.plain_drive import PlainDrive
 from tests.conformance.drives.served import on_port, on_pty, wait_for
 
