@@ -109,6 +109,13 @@ def drive_name(dialect: Dialect, address: int) -> str:
     return f"{dialect.name}@0x{address:X}" if dialect.bus == "can" and address > 9 else f"{dialect.name}@{address}"
 
 
+def of_drive(named: str) -> Dialect:
+    """Return the dialect of a drive that a run has named, `DIALECT@ADDRESS[,model=M]...`, for its model. Raises UsageError."""
+    head, *parts = named.split(",")
+    model = next((part.removeprefix("model=") for part in parts if part.startswith("model=")), "")
+    return for_model([get(head.partition("@")[0])], model)[0]
+
+
 def every() -> list[Dialect]:
     """Return all dialects of drives, without those that have failed and are left out."""
     return [dialect for dialect in map(get, names()) if not dialect.link.left_out]

@@ -141,6 +141,11 @@ class Pipeline:
         #: Frames that were passed on by runs of a block.
         self.in_runs = 0
 
+    @property
+    def bytes_in(self) -> int:
+        """Bytes that came in on all buses."""
+        return sum(port.bytes_in - port.start for port in self.ports.values())
+
     def run(self, items: Iterable[Item]) -> None:
         """Feed all items, then close."""
         for item in items:

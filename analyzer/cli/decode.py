@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analyzer import __version__
 from analyzer.cli.decode_targets import Capture, captures
 from analyzer.cli.option_types import positive
 from analyzer.cli.output import Output, OutputFolder
@@ -273,23 +272,16 @@ def _metadata(
     reading: OpenCapture, pipeline: Pipeline, summary: Summary, arguments: argparse.Namespace, stopped: str
 ) -> dict[str, str]:
     source = reading.source
-    total = sum(port.bytes_in - port.start for port in pipeline.ports.values()) - reading.time_range.unseen_bytes
+    total = pipeline.bytes_in - reading.time_range.unseen_bytes
     _account(total, summary)
     values = {
         "source": source.name,
         "source_size": str(source.size if source.size is not None else source.position()),
         "format": source.format,
-        "dialect": ",".join(d.name for d in reading.dialects),
         "dialect_reason": reading.choice.reason,
-        "manual": "; ".join(d.manual for d in reading.dialects),
         "time_source": reading.time_source,
-        "version": __version__,
         "decoded_at": now_text(),
-        "bytes_total": str(total),
-        "bytes_in_frames": str(summary.frame_bytes),
-        "bytes_junk": str(sum(summary.junk_bytes.values())),
-        "frames": str(summary.frames),
-        "findings": str(sum(summary.findings.values())),
+        **summary.about(reading.dialects, total),
     }
     if pipeline.in_runs:
         values["frames_by_columns"] = str(pipeline.in_runs)

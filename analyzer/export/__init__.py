@@ -30,9 +30,10 @@ SERIAL = "serial"
 
 
 class Format(NamedTuple):
-    """A format to export to. `holds`: kinds of buses; `binary`: nothing for a terminal."""
+    """A format to export to. `holds`: kinds of buses; `binary`: nothing for a terminal; `module`, `writer`: what writes it."""
 
     module: str
+    writer: str
     title: str
     summary: str
     ending: str
@@ -41,14 +42,19 @@ class Format(NamedTuple):
 
 
 FORMATS: dict[str, Format] = {
-    "candump": Format("candump", "candump", "the log form of can-utils (candump -L), CAN alone", ".candump.log", (CAN,)),
+    "candump": Format(
+        "candump", "CandumpWriter",
+        "candump", "the log form of can-utils (candump -L), CAN alone", ".candump.log", (CAN,),
+    ),
     "pcapng": Format(
-        "pcapng", "pcapng", "for Wireshark: CAN as SocketCAN, serial as USER0 or RTAC", ".pcapng", (CAN, SERIAL), True
+        "pcapng", "PcapngWriter",
+        "pcapng", "for Wireshark: CAN as SocketCAN, serial as USER0 or RTAC", ".pcapng", (CAN, SERIAL), True,
     ),
     "hex": Format(
-        "hextext", "hex text", "a line of time, mark and hex bytes for each piece, serial alone", ".hex.txt", (SERIAL,)
+        "hextext", "HexTextWriter",
+        "hex text", "a line of time, mark and hex bytes for each piece, serial alone", ".hex.txt", (SERIAL,),
     ),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -88,7 +94,8 @@ def writer(name: str, stream: IO[bytes], choices: Choices) -> Writer:
     """Return the writer of a format. Raises UsageError for a format there is none of."""
     if name not in FORMATS:
         raise UsageError(f"no format {name!r} to export to, expected {', '.join(FORMATS)}")
-    made: Writer = import_module(f"{__name__}.{FORMATS[name].module}").make(stream, choices)
+    chosen = FORMATS[name]
+    made: Writer = getattr(import_module(f"{__name__}.{chosen.module}"), chosen.writer)(stream, choices)
     return made
 
 

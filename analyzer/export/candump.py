@@ -11,10 +11,8 @@ digits as a larger number. Only the host is marked, since a listener receives ev
 
 from __future__ import annotations
 
-from typing import IO
-
 from analyzer.catalogue import Role
-from analyzer.export import SECOND_NS, Choices, Writer
+from analyzer.export import SECOND_NS, Writer
 from analyzer.records import CanFrame, Chunk
 
 _ERROR_FLAG = 0x2000_0000
@@ -35,8 +33,3 @@ class CandumpWriter(Writer):
         sent = " T" if item.direction is Role.REQUEST else ""
         fraction = f"{rest:09d}"[: self.choices.digits]
         self.stream.write(f"({seconds}.{fraction}) {item.port} {ident}{mark}{sent}\n".encode())
-
-
-def make(stream: IO[bytes], choices: Choices) -> Writer:
-    """Return the writer."""
-    return CandumpWriter(stream, choices)

@@ -67,8 +67,3 @@ class HexTextWriter(Writer):
             self._second = seconds
             self._dated = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(seconds))
         return f"{self._dated}.{rest:09d}"
-
-
-def make(stream: IO[bytes], choices: Choices) -> Writer:
-    """Return the writer."""
-    return HexTextWriter(stream, choices)

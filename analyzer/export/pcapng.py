@@ -133,8 +133,3 @@ def _rtac(chunk: Chunk) -> bytes:
     seconds, rest = divmod(chunk.t_ns, SECOND_NS)
     event = _RTAC_SENT if chunk.direction is Role.REQUEST else _RTAC_RECEIVED
     return _RTAC.pack(seconds & 0xFFFF_FFFF, rest // 1000, event, 0, 0) + chunk.data
-
-
-def make(stream: IO[bytes], choices: Choices) -> Writer:
-    """Return the writer."""
-    return PcapngWriter(stream, choices)

@@ -24,7 +24,7 @@ from typing import IO, Any, cast
 import can
 from can.io.generic import BinaryIOMessageReader, BinaryIOMessageWriter
 
-from analyzer import __version__, dialects
+from analyzer import dialects
 from analyzer.catalogue import Dialect, Role
 from analyzer.errors import UsageError
 from analyzer.pipeline import Options, Pipeline
@@ -118,22 +118,10 @@ class McapWriter(BinaryIOMessageWriter):
             self._flusher.join()
 
     def _metadata(self) -> dict[str, str]:
-        summary = self._summary
         rate = {"bit_rate": str(self._bitrate)} if self._bitrate else {}
-        return {
-            "format": "python-can",
-            "dialect": ",".join(d.name for d in self._dialects),
-            "manual": "; ".join(d.manual for d in self._dialects),
-            "time_source": "python-can: floating-point seconds of its interface, good to about 0.2 us",
-            "version": __version__,
-            "bytes_total": str(sum(port.bytes_in for port in self._pipeline.ports.values())),
-            "bytes_in_frames": str(summary.frame_bytes),
-            "bytes_junk": str(sum(summary.junk_bytes.values())),
-            "frames": str(summary.frames),
-            "findings": str(sum(summary.findings.values())),
-            **rate,
-            **self._about,
-        }
+        time_source = "python-can: floating-point seconds of its interface, good to about 0.2 us"
+        traffic = self._summary.about(self._dialects, self._pipeline.bytes_in)
+        return {"format": "python-can", "time_source": time_source, **traffic, **rate, **self._about}
 
 
 def _chosen(names: str) -> Sequence[Dialect]:

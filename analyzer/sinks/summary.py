@@ -7,10 +7,12 @@ findings of each rule are kept.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from analyzer.catalogue import Role
+from analyzer import __version__
+from analyzer.catalogue import Dialect, Role
 from analyzer.pipeline import Entry
 from analyzer.records import Comment, Finding, Frame, Junk, Lane, Severity
 
@@ -168,6 +170,19 @@ class Summary:
         self.frame_bytes += int(block.sizes[start:stop].sum())
         self.last_ns = max(self.last_ns, int(block.t_ns[stop - 1]))
         self._taken.append(slice(start, stop))
+
+    def about(self, dialects: Sequence[Dialect], bytes_in: int) -> dict[str, str]:
+        """Return what the metadata of every log says of its traffic. `bytes_in`: what came in."""
+        return {
+            "dialect": ",".join(d.name for d in dialects),
+            "manual": "; ".join(d.manual for d in dialects),
+            "version": __version__,
+            "bytes_total": str(bytes_in),
+            "bytes_in_frames": str(self.frame_bytes),
+            "bytes_junk": str(sum(self.junk_bytes.values())),
+            "frames": str(self.frames),
+            "findings": str(sum(self.findings.values())),
+        }
 
     def settle(self) -> Summary:
         """Count by commands what was taken of the last block. Return this."""

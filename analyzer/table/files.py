@@ -19,6 +19,7 @@ from typing import IO, Any, NamedTuple
 from analyzer.codec import EXACT
 from analyzer.errors import UsageError
 from analyzer.sources.times import SECOND, Clock
+from analyzer.table.arrow import write_parquet
 from analyzer.table.columns import Kind
 from analyzer.table.extras import needed
 from analyzer.table.tables import Table
@@ -68,13 +69,6 @@ def write_csv(table: Table, lines: Iterable[list[Any]], stream: IO[bytes]) -> No
         writer.writerow(line)
     text.flush()
     text.detach()
-
-
-def write_parquet(table: Table, lines: Iterable[list[Any]], stream: IO[bytes]) -> None:
-    """Write Parquet."""
-    from analyzer.table import arrow
-
-    arrow.write_parquet(table, lines, stream)
 
 
 def write_xlsx(table: Table, lines: Iterable[list[Any]], stream: IO[bytes]) -> None:

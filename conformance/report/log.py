@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 
 from analyzer import dialects
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Role
 from analyzer.cli.output import whole
 from analyzer.errors import UsageError
 from analyzer.pipeline import Pipeline, PortSetup, topic_name
@@ -75,7 +75,7 @@ class RunLog:
         self._say("end", record, bus, record.last_ns + shift_ns)
 
     def _traffic(self, record: VerdictRecord, bus: str, shift_ns: int) -> None:
-        dialect = _dialect(record.target)
+        dialect = dialects.of_drive(record.target)
         setup = PortSetup((dialect,), offset=self._bytes.get(bus, 0))
         # Each claim begins afresh: what an earlier drive was told says nothing of this one.
         pipeline = Pipeline((dialect,), (self._log,), ports={bus: setup})
@@ -109,13 +109,6 @@ class RunLog:
         if claim is not None:
             self._file.add_metadata(METADATA, claim)
         self._log.finish(metadata)
-
-
-def _dialect(target: str) -> Dialect:
-    head, *parts = target.split(",")
-    dialect = dialects.get(head.partition("@")[0])
-    model = next((p.removeprefix("model=") for p in parts if p.startswith("model=")), "")
-    return dialect.for_model(model.upper()) if model else dialect
 
 
 def _begun_ns(run: RunRecord) -> int:

@@ -36,7 +36,7 @@ from conformance.bus import open_line
 from conformance.bus.line import LineLost
 from conformance.claim import NotStopped, RigFault
 from conformance.gate.bounds import stops
-from conformance.gate.gate import Allowance, Budget, Gate, Interpretation, Refused
+from conformance.gate.gate import Allowance, Gate, Interpretation, Refused
 from conformance.safety import journal as journals
 from conformance.safety import messages as say
 from conformance.safety.keeper import PUTTING_BACK, link_changed, restore
@@ -86,21 +86,11 @@ class Guard:
         self._begin = begin
         endpoint = endpoints.parse(begin.endpoint)
         self.line = open_line(endpoint)
-        self._full = Allowance(
-            frozenset(Risk(word) for word in begin.risks),
-            begin.speed,
-            begin.turns,
-            begin.acceleration,
-            begin.current,
-            None if begin.anywhere else frozenset(d.address for d in begin.drives),
-            begin.alone,
-            Budget(begin.commands, begin.seconds, begin.spun, begin.wear),
-            begin.subdivision,
-        )
+        self._full = begin.allowance
         # While the drive is looked for: reads, and those to any address.
         self._drives = [_Watched(_dialect(d), d.address, begin.moving) for d in begin.drives]
         spoken = {d.name: d for d in dialects.every()} | {d.dialect.name: d.dialect for d in self._drives}
-        self.gate = Gate(self.line, Allowance(subdivision=begin.subdivision), dialects=spoken.values())
+        self.gate = Gate(self.line, Allowance(subdivision=begin.allowance.subdivision), dialects=spoken.values())
         self._not_stopped: NotStopped | None = None
         #: The subdivision that was last sent, None: none was.
         self._subdivision: int | None = None
@@ -147,7 +137,7 @@ class Guard:
         if not reading.risks & MAY_MOVE:
             return
         for drive in self._drives:
-            if not drive.concerned(reading, alone=self._begin.alone):
+            if not drive.concerned(reading, alone=self._begin.allowance.alone):
                 continue
             if stops(reading):
                 drive.asked = drive.endless_since is not None
@@ -190,8 +180,8 @@ class Guard:
 
     def all_put_back(self, request: say.AllPutBack) -> say.Answer:
         """Take it that the subdivision is the user's again, if that is what was sent last."""
-        if self._begin.subdivision is not None and self._subdivision == self._begin.subdivision:
-            self.gate.note_subdivision(self._begin.subdivision)
+        if self._begin.allowance.subdivision is not None and self._subdivision == self._begin.allowance.subdivision:
+            self.gate.note_subdivision(self._begin.allowance.subdivision)
         return say.Done(self.gate.now_ns())
 
     # --- what the guard does by itself --------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, cast
 
@@ -25,6 +26,7 @@ from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame, Chunk
 from conformance.bus.line import Line, LineLost
 from conformance.claim import Inconclusive, NotStopped
+from conformance.gate.budget import Spent
 from conformance.gate.gate import Allowance, Refused
 from conformance.safety import messages as say
 from conformance.safety.signals import deferred
@@ -60,24 +62,11 @@ _KINDS: dict[str, Callable[[str], Exception]] = {
 
 
 def beginning(endpoint: Endpoint, drives: Iterable[tuple[Dialect, int]], allowance: Allowance) -> say.Begin:
-    """Return what a guard is told first. `drives`: those that it looks after."""
-    budget = allowance.budget
-    return say.Begin(
-        endpoint.text,
-        tuple(say.Drive(dialect.name, dialect.model, address) for dialect, address in drives),
-        tuple(sorted(risk.value for risk in allowance.risks)),
-        allowance.speed,
-        allowance.turns,
-        allowance.acceleration,
-        allowance.current,
-        allowance.subdivision,
-        allowance.alone,
-        budget.commands,
-        budget.seconds,
-        budget.turns,
-        budget.wear,
-        anywhere=allowance.addresses is None,
-    )
+    """Return what a guard is told first. `drives`: those that it looks after, which alone may be meant where not all may."""
+    watched = tuple(say.Drive(dialect.name, dialect.model, address) for dialect, address in drives)
+    addresses = None if allowance.addresses is None else frozenset(drive.address for drive in watched)
+    budget = replace(allowance.budget, path=None, spent=Spent())
+    return say.Begin(endpoint.text, watched, replace(allowance, addresses=addresses, budget=budget))
 
 
 class GuardedLine(Line):

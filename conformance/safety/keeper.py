@@ -399,10 +399,7 @@ def link_changed(path: Path) -> bool:
 
 def dialect_of(entry: Entry) -> Dialect:
     """Return the dialect that a journal's line names, for its model. Raises UsageError."""
-    head, *parts = entry.target.split(",")
-    found = dialects.get(head.partition("@")[0])
-    model = next((p.removeprefix("model=") for p in parts if p.startswith("model=")), "")
-    return dialects.for_model([found], model)[0]
+    return dialects.of_drive(entry.target)
 
 
 def command_of(entry: Entry) -> Command:

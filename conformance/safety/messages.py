@@ -8,6 +8,7 @@ from typing import IO
 import msgspec
 
 from analyzer.records import CanFrame, Chunk
+from conformance.gate.permissions import Allowance
 
 _LENGTH = struct.Struct("<I")
 _LIMIT = 64 << 20
@@ -36,25 +37,13 @@ class Drive(msgspec.Struct, frozen=True):
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
     """The first request: open the port.
 
-    `risks`, bounds and budget as in an allowance; `anywhere`: other addresses than those of the drives are meant too;
-    `longest_run_ns` of motion without an end; `moving`: the drives may be moving already. Until `DriveFound` reads alone pass,
-    and those to any address.
+    `allowance`: what may be sent, with a budget of which nothing is spent; `longest_run_ns` of motion without an end; `moving`:
+    the drives may be moving already. Until `DriveFound` reads alone pass, and those to any address.
     """
 
     endpoint: str
     drives: tuple[Drive, ...]
-    risks: tuple[str, ...]
-    speed: float | None = None
-    turns: float | None = None
-    acceleration: float | None = None
-    current: float | None = None
-    subdivision: int | None = None
-    alone: bool = False
-    commands: int | None = None
-    seconds: float | None = None
-    spun: float | None = None
-    wear: int | None = None
-    anywhere: bool = False
+    allowance: Allowance
     longest_run_ns: int = 30_000_000_000
     moving: bool = False
     journal: str = ""

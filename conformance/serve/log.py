@@ -12,7 +12,6 @@ from typing import IO
 
 from msgspec.structs import replace
 
-from analyzer import __version__
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.framer import SILENCE_NS
@@ -98,22 +97,9 @@ class BusLog:
         with self._writing():
             self._pipeline.close()
             speed = {"bit_rate" if self._dialects[0].bus == "can" else "baud": str(self._speed)}
-            self._log.finish(
-                {
-                    "format": self._format,
-                    "dialect": ",".join(d.name for d in self._dialects),
-                    "manual": "; ".join(d.manual for d in self._dialects),
-                    "time_source": "the bus, on a monotonic clock anchored to UTC at the start",
-                    "version": __version__,
-                    "bytes_total": str(sum(port.bytes_in for port in self._pipeline.ports.values())),
-                    "bytes_in_frames": str(self.summary.frame_bytes),
-                    "bytes_junk": str(sum(self.summary.junk_bytes.values())),
-                    "frames": str(self.summary.frames),
-                    "findings": str(sum(self.summary.findings.values())),
-                    **speed,
-                    **about,
-                }
-            )
+            how = {"format": self._format, "time_source": "the bus, on a monotonic clock anchored to UTC at the start"}
+            traffic = self.summary.about(self._dialects, self._pipeline.bytes_in)
+            self._log.finish({**how, **traffic, **speed, **about})
             self._stream.close()
 
     @contextlib.contextmanager

@@ -197,7 +197,7 @@ def test_what_the_guard_prints_steers_no_terminal(tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setenv(FOLDER, str(tmp_path))
     with pytest.raises(GuardLost):
-        GuardedLine(endpoints.parse("serial:/dev/none,baud=38400"), say.Begin("serial:/dev/none,baud=38400", (), ()))
+        GuardedLine(endpoints.parse("serial:/dev/none,baud=38400"), say.Begin("serial:/dev/none,baud=38400", (), Allowance()))
     error = capfd.readouterr().err
     assert error.count("\n") == 1
     assert "a fault of servotap: RuntimeError: \\x1b[2J;" in error
