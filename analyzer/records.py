@@ -23,6 +23,11 @@ class Severity(StrEnum):
     WARNING = "warning"
     ERROR = "error"
 
+    @property
+    def rank(self) -> int:
+        """1 for an info, 2 for a warning, 3 for an error."""
+        return tuple(Severity).index(self) + 1
+
 
 class JunkReason(StrEnum):
     """Why bytes belong to no frame."""

@@ -302,7 +302,7 @@ def _at_its_speed(endpoint: Endpoint, dialects: Sequence[Dialect], notes: list[s
         return replace(endpoint, speed=baud, text=f"{endpoint.text},baud={baud}")
     from analyzer.live.autobaud_ports import find
 
-    return find(endpoint, say=say, candidates=list(dialects) or None)
+    return find(endpoint, say=say, candidates=list(dialects) or None).endpoint
 
 
 def configure(

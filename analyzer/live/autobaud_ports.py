@@ -33,23 +33,12 @@ def find(
     seconds: float = 3.0,
     say: Callable[[str], None] = lambda text: None,
     candidates: Sequence[Dialect] | None = None,
-) -> Endpoint:
-    """Return a serial endpoint at the rate that was found for it; `find_all` returns the dialect, too.
+) -> Found:
+    """Return the rate that was found for a serial endpoint, with the dialects and the evidence.
 
     `candidates`: the dialects that may be spoken, all serial ones if None. Raises UsageError where no rate is clear, or where
     the port cannot be opened.
     """
-    return find_all(endpoint, seconds=seconds, say=say, candidates=candidates).endpoint
-
-
-def find_all(
-    endpoint: Endpoint,
-    *,
-    seconds: float = 3.0,
-    say: Callable[[str], None] = lambda text: None,
-    candidates: Sequence[Dialect] | None = None,
-) -> Found:
-    """Return what `find` does, with the dialects and the evidence."""
     if endpoint.kind != "serial":
         raise UsageError(f"{quote(str(endpoint))}: baud=auto is for serial ports, which can be set to a rate")
     fitting = [d for d in (candidates if candidates is not None else registry.every()) if d.bus == "serial" and d.baud_rates]

@@ -17,21 +17,21 @@ TIMEOUT_S = 4.0
 _LEFT_OUT = frozenset({"socketcan", "socketcand", "virtual", "udp_multicast", "serial", "slcan", "robotell", "cantact"})
 
 
-def detect(timeout_s: float = TIMEOUT_S) -> tuple[list[dict[str, Any]], str]:
+def detect() -> tuple[list[dict[str, Any]], str]:
     """Return python-can's configurations, and why there may be more of them ("" if that is all)."""
-    words = [sys.executable, "-m", __name__, str(timeout_s)]
+    words = [sys.executable, "-m", __name__]
     try:
         # Twice the time: the libraries have to be loaded, too.
-        done = subprocess.run(words, capture_output=True, text=True, timeout=2 * timeout_s + 4, check=False)
+        done = subprocess.run(words, capture_output=True, text=True, timeout=2 * TIMEOUT_S + 4, check=False)
         listed = json.loads(done.stdout)
     except subprocess.TimeoutExpired:
-        return [], f"python-can's interfaces did not answer within {2 * timeout_s + 4:.0f} s"
+        return [], f"python-can's interfaces did not answer within {2 * TIMEOUT_S + 4:.0f} s"
     except (OSError, ValueError):
         return [], "python-can's interfaces could not be asked"
     return [entry for entry in listed if isinstance(entry, dict)], ""
 
 
-def main(timeout_s: float) -> None:
+def main() -> None:
     """Print the configurations as JSON."""
     import inspect
     import logging
@@ -46,7 +46,7 @@ def main(timeout_s: float) -> None:
     names = [name for name in sorted(can.VALID_INTERFACES) if name not in _LEFT_OUT]
     # Releases before 4.6 have no time-out of their own; the one around this process holds for all.
     timed = "timeout" in inspect.signature(can.detect_available_configs).parameters
-    found = can.detect_available_configs(names, **({"timeout": timeout_s} if timed else {}))
+    found = can.detect_available_configs(names, **({"timeout": TIMEOUT_S} if timed else {}))
     answer.write(json.dumps([dict(entry) for entry in found], default=str))
     answer.flush()
     # A library that hangs in a thread would keep this process.
@@ -54,4 +54,4 @@ def main(timeout_s: float) -> None:
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]) if len(sys.argv) > 1 else TIMEOUT_S)
+    main()

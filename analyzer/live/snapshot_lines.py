@@ -15,7 +15,6 @@ from analyzer.records import Event, Finding, Junk, Message, Severity
 
 #: Bytes of junk that are shown.
 JUNK_SHOWN = 64
-_GRAVITY = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
 
 def command_name(message: Message) -> str:
@@ -40,7 +39,7 @@ def frame_line(entry: Entry) -> FrameLine:
             if field.state is not None:
                 part = field.state
                 state[part.quantity] = state.get(part.quantity, 0.0) + values[name] * part.factor
-    worst = max((f.severity for f in entry.findings), key=_GRAVITY.__getitem__, default=None)
+    worst = max((f.severity for f in entry.findings), key=lambda severity: severity.rank, default=None)
     return FrameLine(
         sequence=entry.sequence,
         t_ns=frame.last_ns,

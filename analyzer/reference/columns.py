@@ -37,6 +37,6 @@ def columns(rows: Iterable[Sequence[str]], *, width: int = 0, indent: str = "") 
     return lines
 
 
-def paragraph(text: str, *, indent: str = "", hang: str = "", width: int = WIDTH) -> list[str]:
-    """Return a text wrapped to `width`; lines after the first begin with `indent` and `hang`."""
-    return wrap(text, width, initial_indent=indent, subsequent_indent=indent + hang) or [indent.rstrip()]
+def paragraph(text: str, *, indent: str = "", hang: str = "") -> list[str]:
+    """Return a text wrapped to the usual width; lines after the first begin with `indent` and `hang`."""
+    return wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent + hang) or [indent.rstrip()]

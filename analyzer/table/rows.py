@@ -18,14 +18,13 @@ import msgspec
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.decoder import physical
 from analyzer.pipeline import Entry
-from analyzer.records import Comment, Finding, Junk, Severity
+from analyzer.records import Comment, Finding, Junk
 from analyzer.sources.times import Clock, ShownTime, is_dated
 from analyzer.table.columns import SLOTS, TWIN, Column, fields_of, reader_of
 
 _BATCH = 1000
 _IN_MEMORY = 32 << 20
 _LENGTH = struct.Struct("<I")
-_RANK = {Severity.INFO: 1, Severity.WARNING: 2, Severity.ERROR: 3}
 
 
 class Row(msgspec.Struct, array_like=True, gc=False):
@@ -174,7 +173,7 @@ class Rows:
             self._add(row)
         row.rules = [*row.rules, found.rule]
         row.texts = [*row.texts, found.text]
-        row.severity = max(row.severity, _RANK[found.severity])
+        row.severity = max(row.severity, found.severity.rank)
 
     def comment(self, comment: Comment) -> None:
         """Count what has no place in a table."""

@@ -82,13 +82,6 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
-def other_drives(gate: Gate, dialects: Sequence[Dialect], addresses: Iterable[int], own: Iterable[int] = ()) -> list[Found]:
-    """Return the drives that answer at these addresses, at the line's rate, those at `own` aside. Raises LineLost."""
-    mine = frozenset(own)
-    report = scan(gate, dialects, addresses=[a for a in addresses if a not in mine], busy=True)
-    return [f for f in report.found if f.address not in mine]
-
-
 @dataclass(frozen=True)
 class Neighbours:
     """The other drives of a line by name. `unasked`: places that were not looked at."""

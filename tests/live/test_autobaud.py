@@ -15,9 +15,8 @@ from analyzer import dialects
 from analyzer.catalogue import Dialect, Role
 from analyzer.encoder import build
 from analyzer.errors import UsageError
-from analyzer.live import autobaud_ports
 from analyzer.live.autobaud import decide, judge, rates, score, search, table
-from analyzer.live.autobaud_ports import find_all, listener_for
+from analyzer.live.autobaud_ports import find, listener_for
 from analyzer.live.endpoint import parse
 from analyzer.records import Chunk
 from conformance.drives.uart import BITS, SECOND_NS, SentBytes, hear
@@ -215,11 +214,11 @@ def test_a_real_port_is_listened_to_at_one_rate_after_the_other() -> None:
     talker = Talker("mks-rs485", 19200)
     try:
         said: list[str] = []
-        found = find_all(parse(f"serial:{talker.path},baud=auto"), seconds=0.4, say=said.append)
+        found = find(parse(f"serial:{talker.path},baud=auto"), seconds=0.4, say=said.append)
         assert found.endpoint.speed == 19200
         assert found.endpoint.place == talker.path
-        only = autobaud_ports.find(parse(f"serial:{talker.path},baud=auto"), seconds=0.4, candidates=serial_only("mks-rs485"))
-        assert only.speed == 19200
+        only = find(parse(f"serial:{talker.path},baud=auto"), seconds=0.4, candidates=serial_only("mks-rs485"))
+        assert only.endpoint.speed == 19200
     finally:
         talker.close()
 
@@ -251,9 +250,9 @@ def test_the_same_through_pyserial() -> None:
 
 def test_a_port_that_cannot_be_opened() -> None:
     with pytest.raises(UsageError, match=r"/dev/none.*not there"):
-        find_all(parse("serial:/dev/none,baud=auto"))
+        find(parse("serial:/dev/none,baud=auto"))
     with pytest.raises(UsageError, match="is for serial ports"):
-        find_all(parse("tcp:127.0.0.1:5000"))
+        find(parse("tcp:127.0.0.1:5000"))
 
 
 def test_a_port_that_hangs_up() -> None:
@@ -263,6 +262,6 @@ def test_a_port_that_hangs_up() -> None:
     timer.start()
     try:
         with pytest.raises(UsageError, match=r"disconnected|lost"):
-            find_all(parse(f"serial:{path},baud=auto"), seconds=5.0)
+            find(parse(f"serial:{path},baud=auto"), seconds=5.0)
     finally:
         timer.join()

@@ -76,6 +76,19 @@ def drive(source: ViewSource, steps: Callable[[Driver], Awaitable[None]], size: 
         source.close()
 
 
+def driven(path: Path | str, *arguments: str, size: tuple[int, int] = SMALL, **options):
+    """Make a test of steps with a driver: they drive the view of a capture that has been read to its end."""
+
+    def test_of(steps: Callable[[Driver], Awaitable[None]]) -> Callable[[], None]:
+        def test() -> None:
+            drive(capture_of(path, *arguments), steps, size, **options)
+
+        test.__name__ = steps.__name__
+        return test
+
+    return test_of
+
+
 class Driver:
     """A view under test."""
 

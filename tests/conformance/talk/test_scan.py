@@ -23,7 +23,7 @@ from conformance.drives import make
 from conformance.drives.serial_bus import SerialBus
 from conformance.gate.gate import Allowance, Gate
 from conformance.serve.pty import PtyPort
-from conformance.suite.preflight import DriveNotFound, Neighbours, Search, check, find_drive, neighbours, other_drives
+from conformance.suite.preflight import DriveNotFound, Neighbours, Search, check, find_drive, neighbours
 from conformance.talk.scan import Found, Report, Stray, StrayKind, scan, search_read, search_reads
 from tests.conformance.drives.served import drives, on_port, on_pty
 from tests.diagnosis.spoiled_line import levels, received
@@ -217,12 +217,6 @@ def test_where_a_drive_is_instead(there: str, told: str):
 def test_a_slow_drive_is_waited_for():
     line = EmulatedLine([make.make(make.parse("mks-rs485@1"), reply_delay_ns=700_000_000)], speed=38400)
     assert find_drive(Gate(line, Allowance()), MKS, 1).found
-
-
-def test_other_drives():
-    near = gate("mks-rs485@1", "mks-rs485@2", "lk-rs485@5,baud=38400")
-    assert [f.name for f in other_drives(near, SERIAL, range(1, 10), own=[1])] == ["mks-rs485@2", "lk-rs485@5"]
-    assert other_drives(gate("mks-rs485@1"), SERIAL, range(1, 10), own=[1]) == []
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
