@@ -72,7 +72,7 @@ def answering() -> Iterator[None]:
     except (needed("duckdb").Error, needed("pyarrow").ArrowException, OverflowError) as error:
         raise UsageError(f"the question cannot be answered: {printable(str(error))}") from None
     except RecursionError:
-        raise UsageError("the question is nested too deeply: expected fewer brackets and subqueries within each other") from None
+        raise UsageError("the question is nested too deeply: expected fewer brackets and subqueries in each other") from None
     except MemoryError:
         raise UsageError(f"the answer needs more than {_memory() >> 20} MiB of memory: ask for less of it") from None
 
@@ -113,7 +113,7 @@ class Question:
                 yield
         except UsageError:
             if late.is_set():
-                raise UsageError(f"the answer takes more than {seconds:g} s: ask for less of it, or give it --seconds") from None
+                raise UsageError(f"the answer takes more than {seconds:g} s: ask for less, or give it --seconds") from None
             raise
         finally:
             timer.cancel()
