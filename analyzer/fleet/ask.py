@@ -3,7 +3,7 @@
 A table of messages is `"mks-can".read_speed_reply`, or mks_can.read_speed_reply; all others have their own names.
 
 A question may come from anywhere, a page or a chat. So it reads the lake alone: no file, no address, no extension and no
-variable of Python, and it writes none. Its memory is bounded.
+variable of Python, and it writes none. Its memory is bounded, and so is its time: DuckDB ends it between two steps of its work.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -42,7 +43,7 @@ def _memory() -> int:
 
 
 @contextlib.contextmanager
-def bounded() -> Iterator[None]:
+def _bounded_memory() -> Iterator[None]:
     """Bound the memory of this process, where the system can: DuckDB does not count the values that a question makes."""
     if resource is None:
         yield
@@ -70,6 +71,8 @@ def answering() -> Iterator[None]:
     # Python's dates end with the year 9999, those of SQL do not.
     except (needed("duckdb").Error, needed("pyarrow").ArrowException, OverflowError) as error:
         raise UsageError(f"the question cannot be answered: {printable(str(error))}") from None
+    except RecursionError:
+        raise UsageError("the question is nested too deeply: expected fewer brackets and subqueries in each other") from None
     except MemoryError:
         raise UsageError(f"the answer needs more than {_memory() >> 20} MiB of memory: ask for less of it") from None
 
@@ -90,6 +93,30 @@ class Question:
         self.lake = lake
         self.tables = {sql_name(table): table for table in lake.tables()}
         self._pending = [batch for batch, _ in lake.pending()]
+        self._asked: list[duckdb.DuckDBPyConnection] = []
+
+    @contextlib.contextmanager
+    def bounded(self, seconds: float) -> Iterator[None]:
+        """Bound the time and the memory of what is asked within. Raises UsageError where it takes more."""
+        late = threading.Event()
+
+        def end() -> None:
+            late.set()
+            for connection in self._asked:
+                connection.interrupt()
+
+        timer = threading.Timer(seconds, end)
+        timer.daemon = True
+        timer.start()
+        try:
+            with _bounded_memory(), answering():
+                yield
+        except UsageError:
+            if late.is_set():
+                raise UsageError(f"the answer takes more than {seconds:g} s: ask for less, or give it --seconds") from None
+            raise
+        finally:
+            timer.cancel()
 
     def dataset(self, table: str) -> pyarrow.dataset.Dataset:
         """Return a table as a dataset of Arrow, with what is in all tables alone. Raises UsageError for no table."""
@@ -122,6 +149,7 @@ class Question:
     def sql(self, query: str) -> duckdb.DuckDBPyRelation:
         """Return the answer to a query. Raises UsageError for what is none, or names no table."""
         connection = needed("duckdb").connect(config={"memory_limit": f"{_memory() >> 20}MiB"})
+        self._asked.append(connection)
         with answering():
             parsed = json.loads(connection.execute("select json_serialize_sql(?)", [query]).fetchall()[0][0])
             if parsed["error"]:

@@ -462,6 +462,20 @@ def test_the_memory_of_a_question_is_bounded(tmp_path, capsys, monkeypatch):
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
 
 
+def test_the_time_of_a_question_is_bounded(tmp_path, capsys):
+    lake(tmp_path / "lake")
+    endless = "with recursive t(n) as (select 1 union all select n + 1 from t) select count(*) from t"
+    assert main(["ask", str(tmp_path / "lake"), endless, "--seconds", "1", "-o", str(tmp_path / "answer.csv")]) == 2
+    assert "takes more than 1 s" in capsys.readouterr().err
+    assert not (tmp_path / "answer.csv").exists()
+
+
+def test_a_question_that_is_nested_too_deeply_is_told(tmp_path, capsys):
+    lake(tmp_path / "lake")
+    assert main(["ask", str(tmp_path / "lake"), "select " + "[" * 600 + "1" + "]" * 600]) == 2
+    assert "nested too deeply" in capsys.readouterr().err
+
+
 def test_a_commit_that_was_emptied_is_told(captures, tmp_path, capsys):
     made = lake(tmp_path / "lake")
     ingest(made, captures)

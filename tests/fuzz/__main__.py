@@ -39,8 +39,7 @@ class Session:
         self._corpus = corpus
         self._shrink_s = shrink_s
         self._seeds = {name: TARGETS[name].seeds() for name in targets}
-        # Not what brings threads along, which do not outlive a fork, nor what loads in a process of its own.
-        warm([name for name in targets if name not in ("export-parquet", "mf4")], self._seeds)
+        warm([name for name in targets if TARGETS[name].forks], self._seeds)
         self._told = 0.0
         self.found: dict[tuple[str, str], Finding] = {}
         self.counts: Counter[str] = Counter()

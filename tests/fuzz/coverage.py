@@ -19,7 +19,8 @@ import atheris
 with atheris.instrument_imports(include=["analyzer"], enable_loader_override=False):
     from tests.fuzz.corpus import INPUT, save
     from tests.fuzz.engine import scratch
-    from tests.fuzz.targets import TARGETS, attempt, heard, key_of
+    from tests.fuzz.running import heard
+    from tests.fuzz.targets import TARGETS, attempt, key_of
 
 PROGRESS_S = 10.0
 SIZE_LIMIT = 1 << 16

@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tests.fuzz.corpus import INPUT, Input
-from tests.fuzz.targets import TARGETS, attempt, heard, key_of
+from tests.fuzz.running import heard
+from tests.fuzz.targets import TARGETS, attempt, key_of
 
 #: Memory that inputs may take beside what the program takes by itself.
 MEMORY = 2 << 30

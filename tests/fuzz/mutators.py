@@ -312,11 +312,6 @@ def _inside(chance: Chance, data: bytes) -> bytes:
     return bytes_changed(chance, data) if kind_of(data) == "packed" else mutated(chance, data)
 
 
-def _inside(chance: Chance, data: bytes) -> bytes:
-    # What could not be unpacked is still packed.
-    return bytes_changed(chance, data) if kind_of(data) == "packed" else mutated(chance, data)
-
-
 def _packed(chance: Chance, head: bytes, pieces: list[bytes]) -> bytes:
     return packed(chance, head + b"".join(pieces))
 

@@ -14,7 +14,6 @@ bounds time and memory. Some targets state more:
 from __future__ import annotations
 
 import contextlib
-import io
 import itertools
 import json
 import os
@@ -22,19 +21,14 @@ import pickle
 import random
 import re
 import shutil
-import sys
 import traceback
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
 from unittest import mock
 
-from mcap.reader import make_reader
-
 from analyzer import dialects
-from analyzer.cli import main
 from analyzer.context import Context
 from analyzer.decoder import Decoder
 from analyzer.errors import ServotapError
@@ -49,7 +43,9 @@ from tests.bytestreams import SERIAL
 from tests.collect import Collect
 from tests.columns.both_ways import same_capture, same_line, short_runs
 from tests.columns.serial_traffic import chunks_of
+from tests.fuzz import fleet, pages
 from tests.fuzz.corpus import INPUT, Input, lay_out
+from tests.fuzz.running import Fault, Place, Run, Target, check_log, command, fed, messages, run_words
 from tests.fuzz.seeds import (
     DEVICES,
     FILES,
@@ -77,107 +73,7 @@ from tests.fuzz.seeds import (
 )
 from tests.fuzz.two_ends import beside, can_bus, datagrams, far_end, free_port, program, tcp_clients, viewed
 
-#: Bytes that a command may write for an input of at most 64 KiB.
-WRITTEN_LIMIT = 64 << 20
-_ESCAPES = (b"\x1b", b"\xc2\x9b")
-
-
-class Fault(Exception):
-    """Something that must hold does not."""
-
-
-class Place(NamedTuple):
-    """Where a target runs: a folder that is empty, and what was said on the two streams."""
-
-    folder: Path
-    said: Callable[[], bytes]
-
-
-Run = Callable[[Input, Place], None]
-Mutate = Callable[[random.Random, Input, Sequence[Input]], Input]
-
-
-class Target(NamedTuple):
-    """`share`: of the time; `seconds`: of processor time that one input may take."""
-
-    run: Run
-    seeds: Callable[[], list[Input]]
-    mutate: Mutate
-    share: float = 1.0
-    seconds: float = 10.0
-
-
-# --- streams ----------------------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def heard() -> Iterator[Callable[[], bytes]]:
-    """Take both streams, also what is written past Python; yield what returns what came since it was asked last."""
-    taken = os.memfd_create("said")
-    kept = os.dup(1), os.dup(2)
-    before = sys.stdout, sys.stderr
-    for stream in before:
-        stream.flush()
-    os.dup2(taken, 1)
-    os.dup2(taken, 2)
-    sys.stdout, sys.stderr = (
-        io.TextIOWrapper(io.FileIO(number, "w", closefd=False), "utf-8", errors, write_through=True)
-        for number, errors in ((1, "strict"), (2, "backslashreplace"))
-    )
-
-    def said() -> bytes:
-        size = os.lseek(taken, 0, os.SEEK_CUR)
-        os.lseek(taken, 0, os.SEEK_SET)
-        text = os.read(taken, size)
-        os.lseek(taken, 0, os.SEEK_SET)
-        os.ftruncate(taken, 0)
-        return text
-
-    try:
-        yield said
-    finally:
-        sys.stdout, sys.stderr = before
-        for number, old in zip((1, 2), kept, strict=True):
-            os.dup2(old, number)
-            os.close(old)
-        os.close(taken)
-
-
 # --- commands ---------------------------------------------------------------------------------------------------------
-
-
-def run_words(words: Sequence[str], place: Place, statuses: Sequence[int] = (0, 1, 2)) -> int:
-    """Run the command line and check what holds for every one; return its exit status, one of `statuses`."""
-    stdout = sys.stdout
-    try:
-        status = main(words)
-    except SystemExit as ended:
-        status = ended.code if isinstance(ended.code, int) else 2
-    said = place.said()
-    if sys.stdout is not stdout or sys.stdout.closed:
-        raise Fault("the standard output was replaced")
-    if b"Traceback" in said or status == 70:
-        raise Fault(said.decode("utf-8", "replace"))
-    if status not in statuses:
-        raise Fault(f"exit status {status}")
-    for escape in _ESCAPES:
-        if escape in said:
-            at = said.index(escape)
-            raise Fault(f"an escape on a stream: {said[max(0, at - 60) : at + 20]!r}")
-    for path in place.folder.rglob("*"):
-        if not path.is_symlink() and path.is_file() and path.stat().st_size > WRITTEN_LIMIT:
-            raise Fault(f"{path.name} of {path.stat().st_size} bytes was written")
-    return status
-
-
-def command(*words: str) -> Run:
-    """Return a target of a command on the files of an input: they lie in the folder it runs in."""
-
-    def run(given: Input, place: Place) -> None:
-        lay_out(given, place.folder)
-        run_words(words, place)
-
-    return run
 
 
 def _decode(given: Input, place: Place) -> None:
@@ -211,35 +107,6 @@ def _exported(to: str) -> Run:
                 raise Fault(f"other bytes come back: {before} were exported, {after} read")
 
     return run
-
-
-def fed(path: Path, format: str | None = None) -> int:
-    """Return how many bytes of traffic a capture holds."""
-    size = 0
-    with contextlib.suppress(ServotapError), open_source(path, format=format) as source:
-        for item in source:
-            if isinstance(item, (Chunk, CanFrame)):
-                size += len(item.data)
-    return size
-
-
-def check_log(path: Path, size: int) -> None:
-    """Check that the library reads a log, and that its frames and junk hold so many bytes, each in its place."""
-    ends: dict[str, int] = {}
-    whole = 0
-    with path.open("rb") as stream:
-        for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False):
-            _, bus, *rest = channel.topic.split("/")
-            value = json.loads(message.data)
-            if "_raw" not in value or rest[-1:] == ["raw"]:
-                continue
-            data = bytes.fromhex(value["_raw"])
-            whole += len(data)
-            if value["_offset"] < ends.get(bus, 0):
-                raise Fault(f"bytes of {bus} stand twice at {value['_offset']}")
-            ends[bus] = value["_offset"] + len(data)
-    if whole != size:
-        raise Fault(f"{size} bytes came in, {whole} stand in the log")
 
 
 # --- framer, pipeline ---------------------------------------------------------------------------------------------------
@@ -360,14 +227,6 @@ def _recover(given: Input, place: Place) -> None:
             pass
 
 
-def messages(folder: Path) -> Iterator[tuple[str, bytes]]:
-    """Yield topic and data of every message of all logs, as the library reads them."""
-    for path in folder.glob("*.mcap"):
-        with path.open("rb") as stream:
-            for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False):
-                yield channel.topic, message.data
-
-
 def _recover_bytes(given: Input, place: Place) -> None:
     """What is whole in the spools must stand in the log: bytes were damaged, so a record is whole if its checksum fits."""
     wanted = [data for name, text in given.items() if ".spool/1-left." in name for data in whole_records(text)]
@@ -410,8 +269,8 @@ def _words(given: Input, place: Place) -> None:
 # --- the table ------------------------------------------------------------------------------------------------------------
 
 
-def _on_files(*words: str, run: Run | None = None, kinds: Sequence[str] = (), share: float = 1.0) -> Target:
-    return Target(run or command(*words), file_seeds("decode", words[0], kinds=kinds), file_changed, share)
+def _on_files(*words: str, run: Run | None = None, kinds: Sequence[str] = (), share: float = 1.0, forks: bool = True) -> Target:
+    return Target(run or command(*words), file_seeds("decode", *words[:1], kinds=kinds), file_changed, share, forks=forks)
 
 
 _LOGS = ("mcap",)
@@ -490,15 +349,22 @@ TARGETS: dict[str, Target] = {
     "columns": Target(_columns, file_seeds("decode", kinds=("blf", "candump", "pcap")), file_changed, 3.0),
     "columns-serial": Target(_columns_serial, bytes_seeds, frames_changed, 3.0),
     "decode": Target(_decode, file_seeds("decode"), file_changed, 3.0),
-    "decode-parquet": _on_files("decode", INPUT, "--to", "parquet", "-o", "out.parquet", share=0.5),
+    "decode-parquet": _on_files("decode", INPUT, "--to", "parquet", "-o", "out.parquet", share=0.5, forks=False),
     "show": _on_files("show", INPUT),
     "levels": Target(command("show", INPUT), levels_seeds, file_changed, 2.0),
     "show-json": _on_files("show", INPUT, "--json", "--bytes", "--since", "+1s"),
     "diagnose": _on_files("diagnose", INPUT, "--json"),
     "troubles": Target(command("diagnose", INPUT, "--json"), pastes, troubled, 3.0),
+    "report": Target(pages.reported, file_seeds("decode", "report"), file_changed, 2.0),
+    "plot": _on_files("plot", INPUT, "*"),
+    "plot-picture": _on_files("plot", INPUT, "*", "-o", "out.svg", share=0.3),
+    "ingest": Target(fleet.taken, file_seeds("decode", "ingest"), file_changed, 1.0, forks=False),
+    "ask": Target(fleet.asked, fleet.questions, fleet.question_changed, 2.0, forks=False),
+    "lake": Target(fleet.lake_of, fleet.lakes, fleet.lake_changed, 1.0, forks=False),
+    "wireshark": Target(pages.dissected, bytes_seeds, frames_changed, 0.3, 60.0, forks=False),
     "export-csv": _on_files("export", INPUT, "-o", "out.csv"),
     "export-wide": _on_files("export", INPUT, "-o", "out.csv", "--wide", "--rate", "10Hz", share=0.5),
-    "export-parquet": _on_files("export", INPUT, "-o", "out.parquet", share=0.5),
+    "export-parquet": _on_files("export", INPUT, "-o", "out.parquet", share=0.5, forks=False),
     "export-xlsx": _on_files("export", INPUT, "-o", "out.xlsx", share=0.5),
     "export-candump": _on_files("export", INPUT, "--to", "candump", "-o", "-"),
     "export-pcapng": _on_files("export", run=_exported("pcapng")),
@@ -515,7 +381,7 @@ TARGETS: dict[str, Target] = {
     "replay-bus": Target(_replay, captures_with("far", "replay-bus"), file_changed, 0.5, 30.0),
     "view": Target(_view, captures_with("keys", "view"), file_changed, 0.5, 30.0),
     "device-files": Target(_device_files, device_seeds, rows_changed, 1.0, 30.0),
-    "mf4": Target(command("show", INPUT), mf4_seeds, file_changed, 0.3),
+    "mf4": Target(command("show", INPUT), mf4_seeds, file_changed, 0.3, forks=False),
     "cut": _on_files("cut", run=_copied("cut", INPUT, "--since", "+1ms"), kinds=_LOGS),
     "merge": Target(_copied("merge", INPUT, "other"), two_logs, file_changed),
     "recover": Target(_recover, recording_seeds, recording_changed, 3.0, 30.0),

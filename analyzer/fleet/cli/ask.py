@@ -11,7 +11,7 @@ from typing import Any
 from analyzer.cli.option_types import positive
 from analyzer.cli.output import free_target, whole
 from analyzer.errors import UsageError
-from analyzer.fleet.ask import Question, answering, bounded
+from analyzer.fleet.ask import Question
 from analyzer.fleet.cli.stores import add_store_argument, lake
 from analyzer.table.extras import needed
 from analyzer.values import printable
@@ -41,6 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="FILE", help="write the answer to FILE.csv or FILE.parquet")
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
     parser.add_argument("--rows", type=positive, default=100, metavar="N", help="rows that are shown at most (default 100)")
+    parser.add_argument(
+        "--seconds", type=positive, default=60, metavar="N", help="seconds after which a question is given up (default 60)"
+    )
     add_store_argument(parser)
 
 
@@ -58,14 +61,14 @@ def run(arguments: argparse.Namespace) -> int:
     elif query in question.tables and target is None:
         _show(["column", "type", "unit", "note"], [list(each) for each in question.columns(query)])
     elif target is None:
-        with bounded(), answering():
+        with question.bounded(arguments.seconds):
             answer = question.sql(query)
             rows = answer.limit(arguments.rows + 1).to_arrow_table().to_pylist()
         _show(answer.columns, [[_text(value) for value in row.values()] for row in rows[: arguments.rows]])
         if len(rows) > arguments.rows:
             print(f"the first {arguments.rows} rows are shown: --rows N shows more, -o FILE.csv writes all", file=sys.stderr)
     else:
-        with bounded(), answering():
+        with question.bounded(arguments.seconds):
             _write(question, f"from {query}" if query in question.tables else query, target)
     return 0
 
