@@ -68,6 +68,7 @@ class Details(msgspec.Struct, rename={"from_": "from"}, omit_defaults=True):
     frame: Whole = 0
     parity: Whole = 0
     brk: Whole = 0
+    doubtful: Whole = 0
     part: Whole = 0
     records: Whole = 0
     gap: Seconds = 0.0
@@ -129,13 +130,14 @@ def _of(*names: str) -> Callable[[Values], str]:
 
 #: Values that need no word before them.
 _SELF_EVIDENT = frozenset(("text", "reason", "cause", "what", "endpoint", "dialects", "precision", "notes", "kind"))
-#: Counters of the kernel: what each counts, and where.
+#: Counters of the kernel, and of a reader of levels: what each counts, and where.
 _COUNTERS = {
     "overrun": ("overrun", " of the hardware's buffer"),
     "buf_overrun": ("overrun", " of the kernel's buffer"),
     "frame": ("framing error", ""),
     "parity": ("parity error", ""),
     "brk": ("break", ""),
+    "doubtful": ("byte", " with a doubtful bit"),
 }
 
 

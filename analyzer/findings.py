@@ -69,7 +69,7 @@ RULES: dict[str, Rule] = {
         Rule("foreign_can_frame", _W, "a CAN frame of a drive's identifier, of a type or length that the dialect does not use"),
         Rule("port_lost", _W, "a port was lost during recording: traffic from here on is missing"),
         Rule("port_back", _W, "a port reconnected after a gap"),
-        Rule("overrun", _W, "the serial driver counted lost or damaged bytes"),
+        Rule("overrun", _W, "lost or damaged bytes, as the serial driver or the levels of the line tell"),
         Rule("dropped", _E, "received bytes or frames are missing: no space in the kernel, in memory or on disk"),
         Rule("bus_error", _W, "an error state of the CAN bus; bus off counts as an error"),
         Rule("clock_step", _I, "the system clock was set, or the machine slept; timestamps do not follow"),

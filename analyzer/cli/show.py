@@ -207,8 +207,10 @@ def names_of(entry: Entry, fields: Mapping[str, Any]) -> dict[str, Any]:
         sequence=entry.sequence,
         section=message.command.section if message.command is not None else "",
     )
-    if entry.latency_ns is not None and entry.request_sequence is not None:
-        names["latency"] = entry.latency_ns / 1e9
+    if entry.request_sequence is not None:
+        names["request_sequence"] = entry.request_sequence
+        if entry.latency_ns is not None:
+            names["latency"] = entry.latency_ns / 1e9
     return names
 
 

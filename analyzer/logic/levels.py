@@ -58,19 +58,20 @@ class Levels:
         passed = np.searchsorted(self.edges, times, side="right")
         return ((passed & 1) ^ self.first).astype(bool)
 
-    def mostly(self, begins: NDArray[np.float64], length_ns: float) -> Flags:
-        """Return the level that each stretch of a length has most of the time: True is high. `begins` rise."""
+    def high(self, begins: NDArray[np.float64], length_ns: float) -> NDArray[np.float64]:
+        """Return for which share of the time each stretch of a length is high, 0..1. `begins` rise."""
         at_edges = np.concatenate(([0], np.cumsum(np.diff(self.edges) * ((np.arange(1, len(self.edges)) & 1) ^ self.first))))
         high = [np.zeros(len(begins)), np.zeros(len(begins))]
         if not len(self.edges):
-            return np.full(len(begins), bool(self.first))
+            return np.full(len(begins), float(self.first))
         for number, times in enumerate((begins, begins + length_ns)):
             passed = np.searchsorted(self.edges, times, side="right")
             place = np.maximum(passed - 1, 0)
             # Before the first edge the count goes below zero.
             level = np.where(passed > 0, (passed & 1) ^ self.first, self.first)
             high[number] = at_edges[place] + (times - self.edges[place]) * level
-        return high[1] - high[0] > length_ns / 2
+        share: NDArray[np.float64] = (high[1] - high[0]) / length_ns
+        return share
 
     def without_glitches(self, bit_ns: float) -> Levels:
         """Return the stretch without pulses too short for a bit. An edge that bounces is where most of the old level ends.

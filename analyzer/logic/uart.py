@@ -6,13 +6,15 @@
 Rules: a byte begins at an edge to low that is still low half a bit later. A bit is the level that fills most of its middle,
 so a glitch does no harm. Where the other edges of a byte agree that it began otherwise, they are believed. The next byte
 begins at the first such edge behind the middle of the stop bit. A byte with a low stop bit or a wrong parity is given on and
-marked. What it cannot know: a second stop bit, which looks like an idle line.
+marked. So is one with a doubtful bit: its level changes near its middle, or a glitch takes much of it.
+
+What it cannot know: a second stop bit, which looks like an idle line; a glitch as long as a bit, where a bit could stand.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +24,9 @@ from analyzer.logic.levels import Levels
 
 #: How far from the border of a bit an edge may stand, in bits.
 EDGE_ALIGNED = 0.3
-#: Part of a bit that is looked at.
-_MIDDLE = 0.7
+#: Part of a bit that is looked at. A bit is doubtful that has both levels for more than this share of it, or an edge so far
+#: from its borders, in bits.
+_MIDDLE, _MIXED, _ASTRAY = 0.7, 0.3, 0.35
 #: A byte begins otherwise than its edge says, where the others agree so well that it is so far off, in bits.
 _AGREE, _OFF, _LATEST = 0.7, 0.15, 0.35
 
@@ -51,7 +54,8 @@ class Format(NamedTuple):
 class Read:
     """The bytes of a stretch, an entry each: where it starts and ends in ns, its value, and what is wrong with it.
 
-    `rest`: the stretch from the first edge on that belongs to no byte yet.
+    `doubtful`: a bit of it could as well be the other one. `rest`: the stretch from the first edge on that belongs to no byte
+    yet.
     """
 
     starts: Integers
@@ -59,6 +63,7 @@ class Read:
     values: Bytes
     bad_stop: Flags
     bad_parity: Flags
+    doubtful: Flags
     rest: Levels
 
     def __len__(self) -> int:
@@ -87,7 +92,12 @@ def read(levels: Levels, form: Format, *, final: bool = True) -> Read:
     count = int(whole.sum())
     starts = edges_down[:count] + _phase(edges_down[:count], clean.edges, form)
     ends = np.rint(starts + form.bits * bit).astype(np.int64)
-    bits = [line.mostly(starts + (number + 1 + (1 - _MIDDLE) / 2) * bit, _MIDDLE * bit) for number in range(form.bits - 1)]
+    high = [line.high(starts + (number + (1 - _MIDDLE) / 2) * bit, _MIDDLE * bit) for number in range(form.bits)]
+    bits = [share > 0.5 for share in high[1:]]
+    owner, since = _inside(starts, clean.edges, form)
+    doubtful = np.bincount(owner[np.abs(since - np.rint(since)) > _ASTRAY], minlength=count).astype(bool)
+    for share in high:
+        doubtful |= np.abs(share - 0.5) < 0.5 - _MIXED
     values = np.zeros(count, dtype=np.uint8)
     ones = np.zeros(count, dtype=np.uint8)
     for number, one in enumerate(bits[: form.data_bits]):
@@ -99,23 +109,36 @@ def read(levels: Levels, form: Format, *, final: bool = True) -> Read:
     # The edges that stay are counted in what came, where glitches still stand.
     after = chosen[count] if count < len(chosen) else -1
     place = int(np.searchsorted(line.edges, begins[after])) if after >= 0 else len(line.edges)
-    return Read(np.rint(starts).astype(np.int64), ends, values, ~bits[-1], bad_parity, levels.since(place))
+    return Read(np.rint(starts).astype(np.int64), ends, values, ~bits[-1], bad_parity, doubtful, levels.since(place))
 
 
 def _phase(starts: Integers, edges: Integers, form: Format) -> NDArray[np.float64]:
     """Return by how much each byte begins otherwise than at its edge, in ns: where its other edges agree that it does."""
-    owner = np.searchsorted(starts, edges, side="right") - 1
-    since = (edges - starts[np.maximum(owner, 0)]) / form.bit_ns if len(starts) else edges / form.bit_ns
-    inside = (owner >= 0) & (since > 0.5) & (since < form.bits - 0.5)
-    turns = np.exp(2j * np.pi * since[inside])
+    owner, since = _inside(starts, edges, form, 0.5)
+    turns = np.exp(2j * np.pi * since)
     count = len(starts)
-    together = np.bincount(owner[inside], turns.real, count) + 1j * np.bincount(owner[inside], turns.imag, count)
-    number = np.bincount(owner[inside], minlength=count)
+    together = np.bincount(owner, turns.real, count) + 1j * np.bincount(owner, turns.imag, count)
+    number = np.bincount(owner, minlength=count)
     phase = np.angle(together) / (2 * np.pi)
     # A glitch can stand before an edge: half a bit off, the byte begins later.
     phase[phase < -_LATEST] += 1
     sure = (number > 1) & (np.abs(together) > _AGREE * number) & (np.abs(phase) > _OFF)
     return np.where(sure, phase, 0.0) * form.bit_ns
+
+
+def _inside(
+    starts: NDArray[np.floating[Any]] | Integers, edges: Integers, form: Format, after: float = 0.0
+) -> tuple[Integers, NDArray[np.float64]]:
+    """Return, of each edge inside of a byte, the place of that byte and the bits since its start.
+
+    `after`: the first of these bits that counts; the last is the middle of the stop bit.
+    """
+    if not len(starts):
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+    owner = np.searchsorted(starts, edges, side="right").astype(np.int64) - 1
+    since: NDArray[np.float64] = np.asarray((edges - starts[np.maximum(owner, 0)]) / form.bit_ns, dtype=np.float64)
+    inside = (owner >= 0) & (since > after) & (since < form.bits - 0.5)
+    return owner[inside], since[inside]
 
 
 def _one_after_the_other(begins: Integers, length: float) -> Integers:
@@ -131,11 +154,7 @@ def _one_after_the_other(begins: Integers, length: float) -> Integers:
 
 def aligned(levels: Levels, form: Format, found: Read) -> float:
     """Return the share of the edges inside of bytes that stand near the border of a bit, 0..1; noise has 0.6."""
-    edges = levels.without_glitches(form.bit_ns).edges
-    owner = np.searchsorted(found.starts, edges, side="right") - 1
-    inside = owner >= 0
-    since = (edges[inside] - found.starts[owner[inside]]) / form.bit_ns
-    since = since[(since > 0) & (since < form.bits - 0.5)]
+    _, since = _inside(found.starts, levels.without_glitches(form.bit_ns).edges, form)
     if not len(since):
         return 1.0
     return float((np.abs(since - np.rint(since)) < EDGE_ALIGNED).mean())

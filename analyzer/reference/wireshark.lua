@@ -826,13 +826,14 @@ local function on_serial(tvb, pinfo, tree)
   end
   local best, best_frames, most = nil, nil, 0
   for _, dialect in ipairs(dialects) do
-    local allowed = proto.prefs.dialect == "auto" or proto.prefs.dialect == dialect.name
-    if dialect.kind ~= "can" and allowed then
+    local said = proto.prefs.dialect == dialect.name
+    if dialect.kind ~= "can" and (said or proto.prefs.dialect == "auto") then
       local frames, covered = cut(dialect, bytes)
+      local expected = said or dialect == bus.dialect
       -- Where two fit alike, the dialect that the bus spoke before.
-      if covered > most or covered == most and covered > 0 and dialect == bus.dialect then
+      if covered > most or covered == most and covered > 0 and expected then
         best, best_frames, most = dialect, frames, covered
-      elseif not best and dialect == bus.dialect and #frames > 0 then
+      elseif not best and expected and #frames > 0 then
         best, best_frames = dialect, frames
       end
     end

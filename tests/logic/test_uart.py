@@ -5,11 +5,14 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.logic import uart as uart_reader
+from analyzer.logic.levels import Levels
 from analyzer.records import Chunk, Event
 from analyzer.sources import Record, Source, open_source
 from tests.contracts.source_contract import read_all
@@ -60,7 +63,8 @@ def test_formats_rates_and_drift(form: str, per_bit: float, baud: int, drift: fl
 def test_jitter_and_glitches(seed: int, tmp_path: Path) -> None:
     wave, sent = uart(talk(38400, rounds=20), 38400)
     bit = SECOND_NS / 38400
-    check(wave.disturbed(0.12 * bit, 12, 0.15 * bit, seed), sent, 16 * 38400, tmp_path, off_samples=5)
+    notes = check(wave.disturbed(0.12 * bit, 12, 0.15 * bit, seed), sent, 16 * 38400, tmp_path, off_samples=5)
+    assert not any("doubtful" in note for note in notes)
 
 
 @settings(max_examples=8, deadline=None)
@@ -87,6 +91,39 @@ def test_wrong_stop_bits_are_counted_and_their_bytes_kept(tmp_path: Path) -> Non
     assert [value for _, value in bytes_of(records)] == [value for _, value in sent]
     assert [event.values for event in records if isinstance(event, Event)] == [{"frame": 1}, {"frame": 1}]
     assert "2 bytes with a parity or framing error" in source.notes
+
+
+def test_a_doubtful_bit_marks_its_byte(tmp_path: Path) -> None:
+    wave, sent = uart(talk(9600), 9600)
+    bit = SECOND_NS / 9600
+    # A glitch in the middle of data bit 7 of the fourth byte, which is as long as the rest of that bit's middle.
+    at = sent[3][0] - 1.7 * bit
+    wave.edges = sorted([*wave.edges, at, at + 0.35 * bit])
+    source, records = found(wave, RATE, tmp_path)
+    assert [value for _, value in bytes_of(records)][4:] == [value for _, value in sent][4:]
+    (event,) = [record for record in records if isinstance(record, Event)]
+    assert event.values == {"doubtful": 1}
+    assert abs(event.t_ns - sent[3][0]) < 5_000
+    assert any("1 byte with a doubtful bit, which may be wrong" in note for note in source.notes)
+
+
+@pytest.mark.parametrize(
+    ("jitter", "glitches", "glitch", "least"),
+    [(0.3, 0, 0.0, 0.8), (0.4, 0, 0.0, 0.8), (0.0, 200, 0.4, 0.95), (0.1, 200, 0.4, 0.95)],
+)
+def test_most_bytes_that_are_read_wrong_are_marked(jitter: float, glitches: int, glitch: float, least: float) -> None:
+    bit = SECOND_NS / 38400
+    wave, sent = uart(talk(38400, rounds=60), 38400)
+    spoiled = wave.disturbed(jitter * bit, glitches, glitch * bit, seed=3)
+    edges = np.array(spoiled.edges).astype(np.int64)
+    read = uart_reader.read(Levels(spoiled.first, edges, 0, int(spoiled.end_ns)), uart_reader.Format(bit))
+    marked = read.doubtful | read.bad_stop | read.bad_parity
+    values = dict(sent)
+    times = np.array(list(values))
+    nearest = times[np.abs(times[:, None] - read.ends).argmin(axis=0)]
+    right = (np.abs(nearest - read.ends) < 0.6 * bit) & (read.values == [values[t] for t in nearest.tolist()])
+    assert (~right).sum() > 20
+    assert marked[~right].mean() >= least
 
 
 @pytest.mark.parametrize("form", ["8N1", "8E1", "8N2"])

@@ -1,8 +1,9 @@
 """Levels as records: edges are gathered until the channels can be chosen, and then read stretch by stretch.
 
 Rules: memory holds `_MOST_EDGES` edges at most, and of longer captures only those of the chosen channels. A record has the time
-of its end: of the stop bit, of EOF. Bytes with an error are given on; an event says how many, once a second at most. All
-channels are read up to the same time, so records come in order.
+of its end: of the stop bit, of EOF. Bytes with an error or a doubtful bit are given on. An event stands before the first of
+them, and before others once in `_TOLD_NS`, with how many there were. All channels are read up to the same time, so records
+come in order.
 """
 
 from __future__ import annotations
@@ -24,6 +25,10 @@ from analyzer.values import counted
 
 #: Edges that are kept until the channels are chosen, and that are read at once.
 _MOST_EDGES, _TOGETHER = 8_000_000, 250_000
+#: Time between two events that tell of bytes with errors: some frames.
+_TOLD_NS = 10_000_000
+#: What can be wrong with a byte, as events count it.
+_WRONG = ("", "frame", "parity", "doubtful")
 _BYTES = [bytes((value,)) for value in range(256)]
 Item = Chunk | CanFrame | Event
 
@@ -119,9 +124,9 @@ class _Reader:
         self._scale = scale
         self._marks = marks
         self._port = source.port(channel.port, channel.spoken.kind if channel.port else "")
-        self._bad = {"frame": 0, "parity": 0}
+        self._bad = dict.fromkeys(_WRONG[1:], 0)
         self._all_bad = dict(self._bad)
-        self._told_ns = -SECOND_NS
+        self._told_ns = -_TOLD_NS
         self._silent = self._fd = self._first_fd_ns = self._frames = 0
 
     def take(self, edges: Integers, end_ns: int, *, final: bool) -> list[tuple[int, _Reader, Item]]:
@@ -144,22 +149,21 @@ class _Reader:
         found = uart.read(levels, self._form, final=final)
         self._rest = found.rest
         port = self._port
-        for t_ns, value, stop, parity in zip(
-            found.ends.tolist(), found.values.tolist(), found.bad_stop.tolist(), found.bad_parity.tolist(), strict=True
-        ):
-            if stop or parity:
-                self._bad["frame"] += stop
-                self._bad["parity"] += parity and not stop
+        # What is wrong with each byte: the first of these.
+        wrong = np.select((found.bad_stop, found.bad_parity, found.doubtful), (1, 2, 3))
+        for t_ns, value, what in zip(found.ends.tolist(), found.values.tolist(), wrong.tolist(), strict=True):
+            if what:
+                self._bad[_WRONG[what]] += 1
                 yield from self._errors(t_ns)
             yield t_ns, Chunk(self._time(t_ns), port, _BYTES[value])
         if final:
-            self._told_ns = -SECOND_NS
+            self._told_ns = -_TOLD_NS
             yield from self._errors(levels.end_ns)
 
     def _errors(self, t_ns: int) -> Iterator[tuple[int, Item]]:
-        """Yield an event that counts the errors since the last one, at most one a second."""
+        """Yield an event that counts the errors since the last one, unless that has just been."""
         time = self._time(t_ns)
-        if time is None or not any(self._bad.values()) or t_ns - self._told_ns < SECOND_NS:
+        if time is None or not any(self._bad.values()) or t_ns - self._told_ns < _TOLD_NS:
             return
         self._told_ns = t_ns
         for name, count in self._bad.items():
@@ -183,9 +187,14 @@ class _Reader:
     def tell(self) -> None:
         """Note what the whole channel showed."""
         name = quote(self._channel.name)
-        bad = sum(self._all_bad.values()) + sum(self._bad.values())
-        if bad:
-            self._source.note(f"{counted(bad, 'byte')} with a parity or framing error")
+        bad = {what: self._all_bad[what] + self._bad[what] for what in self._bad}
+        if bad["frame"] or bad["parity"]:
+            self._source.note(f"{counted(bad['frame'] + bad['parity'], 'byte')} with a parity or framing error")
+        if bad["doubtful"]:
+            self._source.note(
+                f"{name}: {counted(bad['doubtful'], 'byte')} with a doubtful bit, which may be wrong: "
+                "edges near the middle of a bit, or glitches"
+            )
         if self._fd:
             self._source.note(
                 f"{name}: {counted(self._fd, 'CAN FD frame')} passed over, the first at {self._first_fd_ns / SECOND_NS:.6f} s: "
