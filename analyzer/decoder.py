@@ -194,10 +194,8 @@ class Decoder:
         """Tell the role of a frame whose code or length is not catalogued, where an open request of its code says."""
         if context is None:
             return Role.UNKNOWN
-        for request in context.open.get(head.address, ()):
-            command = request.command
-            if command is not None and command.code == head.code and command.function == head.function:
-                return Role.REPLY
+        if any(self._is_of(head, request) for request in context.open.get(head.address, ())):
+            return Role.REPLY
         known = (head.function, head.code) in self._requests or (head.function, head.code) in self._replies
         return Role.REQUEST if known else Role.UNKNOWN
 
@@ -261,15 +259,16 @@ class Decoder:
                 return request, (command, form, codec(form.layout))
         if head.code is None:
             return self._same_function(head, context), None
-        for request in context.open.get(head.address, ()):
-            command = request.command
-            if command is None or command.function != head.function:
-                continue
-            # A write that the manual does not list is answered by its own register.
-            general = self._is_general(command) and request.state is State.WAITING
-            if head.code == (self._link.parse(request.frame.data).code if general else command.code):
-                return request, None
-        return None, None
+        return next((each for each in context.open.get(head.address, ()) if self._is_of(head, each)), None), None
+
+    def _is_of(self, head: Head, request: Request) -> bool:
+        """Say whether a frame has the function and the code of an open request."""
+        command = request.command
+        if command is None or command.function != head.function:
+            return False
+        # A write that the manual does not list is answered by its own register.
+        general = self._is_general(command) and request.state is State.WAITING
+        return head.code == (self._link.parse(request.frame.data).code if general else command.code)
 
     def _is_general(self, command: Command) -> bool:
         """Say whether a command stands for all that the manual does not list."""

@@ -12,16 +12,23 @@ its first good frame may be foreign, too. Of a node that was odd for long, one g
 
 An identifier that a file of messages (DBC) describes is no drive's, unless the user lists it.
 
-On serial lines only the user's word counts: who speaks something else there makes junk or frames with errors.
+On Modbus a slave of another maker shows itself by its answers: it serves registers and functions that no drive has. That these
+are in no manual is then no finding. The finding of such a request waits until its address has answered, or has not.
+
+On other serial lines only the user's word counts: who speaks something else there makes junk or frames with errors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.link.interface import data_lengths
 from analyzer.records import CanFrame, Message
+
+if TYPE_CHECKING:
+    from analyzer.context import Request
 
 #: A CAN identifier of the standard format has 11 bits.
 CAN_ID_LIMIT = 0x7FF
@@ -34,7 +41,7 @@ _NO_CHANCE = 2
 class Nodes:
     """Who is a drive on one bus. `listed`: identifiers or addresses of drives, as the user says; None: the frames tell."""
 
-    STATE = ("drives", "odd", "claimed")
+    STATE = ("drives", "odd", "claimed", "slaves", "withheld")
 
     def __init__(self, listed: Collection[int] | None) -> None:
         self.listed = listed
@@ -44,6 +51,10 @@ class Nodes:
         self.odd: dict[int, int] = {}
         #: Of described identifiers, how many frames in a row were a drive's by their bytes, too; -1: that was said.
         self.claimed: dict[int, int] = {}
+        #: Modbus addresses of slaves of other makers: they answered what no drive answers.
+        self.slaves: set[int] = set()
+        #: By address, the unlisted request whose answer tells whether a slave of another maker is there.
+        self.withheld: dict[int, Request] = {}
 
     def knows(self, address: int) -> bool | None:
         """Say whether an address is a drive's; None where frames have to tell."""
@@ -77,6 +88,14 @@ class Nodes:
         said = row == _NO_CHANCE
         self.claimed[can_id] = -1 if said else row
         return said
+
+
+def is_unlisted(message: Message) -> bool:
+    """Say whether a message uses Modbus on what the manual of the drives does not list: a register, or a whole function."""
+    dialect, command = message.frame.dialect, message.command
+    if not dialect.of_drives or not dialect.fallbacks or not message.frame.checksum_ok:
+        return False
+    return command is None or dialect.fallbacks.get(command.function or 0) is command
 
 
 def _is_good(message: Message) -> bool:

@@ -21,9 +21,10 @@ from msgspec.structs import replace
 from analyzer import events
 from analyzer.catalogue import Dialect, Role
 from analyzer.columns.block import ByteBlock, CanBlock, FrameBlock
+from analyzer.context import Request
 from analyzer.errors import UsageError
 from analyzer.findings import Issue, finding, is_plain, of_junk, of_message
-from analyzer.foreign import CAN_ID_LIMIT
+from analyzer.foreign import CAN_ID_LIMIT, is_unlisted
 from analyzer.framer import Framer
 from analyzer.port import Options, Port, PortSetup, topic_name, usual_setup
 from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Junk, JunkReason, Lane, Message, Severity, Silence
@@ -45,6 +46,8 @@ Item = Chunk | CanFrame | CanBlock | ByteBlock | Comment | Silence | Event
 
 #: Data bits of a CAN frame besides its payload, for made-up times: standard frame with its gap.
 CAN_OVERHEAD_BITS = 47
+#: The rule that waits until it is known whether a drive was meant.
+_UNLISTED = "unknown_command"
 
 
 class Entry(msgspec.Struct, frozen=True, gc=False):
@@ -203,6 +206,9 @@ class Pipeline:
                 self._take(port, port.framer.close())
             for late in port.transactions.close():
                 self._late(port, late)
+            for request in port.nodes.withheld.values():
+                self._unlisted(port, request)
+            port.nodes.withheld.clear()
 
     def state(self) -> dict[str, Any]:
         """Return what was seen so far, for `restore`."""
@@ -426,11 +432,23 @@ class Pipeline:
             ):
                 return
         message, asked = decoder.decode(frame, context)
+        unlisted = is_unlisted(message)
+        # What was known before this message.
+        heard = message.address in context.speaks or port.nodes.listed is not None
         topic = port.topic(message)
         paired = port.transactions.observe(message, self.sequence + 1, asked, topic)
         for late in paired.earlier:
             self._late(port, late)
         request = paired.request
+        withheld = port.nodes.withheld.pop(message.address, None) if port.nodes.withheld else None
+        if withheld is not None:
+            if frame.data == withheld.frame.data:
+                # It may be the reply to a write, or the host's once more: that tells nothing.
+                port.nodes.withheld[message.address] = withheld
+            elif unlisted and request is withheld and message.form is not frame.dialect.exception:
+                port.nodes.slaves.add(message.address)
+            else:
+                self._unlisted(port, withheld)
         asked_by = None if request is None else request.sequence
         if not paired.issues and is_plain(message, context):
             self.sequence += 1
@@ -439,6 +457,13 @@ class Pipeline:
                 sink.entry(entry)
             return
         issues = of_message(message, context) + list(paired.issues)
+        if unlisted:
+            first = not heard and message.role is Role.REQUEST and message.address != frame.dialect.broadcast
+            if first and message.address not in port.nodes.slaves:
+                assert context.last_request is not None  # this one
+                port.nodes.withheld[message.address] = context.last_request
+            if first or message.address in port.nodes.slaves:
+                issues = [issue for issue in issues if issue.rule != _UNLISTED]
         self._write(port, message, issues, topic, paired.latency_ns, asked_by, paired.first)
 
     def _plain(self, port: Port, lane: Lane, frame: Frame) -> bool:
@@ -516,6 +541,12 @@ class Pipeline:
             sequence=sequence,
             who=message.who,
         )
+
+    def _unlisted(self, port: Port, request: Request) -> None:
+        """Tell, after all, that a request stands in no manual: no other slave answered it."""
+        for violation in request.message.violations:
+            if violation.rule == _UNLISTED:
+                self._late(port, Late(request, Issue(violation.rule, violation.text)))
 
     def _late(self, port: Port, late: Late) -> None:
         request = late.request

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 _WIDTH, _HEIGHT = 9.0, 2.4
 #: Points of a line that are shown as dots, too.
 _DOTS = 500
+#: Lines whose list stands inside of their axis.
+_LISTED_INSIDE = 6
 
 
 class Panel(NamedTuple):
@@ -30,6 +32,10 @@ def size(panels: int) -> tuple[float, float]:
 
 def draw(figure: Figure, panels: Sequence[Panel], title: str, x: str = "time [s]") -> list[Axes]:
     """Draw panels, one below the other. Return their axes."""
+    from matplotlib.ticker import FuncFormatter
+
+    # Matplotlib takes a common factor or summand out of its numbers, which is easily overlooked.
+    plain = FuncFormatter(lambda value, _: f"{value:,.12g}")
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)
     axes: list[Axes] = [row[0] for row in rows]
     for axis, panel in zip(axes, panels, strict=True):
@@ -39,8 +45,11 @@ def draw(figure: Figure, panels: Sequence[Panel], title: str, x: str = "time [s]
             axis.plot(at, values, marker=dots, markersize=4, linewidth=1, label=label.replace("$", r"\$"))
         units = [unit for unit in dict.fromkeys(panel.units) if unit]
         axis.set_ylabel(f"{panel.name} [{', '.join(units)}]" if units else panel.name)
+        axis.yaxis.set_major_formatter(plain)
         axis.grid(visible=True, alpha=0.3)
-        axis.legend(loc="best", fontsize="small")
+        # A long list of lines would hide them.
+        beside = {"loc": "center left", "bbox_to_anchor": (1, 0.5)} if len(panel.lines) > _LISTED_INSIDE else {"loc": "best"}
+        axis.legend(fontsize="small", **beside)
     axes[0].set_title(title.replace("$", r"\$"))
     axes[-1].set_xlabel(x)
     return axes

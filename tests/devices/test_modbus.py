@@ -7,6 +7,7 @@ import random
 
 import pytest
 
+from analyzer.catalogue import Role
 from analyzer.cli import main
 from analyzer.decoder import physical
 from analyzer.detect import choose
@@ -14,7 +15,7 @@ from analyzer.devices import load
 from analyzer.dialects import every, get, of_no_drive
 from analyzer.errors import ServotapError
 from analyzer.link import modbus_crc, read_bytes
-from analyzer.pipeline import Pipeline
+from analyzer.pipeline import Options, Pipeline
 from analyzer.records import Chunk
 from analyzer.sources import open_source
 from tests.bytestreams import SERIAL
@@ -330,3 +331,54 @@ def test_however_a_line_is_cut_and_damaged_the_same_comes_out(seed):
         line[chance.randrange(len(line))] = chance.randrange(256)
     with short_runs():
         same_line(list(chunks_of(bytes(line), chance, longest=chance.choice((3, 40, 5000)))), get("modbus"), 50)
+
+
+# --- slaves without a list beside a drive -------------------------------------------------------------------------------
+
+DRIVE = ("01 04 00 32 00 01", "01 04 02 01 40")
+UNLISTED, ANSWER = "05 04 00 00 00 02", "05 04 04 00 2A 00 07"
+
+
+def beside(*frames, listed=None):
+    sink = Collect()
+    chunks = [Chunk(n * 50_000_000, "bus", frame(text)) for n, text in enumerate(frames)]
+    Pipeline([get("mks-modbus")], [sink], Options(listed=listed)).run(chunks)
+    assert not sink.pieces
+    return sink
+
+
+def test_a_slave_of_another_maker_beside_a_drive_is_no_error():
+    sink = beside(*(*DRIVE, UNLISTED, ANSWER) * 3, "05 06 00 09 00 01", "05 06 00 09 00 01")
+    assert sink.rules == []
+    assert [entry.topic for entry in sink.entries][2:4] == ["/bus/5/unknown_read/request", "/bus/5/unknown_read/reply"]
+    assert all(entry.request_sequence for entry in sink.entries if entry.message.role is Role.REPLY)
+    # What goes wrong with it is told as of any other.
+    assert beside(UNLISTED, ANSWER, "05 04 00 08 00 01", "05 84 02").rules == ["modbus_exception"]
+    assert beside(UNLISTED, ANSWER, "05 04 00 08 00 01", *DRIVE).rules == ["unanswered"]
+
+
+@pytest.mark.parametrize(
+    ("frames", "rules"),
+    [
+        # A drive refuses what it does not have, or is silent.
+        ((UNLISTED, "05 84 02"), ["unknown_command", "modbus_exception"]),
+        ((UNLISTED,), ["unanswered", "unknown_command"]),
+        ((UNLISTED, UNLISTED, "05 04 00 01 00 02"), ["unanswered"] * 3 + ["unknown_command"] * 2),
+        # A write is answered by itself, which tells nothing.
+        (("05 06 00 09 00 01", "05 06 00 09 00 01", *DRIVE), ["unknown_command"] * 2),
+        # A drive that was heard is judged in all that it is asked.
+        ((*DRIVE, "01 04 00 00 00 02", "01 04 04 00 2A 00 07"), ["unknown_command"]),
+    ],
+)
+def test_a_request_that_no_manual_lists_is_told_where_no_slave_answers(frames, rules):
+    assert sorted(beside(*frames).rules) == sorted(rules)
+
+
+def test_a_register_that_a_drive_has_as_well_is_read_as_the_drives():
+    sink = beside(UNLISTED, ANSWER, "05 04 00 32 00 01", "05 04 02 01 40", UNLISTED, ANSWER)
+    assert sink.rules == []
+    assert sink.entries[3].topic == "/bus/5/read_speed/reply"
+
+
+def test_who_is_listed_as_a_drive_is_no_other_slave():
+    assert "unknown_command" in beside(UNLISTED, ANSWER, listed=frozenset((1, 5))).rules

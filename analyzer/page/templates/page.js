@@ -54,6 +54,11 @@ const ticks = (plot, splits, _, space, step) => splits.map((each, at) => {
   const text = step >= 60 ? clock(each, 0).slice(0, 5) : clock(each, step >= 1 ? 0 : 3);
   return at && day(each) !== day(splits[at - 1]) ? day(each).slice(5) : text;
 });
+// Millions are shortened, as long as that tells one from the next.
+const short = new Intl.NumberFormat("en", { notation: "compact", maximumFractionDigits: 2 });
+const full = new Intl.NumberFormat("en", { maximumFractionDigits: 9 });
+const amounts = (plot, splits, _, space, step) => splits.map(each =>
+  each == null ? "" : (step >= 1e4 && Math.max(...splits.map(Math.abs)) >= 1e6 ? short : full).format(each));
 const AXES = {
   clock: { value: each => each == null ? "–" : clock(each, 3), time: true },
   elapsed: { value: each => each == null ? "–" : `${number(each)} s`, tick: each => `${number(each)} s` },
@@ -84,32 +89,37 @@ const scale = (all, by, at) => {
   show(all, Math.max(all.whole[0], middle - (middle - low) * by), Math.min(all.whole[1], middle + (high - middle) * by));
 };
 
-// Marks: a line at each time, with a sign at its top; the nearest one is told below the plots.
+// Marks: a line at each time, with a sign at its top, and its name where there is room up to the next one. The nearest one is told
+// below the plots.
 const drawMarks = marks => plot => {
-  const { ctx, bbox } = plot, { min, max } = plot.scales.x;
+  const { ctx, bbox } = plot, { min, max } = plot.scales.x, size = 4 * devicePixelRatio;
+  const shown = marks.flatMap(mark => mark.at.filter(x => x >= min && x <= max)
+    .map(x => ({ left: Math.round(plot.valToPos(x, "x", true)), mark }))).sort((one, other) => one.left - other.left);
   ctx.save();
   ctx.beginPath();
-  ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+  ctx.rect(bbox.left - size, bbox.top, bbox.width + 2 * size, bbox.height);
   ctx.clip();
-  for (const mark of marks) {
+  ctx.lineWidth = devicePixelRatio;
+  ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+  ctx.textBaseline = "top";
+  ctx.textAlign = "left";
+  shown.forEach(({ left, mark }, n) => {
     ctx.strokeStyle = ctx.fillStyle = colour(MARKS[mark.kind] ?? "--none");
-    ctx.lineWidth = devicePixelRatio;
-    for (const x of mark.at) {
-      if (x < min || x > max) continue;
-      const left = Math.round(plot.valToPos(x, "x", true)), size = 4 * devicePixelRatio;
-      ctx.globalAlpha = 0.3;
-      ctx.beginPath();
-      ctx.moveTo(left, bbox.top);
-      ctx.lineTo(left, bbox.top + bbox.height);
-      ctx.stroke();
-      ctx.globalAlpha = 0.9;
-      ctx.beginPath();
-      ctx.moveTo(left - size, bbox.top);
-      ctx.lineTo(left + size, bbox.top);
-      ctx.lineTo(left, bbox.top + 1.6 * size);
-      ctx.fill();
-    }
-  }
+    // Many lines would hide what they mark.
+    ctx.globalAlpha = shown.length * 2 * size > bbox.width ? 0.12 : 0.3;
+    ctx.beginPath();
+    ctx.moveTo(left, bbox.top);
+    ctx.lineTo(left, bbox.top + bbox.height);
+    ctx.stroke();
+    ctx.globalAlpha = 0.9;
+    ctx.beginPath();
+    ctx.moveTo(left - size, bbox.top);
+    ctx.lineTo(left + size, bbox.top);
+    ctx.lineTo(left, bbox.top + 1.6 * size);
+    ctx.fill();
+    const end = n + 1 < shown.length ? shown[n + 1].left - size : bbox.left + bbox.width;
+    if (left + 1.5 * size + ctx.measureText(mark.label).width < end) ctx.fillText(mark.label, left + 1.5 * size, bbox.top + 1);
+  });
   ctx.restore();
 };
 const tellMarks = (marks, place, axis) => plot => {
@@ -156,7 +166,7 @@ const draw = place => {
   if (shape.tick) below.values = (_, splits) => splits.map(shape.tick);
   if (about.axis === "log") below.values = (_, splits) => splits.map(each => Number.isInteger(+Math.log10(each).toFixed(6)) ? (each < 1000 ? `${+each.toPrecision(3)} ms` : `${each / 1000} s`) : "");
   const options = {
-    width: width(place), height: height(place), axes: [below, { ...axis(about.y, about.yUnit), size: long ? 80 : 60 }],
+    width: width(place), height: height(place), axes: [below, { ...axis(about.y, about.yUnit), size: long ? 80 : 60, values: amounts }],
     scales: { x: { time: shape.time ?? false, distr: shape.distr ?? 1 }, y: about.look === "line" || !long ? {} : { range: FROM_ZERO } }, hooks: {},
     ...(long ? { padding: [8, 28, 0, 0] } : {}),
     series: [{ label: about.x, value: (_, each) => shape.value(each) }, ...series],
