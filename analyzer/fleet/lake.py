@@ -30,8 +30,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.fleet.files import PARTITIONS, Added, Destination, only
 from analyzer.fleet.place import Place, again
-from analyzer.fleet.rows import PARTITIONS, TAKEN, UNSEEN, Added, Taken, captures_schema, only
+from analyzer.fleet.rows import TAKEN, UNSEEN, Taken, captures_schema
 from analyzer.table.extras import needed
 from analyzer.values import printable
 
@@ -63,7 +64,9 @@ _OPTIONS |= {"endpoint_url": "aws_endpoint_url", "region_name": "aws_region"}
 #: A row of `captures` that another one replaces: of the same content, or of a place that could not be read.
 _SAME = f"old.capture = new.capture or (old.capture like '{UNSEEN}%' and old.source = new.source and old.name = new.name)"
 #: Least and greatest values stand in the Parquet files. A log that had those of some columns would make readers lose rows.
-_SETTINGS = {"delta.dataSkippingNumIndexedCols": "0"}
+_SETTINGS: dict[str, str | None] = {"delta.dataSkippingNumIndexedCols": "0"}
+#: The setting of `captures` that says what all other tables are partitioned by.
+_PARTITIONS = "servotap.partitions"
 #: Colours in texts of Delta Lake.
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 #: Losses of a race for one commit, one after the other, after which something else must be wrong.
@@ -87,9 +90,12 @@ class Journal(msgspec.Struct):
 
 
 class Lake:
-    """A lake in a place. `make`: make it if it is not there. Raises UnreadableError for a place without a lake otherwise."""
+    """A lake in a place. `make`: make it if it is not there, with tables that are partitioned by some of PARTITIONS.
 
-    def __init__(self, place: Place, *, make: bool = False) -> None:
+    Raises UnreadableError for a place without a lake otherwise.
+    """
+
+    def __init__(self, place: Place, *, make: bool = False, partitions: Sequence[str] = PARTITIONS) -> None:
         self.place = place
         self._delta = needed("deltalake")
         protocol = store_of(place.url)
@@ -106,9 +112,11 @@ class Lake:
         self._open: dict[str, deltalake.DeltaTable] = {}
         if make:
             with self._writing():
-                self.table(CAPTURES, captures_schema(), ())
+                self._create(CAPTURES, captures_schema(), (), _SETTINGS | {_PARTITIONS: ",".join(partitions)})
         elif not self._exists(CAPTURES):
             raise UnreadableError(f"{place.url} is no lake: make one with servotap ingest CAPTURES --to {place.url}")
+        said = self.open(CAPTURES).metadata().configuration.get(_PARTITIONS, ",".join(PARTITIONS))
+        self.destination = Destination(place, tuple(said.split(",")))
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
@@ -140,21 +148,26 @@ class Lake:
             raise UnreadableError(f"{self._uri(table)} cannot be read: {printable(str(error))}") from None
         return opened
 
-    def table(self, name: str, schema: pyarrow.Schema, partitions: Sequence[str] = PARTITIONS) -> deltalake.DeltaTable:
-        """Return a table, made if it is not there."""
+    def table(self, name: str, schema: pyarrow.Schema) -> deltalake.DeltaTable:
+        """Return a table, made if it is not there. `schema`: without the partitions."""
+        self._create(name, schema, self.destination.partitions, _SETTINGS)
+        return self.open(name)
+
+    def _create(self, name: str, schema: pyarrow.Schema, partitions: Sequence[str], settings: dict[str, str | None]) -> None:
         pa = needed("pyarrow")
         if name not in self._open and not self._exists(name):
-            kinds = {"date": pa.date32()}
-            whole = pa.schema([*schema, *(pa.field(each, kinds.get(each, pa.string())) for each in partitions)])
+            kinds = {"date": pa.date32(), "machine": pa.string()}
+            whole = pa.schema([*schema, *(pa.field(each, kinds[each]) for each in partitions)])
             self._delta.DeltaTable.create(
                 self._uri(name),
                 schema=self._delta.Schema.from_arrow(whole),
                 partition_by=list(partitions) or None,
                 mode="ignore",
-                configuration=_SETTINGS,
+                configuration=settings,
                 storage_options=self._options,
+                # Its own settings are kept, too.
+                raise_if_key_not_exists=False,
             )
-        return self.open(name)
 
     def tables(self) -> list[str]:
         """Return the names of all tables, `captures` first."""
@@ -288,7 +301,7 @@ class Lake:
                 return
             with contextlib.suppress(self._delta.exceptions.CommitFailedError):
                 opened.create_write_transaction(
-                    actions, "append", opened.schema(), list(PARTITIONS), commit_properties=self._once(batch)
+                    actions, "append", opened.schema(), list(self.destination.partitions), commit_properties=self._once(batch)
                 )
                 return
         raise UsageError(f"{self._uri(table)}: no commit succeeded in {_RACES} attempts: is its store in order?")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import posixpath
-import shutil
 import stat
 import tempfile
 import time
@@ -127,23 +126,21 @@ class Place:
             again(fetch)
             yield target
 
-    def put(self, source: Path, name: str) -> None:
-        """Bring a local file to this place, whole or not at all, and remove it here."""
-        target = self.path(name)
-        if self.local:
-            Path(target).parent.mkdir(parents=True, exist_ok=True)
-            part = Path(f"{target}.part")
-            shutil.move(source, part)
+    def write(self, name: str, data: bytes | memoryview) -> None:
+        """Write a file, whole or not at all."""
+        if not self.local:
+            again(lambda: self.fs.pipe_file(self.path(name), bytes(data)))
+            return
+        target = Path(self.path(name))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part = target.with_name(f"{target.name}.part")
+        try:
+            with part.open("wb") as stream:
+                stream.write(data)
             part.replace(target)
-        else:
-            again(lambda: self.fs.put_file(str(source), target))
-            source.unlink()
-
-    def write(self, name: str, data: bytes) -> None:
-        """Write a small file, whole or not at all."""
-        with tempfile.NamedTemporaryFile(prefix="servotap-", delete=False) as stream:
-            stream.write(data)
-        self.put(Path(stream.name), name)
+        except OSError:
+            part.unlink(missing_ok=True)
+            raise
 
     def move(self, name: str, to: str) -> None:
         """Give a file another name."""

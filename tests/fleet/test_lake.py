@@ -17,10 +17,11 @@ from analyzer.errors import UnreadableError, UsageError
 from analyzer.fleet import ask
 from analyzer.fleet import place as places
 from analyzer.fleet.ask import Question, sql_name
+from analyzer.fleet.files import PARTITIONS
 from analyzer.fleet.ingest import Outcome, Pattern, tasks, works
 from analyzer.fleet.lake import Lake
-from analyzer.fleet.place import Place
-from analyzer.fleet.rows import take
+from analyzer.fleet.place import Found, Place
+from analyzer.fleet.rows import Work, take
 from analyzer.sinks import parquet as parquet_tables
 from tests.fleet.lakes import candump, hall, ingest, options, rows
 
@@ -107,6 +108,41 @@ def test_copies_in_one_ingest_come_once(captures, clean, tmp_path, monkeypatch):
     assert rows(made) == clean
 
 
+def test_a_lake_that_is_partitioned_by_date_has_the_same_rows_in_fewer_files(captures, clean, tmp_path):
+    made, by_date = (Lake(Place(str(tmp_path / f"{len(by)}")), make=True, partitions=by) for by in (PARTITIONS, ("date",)))
+    assert ingest(made, captures).new == ingest(by_date, captures).new == 4
+    again = Lake(by_date.place)
+    assert (rows(made), rows(again)) == (clean, clean)
+    assert (
+        again.open("states").metadata().partition_columns == again.open("transactions").metadata().partition_columns == ["date"]
+    )
+    assert made.open("states").metadata().partition_columns == ["date", "machine"]
+    files = [len(list((tmp_path / name).rglob("*.parquet"))) for name in "21"]
+    assert files[0] > 1.5 * files[1]
+    asked = "select machine, count(*) from transactions where date = '2026-03-01' and machine = 'm1' group by all"
+    assert Question(made).sql(asked).fetchall() == Question(again).sql(asked).fetchall() != []
+    again.compact(0)
+    assert rows(Lake(by_date.place)) == clean
+
+
+def test_a_lake_stays_partitioned_as_it_is(captures, tmp_path, capsys):
+    words = ["ingest", str(captures / "m0" / "2026-03-01" / "0.log"), "--to", str(tmp_path / "lake"), "--workers", "1"]
+    assert main([*words, "--partition-by", "date"]) == main(words) == 0
+    assert main([*words, "--partition-by", "date,machine"]) == 2
+    assert "is partitioned by date, and stays so" in capsys.readouterr().err
+
+
+def test_few_captures_are_work_for_all_and_many_stand_together():
+    def shared(count, size, machines):
+        found = [Found(f"/{n}", f"{n}", size, "") for n in range(count)]
+        return [len(task) for task in tasks([Work(Place("memory://x"), f, f"m{n % machines}") for n, f in enumerate(found)])]
+
+    assert shared(10, 6 << 20, 10) == [1] * 10
+    assert shared(1000, 4000, 500) == [200] * 5
+    # A machine is not divided where it can be avoided.
+    assert set(shared(360, 4000, 3)) == {120}
+
+
 def test_what_was_made_of_captures_is_none(tmp_path):
     folder = tmp_path / "in"
     folder.mkdir()
@@ -119,7 +155,7 @@ def test_what_was_made_of_captures_is_none(tmp_path):
 
 def taken(made, captures):
     found = works([Place(str(captures))], made, Pattern("{machine}/{date}/*"), False, Outcome())
-    return [take(task, made.place, options()) for task in tasks(found)]
+    return [take(task, made.destination, options()) for task in tasks(found)]
 
 
 def test_two_ingests_at_once_bring_each_content_once(captures, clean, tmp_path):
