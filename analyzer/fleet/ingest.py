@@ -126,6 +126,7 @@ def works(sources: Sequence[Place], lake: Lake, pattern: Pattern | None, retry: 
     found = []
     for source in sources:
         files = source.files()
+        outcome.unread += [(folder, "it may not be listed") for folder in source.closed]
         machines = Machines(source, files)
         for each in _captures(source, files, lake.place):
             outcome.files += 1

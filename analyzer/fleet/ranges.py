@@ -94,7 +94,7 @@ def works_of(task: Task) -> list[Work]:
 
 def waiting(lake: Place, task: Scan) -> int:
     """Return how many ranges a scan has written so far."""
-    return lake.count(f"{task.folder}/*.range")
+    return len(lake.glob(f"{task.folder}/*.range"))
 
 
 # --- the scan -----------------------------------------------------------------------------------------------------------
