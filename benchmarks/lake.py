@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from analyzer import dialects  # noqa: E402
-from analyzer.cli.reading import add_reading_arguments  # noqa: E402
+from analyzer.cli.reading import add_reading_arguments, open_reading  # noqa: E402
 from analyzer.cli.signals import Interrupt  # noqa: E402
 from analyzer.fleet import ingest as ingesting  # noqa: E402
 from analyzer.fleet import ranges as splitting  # noqa: E402
@@ -40,7 +40,8 @@ from analyzer.fleet.ingest import Ingest, Outcome, Pattern, tasks, workers, work
 from analyzer.fleet.lake import Lake  # noqa: E402
 from analyzer.fleet.place import Place  # noqa: E402
 from analyzer.fleet.ranges import do  # noqa: E402
-from analyzer.fleet.rows import decoded_alone  # noqa: E402
+from analyzer.fleet.rows import decoded  # noqa: E402
+from analyzer.sinks.parquet import ParquetTables  # noqa: E402
 from tests.columns.can_traffic import frames  # noqa: E402
 
 POLLS = ("read_encoder_carry", "read_speed", "read_pulses", "read_position", "read_angle_error")
@@ -80,6 +81,24 @@ def options() -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     add_reading_arguments(parser)
     return parser.parse_args([])
+
+
+class Nowhere:
+    """A table that is not kept."""
+
+    def write(self, rows: pa.Table) -> None:
+        """Forget the rows."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def decoded_alone(path: str, given: argparse.Namespace) -> None:
+    """Decode a capture into tables that are not kept."""
+    reading = open_reading(path, given)
+    tables = ParquetTables(lambda name, schema: Nowhere(), reading.source.clock)
+    decoded(reading, (tables,), lambda pipeline, item: pipeline.feed(item))
+    tables.finish({})
 
 
 class Cost(NamedTuple):
@@ -155,9 +174,8 @@ def small_captures(folder: Path, count: int) -> None:
         found = works([Place(str(source))], lake, Pattern("{machine}/{date}/*"), False, Outcome())[:size]
         alone = cpu(lambda found=found: [decoded_alone(work.found.key, options()) for work in found])
         made: list = []
-        taking = cpu(
-            lambda found=found, lake=lake, made=made: made.extend(do(each, lake.place, options()) for each in tasks(found))
-        )
+        to = lake.destination
+        taking = cpu(lambda found=found, to=to, made=made: made.extend(do(each, to, options()) for each in tasks(found)))
         committing = cpu(lambda lake=lake, made=made: lake.commit(made))
         more = (taking + committing - alone) / size * 1000
         told = f"decoding {alone:.2f}, files {taking - alone:.2f}, commit {committing:.2f} CPU s"

@@ -140,7 +140,9 @@ class Question:
         """Raise UnreadableError where a commit of a table was emptied: readers pass over it, and its rows are gone."""
         place = self.lake.place
         place.fs.invalidate_cache()
-        for each in again(lambda: place.fs.ls(place.path(f"{table}/_delta_log"), detail=True)):
+        with self.lake.reading(table):
+            log = again(lambda: place.fs.ls(place.path(f"{table}/_delta_log"), detail=True))
+        for each in log:
             if each["name"].endswith(".json") and not each["size"]:
                 raise UnreadableError(
                     f"{each['name']} is empty, so what it committed is not known: restore it, or ingest into a new lake"

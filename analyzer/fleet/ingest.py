@@ -22,11 +22,13 @@ from dataclasses import dataclass, field
 from datetime import date
 from functools import partial
 from importlib.util import find_spec
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import ServotapError, UnreadableError, UsageError
+from analyzer.fleet.files import PARTITIONS
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Found, Place, again
 from analyzer.fleet.ranges import HUGE, Range, Scan, Task, do, is_split, joined, waiting, works_of
@@ -36,10 +38,13 @@ from analyzer.live.spool import spool_folder
 from analyzer.table.extras import needed
 from analyzer.values import printable, quote
 
-#: A task has at most so many bytes, or one capture; and so many captures.
+#: A task has at most so many bytes, or one capture; and so many captures. All workers have some of few captures, too.
 TASK_BYTES, TASK_FILES = 64 << 20, 200
+LEAST_TASKS, LEAST_BYTES = 32, 1 << 20
 #: A batch is committed after so many bytes or seconds.
 BATCH_BYTES, BATCH_SECONDS = 1 << 30, 60.0
+#: Data files of which an ingest says that they are too many, and bytes of one that is small.
+_MANY, _SMALL = 1000, 16 << 10
 #: Seconds in which a scheduler has to answer, and the level of logs of Dask that are shown.
 _SECONDS, _QUIET = 30, logging.CRITICAL
 #: States of a task that a scheduler took with it; seconds between two looks for them.
@@ -121,6 +126,7 @@ def works(sources: Sequence[Place], lake: Lake, pattern: Pattern | None, retry: 
     found = []
     for source in sources:
         files = source.files()
+        outcome.unread += [(folder, "it may not be listed") for folder in source.closed]
         machines = Machines(source, files)
         for each in _captures(source, files, lake.place):
             outcome.files += 1
@@ -171,18 +177,28 @@ def _captures(source: Place, files: Sequence[Found], lake: Place) -> Iterator[Fo
 
 
 def tasks(found: Sequence[Work]) -> list[Task]:
-    """Share captures out: those of one machine and day stand together, the greatest tasks come first, huge ones are split."""
-    shared: list[list[Work]] = []
-    size, before = 0, None
-    for work in sorted(found, key=lambda each: (each.machine, str(each.date), each.found.name)):
-        own = (work.machine, work.date)
-        size += work.found.size
-        if not shared or own != before or size > TASK_BYTES or len(shared[-1]) >= TASK_FILES:
-            shared.append([])
-            size, before = work.found.size, own
-        shared[-1].append(work)
+    """Share captures out: those of one day and machine stand together, the greatest tasks come first, huge ones are split."""
+    most = min(TASK_BYTES, max(LEAST_BYTES, sum(work.found.size for work in found) // LEAST_TASKS))
+    in_order = sorted(found, key=lambda each: (str(each.date), each.machine, each.found.name))
+    of_machines = groupby(in_order, key=lambda each: (each.date, each.machine))
+    parts = [part for _, works in of_machines for part in _packed([[work] for work in works], most)]
+    shared = _packed(parts, most)
     shared.sort(key=lambda task: -sum(work.found.size for work in task))
     return [Scan(task[0]) if len(task) == 1 and task[0].found.size >= HUGE else task for task in shared]
+
+
+def _packed(parts: Sequence[list[Work]], most: int) -> list[list[Work]]:
+    """Join lists that follow each other, while they have so many bytes and captures at most."""
+    packed: list[list[Work]] = []
+    size = 0
+    for part in parts:
+        more = sum(work.found.size for work in part)
+        if not packed or size + more > most or len(packed[-1]) + len(part) > TASK_FILES:
+            packed.append([])
+            size = 0
+        packed[-1] += part
+        size += more
+    return packed
 
 
 @contextlib.contextmanager
@@ -247,6 +263,7 @@ class Ingest:
         self._waiting: list[Taken] = []
         self._since = time.monotonic()
         self._splits: dict[str, _Split] = {}
+        self._sizes: list[int] = []
 
     def run(self, client: Any, found: Sequence[Work]) -> None:
         """Take captures. What was taken when a signal ends this is committed."""
@@ -256,7 +273,7 @@ class Ingest:
         while left or running:
             while left and len(running) < most:
                 task = left.pop()
-                running[client.submit(do, task, self.lake.place, self._options, pure=False)] = task
+                running[client.submit(do, task, self.lake.destination, self._options, pure=False)] = task
             scans = [task for task in running.values() if isinstance(task, Scan)]
             try:
                 ended = self._interrupt.opened(partial(_ended, client, running, patient=not scans))
@@ -349,9 +366,17 @@ class Ingest:
             if row["status"] not in TAKEN and row["status"] != "known":
                 outcome.unread.append((row["name"], row["reason"]))
 
+    def _of_small_files(self) -> list[str]:
+        count, partitions = len(self._sizes), self.lake.destination.partitions
+        if count < _MANY or sum(self._sizes) > _SMALL * count or partitions != PARTITIONS:
+            return []
+        small = f"{count:,} data files of {sum(self._sizes) / count / 1000:.1f} kB on average"
+        return [f"{small}: a new lake with --partition-by date has fewer and larger ones"]
+
     def commit(self) -> None:
         """Commit what has come."""
         if self._waiting:
+            self._sizes += [file.size for each in self._waiting for file in each.added]
             new = self.lake.commit(self._waiting)
             self.outcome.new += new
             self.outcome.known += (
@@ -359,5 +384,5 @@ class Ingest:
             )
             self.outcome.batches += 1
             self._waiting = []
-        self.outcome.notes = self.lake.notes
+        self.outcome.notes = self.lake.notes + self._of_small_files()
         self._since = time.monotonic()

@@ -30,8 +30,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.fleet.place import Place, again
-from analyzer.fleet.rows import PARTITIONS, TAKEN, UNSEEN, Added, Taken, captures_schema, only
+from analyzer.fleet.files import PARTITIONS, Added, Destination, only
+from analyzer.fleet.place import Place
+from analyzer.fleet.rows import TAKEN, UNSEEN, Taken, captures_schema
 from analyzer.table.extras import needed
 from analyzer.values import printable
 
@@ -57,13 +58,17 @@ _STORES = {
     "abfss": "abfss",
     "az": "az",
 }
+#: Delta Lake would read %41 as A, so its log and our files would be in two places; the others it cannot write to.
+_MISREAD = frozenset("%[]|\\^")
 #: fsspec's options for a store -> those of Delta Lake.
 _OPTIONS = {"key": "aws_access_key_id", "secret": "aws_secret_access_key", "token": "aws_session_token"}
 _OPTIONS |= {"endpoint_url": "aws_endpoint_url", "region_name": "aws_region"}
 #: A row of `captures` that another one replaces: of the same content, or of a place that could not be read.
 _SAME = f"old.capture = new.capture or (old.capture like '{UNSEEN}%' and old.source = new.source and old.name = new.name)"
 #: Least and greatest values stand in the Parquet files. A log that had those of some columns would make readers lose rows.
-_SETTINGS = {"delta.dataSkippingNumIndexedCols": "0"}
+_SETTINGS: dict[str, str | None] = {"delta.dataSkippingNumIndexedCols": "0"}
+#: The setting of `captures` that says what all other tables are partitioned by.
+_PARTITIONS = "servotap.partitions"
 #: Colours in texts of Delta Lake.
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 #: Losses of a race for one commit, one after the other, after which something else must be wrong.
@@ -87,15 +92,17 @@ class Journal(msgspec.Struct):
 
 
 class Lake:
-    """A lake in a place. `make`: make it if it is not there. Raises UnreadableError for a place without a lake otherwise."""
+    """A lake in a place. `make`: make it if it is not there, with tables that are partitioned by some of PARTITIONS.
 
-    def __init__(self, place: Place, *, make: bool = False) -> None:
+    Raises UnreadableError for a place without a lake otherwise.
+    """
+
+    def __init__(self, place: Place, *, make: bool = False, partitions: Sequence[str] = PARTITIONS) -> None:
         self.place = place
         self._delta = needed("deltalake")
         protocol = store_of(place.url)
-        if not place.root.isprintable() or "%" in place.root:
-            # Delta Lake would read %41 as A: its log and our files would be in two places.
-            raise UsageError(f"{place.url}: a lake needs a name of printable text without %")
+        if not place.root.isprintable() or _MISREAD & set(place.root):
+            raise UsageError(f"{place.url}: a lake needs a path of printable text without {' '.join(sorted(_MISREAD))}")
         scheme = _STORES[protocol]
         self._base = f"{scheme}://{place.root}" if scheme else place.root
         self._options = _store_options(place.options) if scheme else None
@@ -106,9 +113,11 @@ class Lake:
         self._open: dict[str, deltalake.DeltaTable] = {}
         if make:
             with self._writing():
-                self.table(CAPTURES, captures_schema(), ())
+                self._create(CAPTURES, captures_schema(), (), _SETTINGS | {_PARTITIONS: ",".join(partitions)})
         elif not self._exists(CAPTURES):
             raise UnreadableError(f"{place.url} is no lake: make one with servotap ingest CAPTURES --to {place.url}")
+        said = self.open(CAPTURES).metadata().configuration.get(_PARTITIONS, ",".join(PARTITIONS))
+        self.destination = Destination(place, tuple(said.split(",")))
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
@@ -116,8 +125,15 @@ class Lake:
         try:
             yield
         except (OSError, self._delta.exceptions.DeltaError) as error:
-            why = " ".join(_COLOURS.sub("", str(error)).split())
-            raise UsageError(f"{self.place.url} cannot be written: {printable(why)}") from None
+            raise UsageError(f"{self.place.url} cannot be written: {_told(error)}") from None
+
+    @contextlib.contextmanager
+    def reading(self, table: str) -> Iterator[None]:
+        """Raise UnreadableError where a table cannot be read: it is damaged, its store refuses."""
+        try:
+            yield
+        except (OSError, self._delta.exceptions.DeltaError) as error:
+            raise UnreadableError(f"{self._uri(table)} cannot be read: {_told(error)}") from None
 
     # --- tables ---------------------------------------------------------------------------------------------------
 
@@ -125,45 +141,48 @@ class Lake:
         return f"{self._base}/{table}"
 
     def _exists(self, table: str) -> bool:
-        found: bool = self._delta.DeltaTable.is_deltatable(self._uri(table), storage_options=self._options)
-        return found
+        with self.reading(table):
+            return bool(self._delta.DeltaTable.is_deltatable(self._uri(table), storage_options=self._options))
 
     def open(self, table: str) -> deltalake.DeltaTable:
         """Return a table as it is now."""
         opened = self._open.get(table)
-        try:
+        with self.reading(table):
             if opened is None:
                 opened = self._open[table] = self._delta.DeltaTable(self._uri(table), storage_options=self._options)
             else:
                 opened.update_incremental()
-        except self._delta.exceptions.DeltaError as error:
-            raise UnreadableError(f"{self._uri(table)} cannot be read: {printable(str(error))}") from None
         return opened
 
-    def table(self, name: str, schema: pyarrow.Schema, partitions: Sequence[str] = PARTITIONS) -> deltalake.DeltaTable:
-        """Return a table, made if it is not there."""
+    def table(self, name: str, schema: pyarrow.Schema) -> deltalake.DeltaTable:
+        """Return a table, made if it is not there. `schema`: without the partitions."""
+        self._create(name, schema, self.destination.partitions, _SETTINGS)
+        return self.open(name)
+
+    def _create(self, name: str, schema: pyarrow.Schema, partitions: Sequence[str], settings: dict[str, str | None]) -> None:
         pa = needed("pyarrow")
         if name not in self._open and not self._exists(name):
-            kinds = {"date": pa.date32()}
-            whole = pa.schema([*schema, *(pa.field(each, kinds.get(each, pa.string())) for each in partitions)])
+            kinds = {"date": pa.date32(), "machine": pa.string()}
+            whole = pa.schema([*schema, *(pa.field(each, kinds[each]) for each in partitions)])
             self._delta.DeltaTable.create(
                 self._uri(name),
                 schema=self._delta.Schema.from_arrow(whole),
                 partition_by=list(partitions) or None,
                 mode="ignore",
-                configuration=_SETTINGS,
+                configuration=settings,
                 storage_options=self._options,
+                # Its own settings are kept, too.
+                raise_if_key_not_exists=False,
             )
-        return self.open(name)
 
     def tables(self) -> list[str]:
         """Return the names of all tables, `captures` first."""
-        place = self.place
-        place.fs.invalidate_cache()
         found = []
         for depth in ("*", "*/*/*/*"):
-            for path in again(lambda depth=depth: place.fs.glob(place.path(f"{depth}/_delta_log"))):  # type: ignore[misc]
-                found.append(path[len(place.root) :].strip("/").removesuffix("/_delta_log"))
+            with self.reading("*"):
+                paths = self.place.glob(f"{depth}/_delta_log")
+            for path in paths:
+                found.append(path[len(self.place.root) :].strip("/").removesuffix("/_delta_log"))
         # A client that died while it made a table, or found no room for it, leaves a log without a commit.
         found = [name for name in found if name in self._open or self._exists(name)]
         return sorted(found, key=lambda name: (name != CAPTURES, name.startswith("messages/"), name))
@@ -193,11 +212,9 @@ class Lake:
     def rows(self, *columns: str) -> list[dict[str, Any]]:
         """Return some columns of all captures."""
         opened = self.open(CAPTURES)
-        try:
+        with self.reading(CAPTURES):
             found: list[dict[str, Any]] = opened.to_pyarrow_dataset().to_table(columns=list(columns)).to_pylist()
-        except OSError as error:
-            raise UnreadableError(f"{self._uri(CAPTURES)} cannot be read: {printable(str(error))}") from None
-        return found
+            return found
 
     def known(self) -> Mapping[str, str]:
         """Return SHA-256 -> status of all captures."""
@@ -288,7 +305,7 @@ class Lake:
                 return
             with contextlib.suppress(self._delta.exceptions.CommitFailedError):
                 opened.create_write_transaction(
-                    actions, "append", opened.schema(), list(PARTITIONS), commit_properties=self._once(batch)
+                    actions, "append", opened.schema(), list(self.destination.partitions), commit_properties=self._once(batch)
                 )
                 return
         raise UsageError(f"{self._uri(table)}: no commit succeeded in {_RACES} attempts: is its store in order?")
@@ -297,13 +314,13 @@ class Lake:
 
     def pending(self) -> Iterator[tuple[str, Journal]]:
         """Yield the batches that have a journal."""
-        place = self.place
-        place.fs.invalidate_cache()
-        for path in again(lambda: place.fs.glob(place.path(f"{JOURNAL}/*.json"))):
+        with self.reading(JOURNAL):
+            paths = self.place.glob(f"{JOURNAL}/*.json")
+        for path in paths:
             name = path.rpartition("/")[2]
             # Its client may have removed it meanwhile.
             try:
-                journal = msgspec.json.decode(place.read(f"{JOURNAL}/{name}"), type=Journal)
+                journal = msgspec.json.decode(self.place.read(f"{JOURNAL}/{name}"), type=Journal)
             except FileNotFoundError:
                 continue
             except msgspec.MsgspecError as error:
@@ -327,7 +344,7 @@ class Lake:
             opened.cleanup_metadata()
         before = time.time() - days * 86_400
         # A client that died has left them.
-        there = self.place.files(RANGES) if self.place.count(f"{RANGES}/*") else []
+        there = self.place.files(RANGES) if self.place.glob(f"{RANGES}/*") else []
         left = [each for each in there if each.modified < before]
         for each in left:
             self.place.remove(f"{RANGES}/{each.name}")
@@ -349,6 +366,10 @@ class Lake:
                 # Another commit came first, so this one can never succeed.
                 self.place.remove(f"{JOURNAL}/{batch}.json")
         return finished
+
+
+def _told(error: Exception) -> str:
+    return printable(" ".join(_COLOURS.sub("", str(error)).split()))
 
 
 def _is_new(row: Mapping[str, Any], known: Mapping[str, str]) -> bool:

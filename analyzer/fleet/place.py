@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import posixpath
-import shutil
 import stat
 import tempfile
 import time
@@ -19,7 +18,7 @@ from typing import Any, TypeVar
 
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.table.extras import needed
-from analyzer.values import quote
+from analyzer.values import printable, quote
 
 T = TypeVar("T")
 
@@ -33,16 +32,20 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 
 
 def again(call: Callable[[], T], wait: Callable[[float], None] = time.sleep) -> T:
-    """Return what a call to a store gives, which may fail now and then. Raises its last error."""
+    """Return what a call to a store gives, which may fail now and then. Raises its last error, as OSError."""
     for attempt in range(ATTEMPTS):
         try:
             return call()
         except _FINAL:
             raise
-        except OSError as error:
-            if attempt == ATTEMPTS - 1 or no_room(error):
+        # Each store has errors of its own, and not all of them are of the system.
+        except Exception as error:
+            if attempt < ATTEMPTS - 1 and not no_room(error):
+                wait(FIRST_WAIT * 2**attempt)
+            elif isinstance(error, OSError):
                 raise
-            wait(FIRST_WAIT * 2**attempt)
+            else:
+                raise OSError(f"{type(error).__name__}: {error}") from error
     raise AssertionError
 
 
@@ -78,10 +81,15 @@ class Place:
             self.fs, self.root = fsspec.url_to_fs(self.url, **self.options)
         except ImportError as error:
             raise UsageError(f"{quote(self.url)}: a package is missing: {error}") from None
-        except (ValueError, OSError) as error:
+        except ValueError as error:
             raise UsageError(f"{quote(self.url)}: expected a folder, or a URL as s3://bucket/folder: {error}") from None
+        except Exception as error:
+            # A server that refuses us says so in its own way.
+            raise UsageError(f"{quote(self.url)} cannot be reached: {printable(str(error))}") from error
         # Names of files need not be text; what is shown and stored of them is.
         self.url = _as_text(self.url)
+        #: Folders that could not be listed when `files` last looked: they are not for us.
+        self.closed: list[str] = []
         self.local = "file" in ((self.fs.protocol,) if isinstance(self.fs.protocol, str) else self.fs.protocol)
 
     def path(self, name: str) -> str:
@@ -93,17 +101,39 @@ class Place:
         # What a listing held is of before; a store that is asked again has to look again.
         self.fs.invalidate_cache()
         root = self.path(folder)
+        self.closed = []
         try:
-            listed: dict[str, dict[str, Any]] = again(lambda: self.fs.find(root, detail=True))
+            # Stores list all at once. fsspec's own walk would pass over a folder that it cannot list.
+            at_once = type(self.fs).find is not needed("fsspec").AbstractFileSystem.find
+            listed = (
+                again(lambda: self.fs.find(root, detail=True)) if at_once else self._walk(again(lambda: self.fs.info(root)))
+            )
+        except FileNotFoundError:
+            raise UnreadableError(f"{self.url} does not exist") from None
         except OSError as error:
             raise UnreadableError(f"{self.url} cannot be listed: {error}") from None
-        if not listed and not again(lambda: self.fs.exists(root)):
+        if at_once and not listed and not again(lambda: self.fs.exists(root)):
             raise UnreadableError(f"{self.url} does not exist")
         found = []
         for key, about in sorted(listed.items()):
             name = posixpath.relpath(key, root) if key != root else posixpath.basename(key)
             if not any(part.startswith(".") for part in name.split("/")):
                 found.append(_found(key, name, about))
+        return found
+
+    def _walk(self, about: dict[str, Any]) -> dict[str, dict[str, Any]]:
+        """Return what stands at a path and below it, without folders. What is removed meanwhile is left out."""
+        path = about["name"]
+        if about["type"] != "directory":
+            return {path: about}
+        found: dict[str, dict[str, Any]] = {}
+        try:
+            for each in again(lambda: self.fs.ls(path, detail=True)):
+                found |= self._walk(each)
+        except PermissionError:
+            self.closed.append(_as_text(path))
+        except (FileNotFoundError, NotADirectoryError):
+            pass
         return found
 
     @contextlib.contextmanager
@@ -127,23 +157,21 @@ class Place:
             again(fetch)
             yield target
 
-    def put(self, source: Path, name: str) -> None:
-        """Bring a local file to this place, whole or not at all, and remove it here."""
-        target = self.path(name)
-        if self.local:
-            Path(target).parent.mkdir(parents=True, exist_ok=True)
-            part = Path(f"{target}.part")
-            shutil.move(source, part)
+    def write(self, name: str, data: bytes | memoryview) -> None:
+        """Write a file, whole or not at all."""
+        if not self.local:
+            again(lambda: self.fs.pipe_file(self.path(name), bytes(data)))
+            return
+        target = Path(self.path(name))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part = target.with_name(f"{target.name}.part")
+        try:
+            with part.open("wb") as stream:
+                stream.write(data)
             part.replace(target)
-        else:
-            again(lambda: self.fs.put_file(str(source), target))
-            source.unlink()
-
-    def write(self, name: str, data: bytes) -> None:
-        """Write a small file, whole or not at all."""
-        with tempfile.NamedTemporaryFile(prefix="servotap-", delete=False) as stream:
-            stream.write(data)
-        self.put(Path(stream.name), name)
+        except OSError:
+            part.unlink(missing_ok=True)
+            raise
 
     def move(self, name: str, to: str) -> None:
         """Give a file another name."""
@@ -155,10 +183,10 @@ class Place:
         data: bytes = again(lambda: self.fs.cat_file(self.path(name)))
         return data
 
-    def count(self, pattern: str) -> int:
-        """Return how many files fit a pattern."""
+    def glob(self, pattern: str) -> list[str]:
+        """Return the paths that fit a pattern."""
         self.fs.invalidate_cache()
-        return len(again(lambda: self.fs.glob(self.path(pattern))))
+        return list(again(lambda: self.fs.glob(self.path(pattern))))
 
     def remove_folder(self, name: str) -> None:
         """Remove a folder with its files, if it is there."""

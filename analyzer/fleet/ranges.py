@@ -20,11 +20,9 @@ import hmac
 import io
 import pickle
 import secrets
-import tempfile
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import zstandard
@@ -34,9 +32,10 @@ from analyzer.columns.block import ByteBlock, CanBlock
 from analyzer.devices import load
 from analyzer.errors import ServotapError, UnreadableError
 from analyzer.events import SETUPS
+from analyzer.fleet.files import Destination, Files
 from analyzer.fleet.lake import RANGES
 from analyzer.fleet.place import Place, no_room
-from analyzer.fleet.rows import TAKEN, Capture, Files, Taken, Work, decoded, sha256_of, take
+from analyzer.fleet.rows import TAKEN, Capture, Taken, Work, decoded, sha256_of, take
 from analyzer.pipeline import Item, Pipeline, PortSetup
 from analyzer.records import Chunk, Event
 from analyzer.sinks.object_table import Table, TableUnpickler, dumped
@@ -79,11 +78,11 @@ class Range:
 Task = list[Work] | Scan | Range
 
 
-def do(task: Task, lake: Place, options: argparse.Namespace) -> Taken:
+def do(task: Task, to: Destination, options: argparse.Namespace) -> Taken:
     """Do what a worker is given. Raises OSError where the lake cannot be written."""
     if isinstance(task, Scan):
-        return scan(task, lake, options)
-    return take_range(task, lake, options) if isinstance(task, Range) else take(task, lake, options)
+        return scan(task, to, options)
+    return take_range(task, to, options) if isinstance(task, Range) else take(task, to, options)
 
 
 def works_of(task: Task) -> list[Work]:
@@ -95,7 +94,7 @@ def works_of(task: Task) -> list[Work]:
 
 def waiting(lake: Place, task: Scan) -> int:
     """Return how many ranges a scan has written so far."""
-    return lake.count(f"{task.folder}/*.range")
+    return len(lake.glob(f"{task.folder}/*.range"))
 
 
 # --- the scan -----------------------------------------------------------------------------------------------------------
@@ -104,13 +103,13 @@ def waiting(lake: Place, task: Scan) -> int:
 class _Spool:
     """Writes the items of a capture in ranges."""
 
-    def __init__(self, task: Scan, lake: Place, reading: OpenCapture, sha256: str) -> None:
-        self._task, self._lake, self._clock = task, lake, reading.source.clock
+    def __init__(self, task: Scan, to: Destination, reading: OpenCapture, sha256: str) -> None:
+        self._task, self._place, self._clock = task, to.place, reading.source.clock
         # What the pipeline begins with; later the buses may be set up otherwise.
         self._start = (reading.dialects, reading.options, dict(reading.ports), reading.others)
         self._model = reading.model
         self._table = Table(reading.possible)
-        self.capture = Capture(task.work, Files(lake, Path()), sha256)
+        self.capture = Capture(task.work, Files(to), sha256)
         self._items: list[Item] = []
         self._setups: list[PortSetup | None] = []
         self._size = 0
@@ -150,7 +149,7 @@ class _Spool:
         names = [dialect.name for dialect in self._table.dialects]
         outer = (names, self._model, self._table.digest, self._before, dumped(about, self._table))
         data = zstandard.ZstdCompressor(level=1).compress(pickle.dumps(outer, pickle.HIGHEST_PROTOCOL))
-        self._lake.write(self._task.path(self.written), hmac.digest(self._task.key, data, "sha256") + data)
+        self._place.write(self._task.path(self.written), hmac.digest(self._task.key, data, "sha256") + data)
         self.written += 1
         self._items, self._setups, self._size = [], [], 0
 
@@ -162,7 +161,7 @@ def _weight(item: Item) -> int:
     return _ITEM + rows + (len(item.data) if isinstance(item, (ByteBlock, Chunk)) else 0)
 
 
-def scan(task: Scan, lake: Place, options: argparse.Namespace) -> Taken:
+def scan(task: Scan, to: Destination, options: argparse.Namespace) -> Taken:
     """Read a huge capture through and write its ranges. Raises OSError where the lake cannot be written."""
     work = task.work
     row = work.row()
@@ -176,8 +175,8 @@ def scan(task: Scan, lake: Place, options: argparse.Namespace) -> Taken:
             if reading.time_range.wanted:
                 # What is decoded unseen belongs to no range.
                 reading.source.close()
-                return take([work], lake, options)
-            spool = _Spool(task, lake, reading, sha256)
+                return take([work], to, options)
+            spool = _Spool(task, to, reading, sha256)
             row |= decoded(reading, (), spool.feed, spool.end)
             frames, ranges = row["frames"], spool.written
             if sha256_of(path) != sha256:
@@ -194,12 +193,12 @@ def scan(task: Scan, lake: Place, options: argparse.Namespace) -> Taken:
 # --- a range ------------------------------------------------------------------------------------------------------------
 
 
-def take_range(task: Range, lake: Place, options: argparse.Namespace) -> Taken:
+def take_range(task: Range, to: Destination, options: argparse.Namespace) -> Taken:
     """Decode a range into data files of a lake. The row of `captures` has the times of its frames alone.
 
     Raises UnreadableError for a file that another program or version wrote, OSError where the lake cannot be written.
     """
-    name = task.scan.path(task.number)
+    name, lake = task.scan.path(task.number), to.place
     try:
         whole = lake.read(name)
     except FileNotFoundError:
@@ -215,21 +214,20 @@ def take_range(task: Range, lake: Place, options: argparse.Namespace) -> Taken:
         raise UnreadableError(f"{lake.path(name)} is of another version of Servotap: all workers need the same")
     state, setups = TableUnpickler(io.BytesIO(before), table).load()
     about: dict[str, Any] = TableUnpickler(io.BytesIO(rest), table).load()
-    with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
-        capture = Capture(replace(task.scan.work, date=about["day"]), Files(lake, Path(folder)), about["sha256"])
-        capture.own = capture.files
-        tables = ParquetTables(capture.target, about["clock"])
-        said: Iterator[PortSetup | None] = iter(about["setups"])
-        dialects, given, ports, others = about["start"]
-        pipeline = Pipeline(dialects, (tables,), given, ports=ports, on_setup=lambda event: next(said), others=others)
-        pipeline.restore(state, setups)
-        for item in about["items"]:
-            pipeline.feed(item)
-        if about["last"]:
-            pipeline.close()
-        tables.finish({})
-        capture.release(capture.files)
-        added = capture.files.finish()
+    capture = Capture(replace(task.scan.work, date=about["day"]), Files(to), about["sha256"])
+    capture.own = capture.files
+    tables = ParquetTables(capture.target, about["clock"])
+    said: Iterator[PortSetup | None] = iter(about["setups"])
+    dialects, given, ports, others = about["start"]
+    pipeline = Pipeline(dialects, (tables,), given, ports=ports, on_setup=lambda event: next(said), others=others)
+    pipeline.restore(state, setups)
+    for item in about["items"]:
+        pipeline.feed(item)
+    if about["last"]:
+        pipeline.close()
+    tables.finish({})
+    capture.release(capture.files)
+    added = capture.files.finish()
     times = {"capture": capture.sha256, "first_ns": capture.first_ns, "last_ns": capture.last_ns}
     return Taken([times], added)
 

@@ -67,7 +67,7 @@ def ingest(lake: Lake, *folders: Path | Place, retry: bool = False, pattern: str
     left = tasks(found)
     while left:
         task = left.pop(0)
-        left += work.ended(task, Finished(do, task, lake.place, options()))
+        left += work.ended(task, Finished(do, task, lake.destination, options()))
     work.commit()
     return outcome
 

@@ -28,7 +28,7 @@ from tests.fleet.lakes import ingest
 
 #: What changes a lake.
 STEPS = (
-    (Place, "put"), (Place, "remove"), (deltalake, "write_deltalake"),
+    (Place, "write"), (Place, "remove"), (deltalake, "write_deltalake"),
     (deltalake.DeltaTable, "create_write_transaction"), (deltalake.DeltaTable, "create"),
 )  # fmt: skip
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from analyzer.errors import UnreadableError
 from analyzer.fleet.ask import Question
-from analyzer.fleet.health import QUANTITIES, Who, compared, health, html, link
+from analyzer.fleet.health import QUANTITIES, History, Who, compared, health, html, link
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Place
 from tests.fleet.lakes import candump, ingest
@@ -20,10 +20,10 @@ UNANSWERED = QUANTITIES[0]
 WHO = Who("press", "can0", 1)
 
 
-def change(before, now):
+def change(before, now, requests=1000):
     values = np.array([*before, *now], dtype=float)
     days = np.arange(100 - len(values), 100, dtype=float) + 1
-    return compared(WHO, UNANSWERED, days, values, 100)
+    return compared(WHO, UNANSWERED, History(days, values, np.full(len(values), float(requests))), 100)
 
 
 def test_a_rise_is_told_with_its_numbers():
@@ -46,6 +46,44 @@ def test_a_fall_is_told_as_better():
 )
 def test_what_is_no_change_is_not_told(before, now):
     assert change(before, now) is None
+
+
+def test_the_smallest_change_that_matters_is_told():
+    assert change([0] * 20, [UNANSWERED.least] * 7, requests=2000).deviations == pytest.approx(4)
+    assert change([0] * 20, [0.9 * UNANSWERED.least] * 7, requests=2000) is None
+
+
+def test_machines_that_fall_silent_and_drives_that_got_worse_are_shown(tmp_path):
+    for day in range(1, 25):
+        for machine in ("press", "gone") if day < 10 else ("press",):
+            path = tmp_path / "in" / machine / f"2026-03-{day:02d}" / "a.log"
+            path.parent.mkdir(parents=True)
+            lines = []
+            for n in range(40):
+                second = day * 86_400 + n + (machine == "gone") * 50
+                lines.append(f"({second}.000000) can0 001#3233\n")
+                if day < 20 or n % 2:
+                    lines.append(f"({second}.002000) can0 001#32012C60\n")
+            path.write_text("".join(lines))
+    made = Lake(Place(str(tmp_path / "lake")), make=True)
+    assert ingest(made, tmp_path / "in").new == 33
+    found = health(Question(made))
+    assert [each["machine"] for each in found.silent] == ["gone"]
+    assert found.worse() == ["press"]
+    [press] = [row for row in found.drives() if row[0].machine == "press"]
+    # Of each drive, its machine's junk.
+    assert [cell for cell, _ in press[1]].count("") == 2
+    assert press[1][0] == ("50.0", True)
+    assert press[1][-1] == ("0", False)
+    assert found.drives()[0] == press
+    page = html(found)
+    assert "1 of 2 machines got worse" in page
+    assert '<td>gone</td><td class="n">2026-03-09</td>' in page
+
+
+def test_a_request_or_two_is_no_change():
+    assert change([0] * 20, [1.67] * 7, requests=60) is None
+    assert change([0] * 20, [1.67] * 7, requests=600).worse
 
 
 @given(st.lists(st.floats(0, 100), min_size=21, max_size=28))

@@ -17,10 +17,11 @@ from analyzer.errors import UnreadableError, UsageError
 from analyzer.fleet import ask
 from analyzer.fleet import place as places
 from analyzer.fleet.ask import Question, sql_name
+from analyzer.fleet.files import PARTITIONS
 from analyzer.fleet.ingest import Outcome, Pattern, tasks, works
 from analyzer.fleet.lake import Lake
-from analyzer.fleet.place import Place
-from analyzer.fleet.rows import take
+from analyzer.fleet.place import Found, Place
+from analyzer.fleet.rows import Work, take
 from analyzer.sinks import parquet as parquet_tables
 from tests.fleet.lakes import candump, hall, ingest, options, rows
 
@@ -107,6 +108,41 @@ def test_copies_in_one_ingest_come_once(captures, clean, tmp_path, monkeypatch):
     assert rows(made) == clean
 
 
+def test_a_lake_that_is_partitioned_by_date_has_the_same_rows_in_fewer_files(captures, clean, tmp_path):
+    made, by_date = (Lake(Place(str(tmp_path / f"{len(by)}")), make=True, partitions=by) for by in (PARTITIONS, ("date",)))
+    assert ingest(made, captures).new == ingest(by_date, captures).new == 4
+    again = Lake(by_date.place)
+    assert (rows(made), rows(again)) == (clean, clean)
+    assert (
+        again.open("states").metadata().partition_columns == again.open("transactions").metadata().partition_columns == ["date"]
+    )
+    assert made.open("states").metadata().partition_columns == ["date", "machine"]
+    files = [len(list((tmp_path / name).rglob("*.parquet"))) for name in "21"]
+    assert files[0] > 1.5 * files[1]
+    asked = "select machine, count(*) from transactions where date = '2026-03-01' and machine = 'm1' group by all"
+    assert Question(made).sql(asked).fetchall() == Question(again).sql(asked).fetchall() != []
+    again.compact(0)
+    assert rows(Lake(by_date.place)) == clean
+
+
+def test_a_lake_stays_partitioned_as_it_is(captures, tmp_path, capsys):
+    words = ["ingest", str(captures / "m0" / "2026-03-01" / "0.log"), "--to", str(tmp_path / "lake"), "--workers", "1"]
+    assert main([*words, "--partition-by", "date"]) == main(words) == 0
+    assert main([*words, "--partition-by", "date,machine"]) == 2
+    assert "is partitioned by date, and stays so" in capsys.readouterr().err
+
+
+def test_few_captures_are_work_for_all_and_many_stand_together():
+    def shared(count, size, machines):
+        found = [Found(f"/{n}", f"{n}", size, "") for n in range(count)]
+        return [len(task) for task in tasks([Work(Place("memory://x"), f, f"m{n % machines}") for n, f in enumerate(found)])]
+
+    assert shared(10, 6 << 20, 10) == [1] * 10
+    assert shared(1000, 4000, 500) == [200] * 5
+    # A machine is not divided where it can be avoided.
+    assert set(shared(360, 4000, 3)) == {120}
+
+
 def test_what_was_made_of_captures_is_none(tmp_path):
     folder = tmp_path / "in"
     folder.mkdir()
@@ -119,7 +155,7 @@ def test_what_was_made_of_captures_is_none(tmp_path):
 
 def taken(made, captures):
     found = works([Place(str(captures))], made, Pattern("{machine}/{date}/*"), False, Outcome())
-    return [take(task, made.place, options()) for task in tasks(found)]
+    return [take(task, made.destination, options()) for task in tasks(found)]
 
 
 def test_two_ingests_at_once_bring_each_content_once(captures, clean, tmp_path):
@@ -298,6 +334,47 @@ def test_what_a_store_gives_no_mark_for_is_looked_at_again(captures, tmp_path, m
     assert ingest(made, there).wanted == ingest(made, there).wanted == 5
 
 
+def test_a_folder_that_may_not_be_listed_is_told_and_one_that_fails_now_and_then_is_asked_again(
+    captures, tmp_path, monkeypatch
+):
+    there, fails = Place(str(captures)), [ConnectionError("cut off")]
+    ls = type(there.fs).ls
+
+    def closed(self, path, **named):
+        if path.endswith("m0"):
+            raise PermissionError(13, "Permission denied", path)
+        if path.endswith("m1") and fails:
+            raise fails.pop()
+        return ls(self, path, **named)
+
+    monkeypatch.setattr(places, "FIRST_WAIT", 0)
+    with monkeypatch.context() as shut:
+        shut.setattr(type(there.fs), "ls", closed)
+        outcome = ingest(lake(tmp_path / "lake"), there)
+    assert (outcome.new, fails) == (2, [])
+    assert (str(captures / "m0"), "it may not be listed") in outcome.unread
+    assert ingest(Lake(Place(str(tmp_path / "lake"))), there).new == 2
+
+
+@pytest.mark.parametrize("call", ["glob", "ls"])
+def test_a_lake_whose_store_has_gone_is_told_in_a_line(captures, tmp_path, capsys, monkeypatch, call):
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+
+    real = getattr(type(made.place.fs), call)
+
+    def gone(self, path, **named):
+        if path.endswith("_delta_log"):
+            raise ConnectionError("the store is gone")
+        return real(self, path, **named)
+
+    monkeypatch.setattr(type(made.place.fs), call, gone)
+    monkeypatch.setattr(places, "FIRST_WAIT", 0)
+    assert main(["ask", str(tmp_path / "lake"), "select count(*) from captures"]) == 2
+    told = capsys.readouterr().err
+    assert (told.count("\n"), "cannot be read: the store is gone" in told) == (1, True)
+
+
 def test_a_download_that_was_cut_is_fetched_again(captures, tmp_path, monkeypatch):
     there = Place("memory://cut")
     there.fs.put(str(captures / "m0"), "/cut/m0", recursive=True)
@@ -364,6 +441,8 @@ def test_a_store_that_fails_now_and_then_is_asked_again():
 
     assert places.again(call, waits.append) == "fine"
     assert waits == [0.1, 0.2]
+    with pytest.raises(OSError, match="EOFError: the server went"):
+        places.again(lambda: (_ for _ in ()).throw(EOFError("the server went")), lambda seconds: None)
     with pytest.raises(OSError, match="No space"):
         places.again(lambda: (_ for _ in ()).throw(OSError(28, "No space")), waits.append)
     assert len(waits) == 2
@@ -386,7 +465,35 @@ def test_a_name_that_is_no_text_is_taken_once(tmp_path):
     assert Question(made).sql("select name from captures").fetchall() == [("\\udcfe.log",)]
 
 
-@pytest.mark.parametrize("name", ["a%41", "a\udcff", "a\nb"])
+@pytest.mark.parametrize("name", ["läke ü", "a#b?c", "{a,b}*", "日本 'x' & \"y\"; ~$HOME"])
+def test_a_lake_may_have_a_strange_name(captures, clean, tmp_path, name, capsys):
+    made = lake(tmp_path / name / "lake")
+    assert ingest(made, captures).new == 4
+    assert rows(Lake(made.place)) == clean
+    for number in range(2):
+        (tmp_path / f"{number}.log").write_text(candump(40 + number))
+        assert ingest(made, tmp_path / f"{number}.log").new == 1
+    assert main(["compact", made.place.url, "--keep", "0"]) == 0
+    assert main(["ask", made.place.url, "select count(*) from captures"]) == 0
+    assert capsys.readouterr().out.split()[-1] == "7"
+
+
+@pytest.mark.parametrize("machine", ["m=1", "m%41", "m?#", "[m]", "m\\1|^", "日本 ü"])
+def test_a_machine_may_have_a_strange_name(tmp_path, machine):
+    for partitions in (PARTITIONS, ("date",)):
+        made = Lake(Place(str(tmp_path / f"lake{len(partitions)}")), make=True, partitions=partitions)
+        for number in range(2):
+            path = tmp_path / str(len(partitions)) / machine / "2026-03-01" / f"{number}.log"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(candump(number))
+            assert ingest(made, tmp_path / str(len(partitions))).new == 1
+        before = rows(made)
+        assert made.compact(0)[0] > 4
+        assert rows(Lake(made.place)) == before
+        assert {row["machine"] for row in before["states"]} == {machine}
+
+
+@pytest.mark.parametrize("name", ["a%41", "a\udcff", "a\nb", "[x]", "a|b", "a\\b", "a^b"])
 def test_a_lake_whose_name_delta_lake_reads_otherwise_is_refused(tmp_path, name):
     with pytest.raises(UsageError, match="without %"):
         lake(tmp_path / name)

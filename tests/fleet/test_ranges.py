@@ -11,8 +11,7 @@ import pytest
 
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UnreadableError
-from analyzer.fleet import ranges
-from analyzer.fleet import rows as rows_module
+from analyzer.fleet import files, ranges
 from analyzer.fleet.ingest import Ingest, Outcome, works
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Place
@@ -31,13 +30,14 @@ FILES = [path for path in sorted(CAPTURES.iterdir()) if path.is_file() and path.
 class Kept:
     """A data file that is kept as its rows: hundreds of ranges have thousands of them."""
 
-    def __init__(self, folder, table, schema, values):
+    def __init__(self, table, schema, values):
         self.table, self.values, self.rows = table, values, []
 
     def write(self, table, captures):
         self.rows += table.to_pylist()
+        return True
 
-    def finish(self, lake):
+    def finish(self, place):
         return self
 
 
@@ -52,22 +52,22 @@ def brought(taken):
 
 def compared(path, folder, monkeypatch, size):
     """Check that a capture comes out the same in ranges. Return how many there were."""
-    place, own = Place(str(folder / "lake")), options()
-    [work] = works([Place(str(path))], Lake(place, make=True), None, False, Outcome())
-    monkeypatch.setattr(rows_module, "_File", Kept)
-    whole = take([work], place, own)
+    made, own = Lake(Place(str(folder / "lake")), make=True), options()
+    [work] = works([Place(str(path))], made, None, False, Outcome())
+    monkeypatch.setattr(files, "DataFile", Kept)
+    whole = take([work], made.destination, own)
     monkeypatch.setattr(ranges, "RANGE_BYTES", size)
     task = Scan(work)
-    scanned = scan(task, place, own)
+    scanned = scan(task, made.destination, own)
     if not scanned.ranges:
         assert [whole.captures[0][name] for name in ("status", "reason")] == [
             scanned.captures[0][name] for name in ("status", "reason")
         ]
         return 0
-    assert waiting(place, task) == scanned.ranges
+    assert waiting(made.place, task) == scanned.ranges
     # Workers take them in any order.
     order = random.Random(size).sample(range(scanned.ranges), scanned.ranges)
-    parts = [take_range(Range(task, number), place, own) for number in order]
+    parts = [take_range(Range(task, number), made.destination, own) for number in order]
     assert brought(joined(scanned, parts)) == brought(whole)
     return scanned.ranges
 
@@ -125,7 +125,7 @@ def test_huge_captures_reach_the_lake_by_ranges(tmp_path, monkeypatch):
     outcome = ingest(made, folder)
     assert (outcome.new, [name for name, _ in outcome.unread]) == (3, ["notes.txt"])
     assert rows(made) == rows(plain)
-    assert made.place.count("ranges/*") == 0
+    assert made.place.glob("ranges/*") == []
     again = ingest(made, folder)
     assert (again.new, again.known) == (0, 4)
 
@@ -139,7 +139,7 @@ def split(tmp_path, monkeypatch):
     made = Lake(Place(str(tmp_path / "lake")), make=True)
     [work] = works([Place(str(tmp_path / "in"))], made, None, False, Outcome())
     task = Scan(work)
-    return made, task, scan(task, made.place, options())
+    return made, task, scan(task, made.destination, options())
 
 
 def test_a_range_that_another_wrote_is_not_read(split):
@@ -147,25 +147,25 @@ def test_a_range_that_another_wrote_is_not_read(split):
     path = Path(made.place.path(task.path(1)))
     path.write_bytes(path.read_bytes()[:-1] + b"?")
     with pytest.raises(UnreadableError, match="is damaged"):
-        take_range(Range(task, 1), made.place, options())
+        take_range(Range(task, 1), made.destination, options())
     with pytest.raises(UnreadableError, match="is damaged"):
-        take_range(Range(Scan(task.work, task.name), 0), made.place, options())
+        take_range(Range(Scan(task.work, task.name), 0), made.destination, options())
     path.unlink()
     with pytest.raises(UnreadableError, match="is gone"):
-        take_range(Range(task, 1), made.place, options())
+        take_range(Range(task, 1), made.destination, options())
 
 
 def test_a_capture_of_which_a_range_fails_reaches_no_table(split):
     made, task, scanned = split
     run = Ingest(made, options(), Outcome(), Interrupt())
     first, second, *_ = run.ended(task, Finished(lambda: scanned))
-    assert run.ended(first, Finished(take_range, first, made.place, options())) == []
+    assert run.ended(first, Finished(take_range, first, made.destination, options())) == []
     assert run.ended(second, Finished(lambda: 1 / 0)) == []
     # What comes late of it counts no more.
-    assert run.ended(first, Finished(take_range, first, made.place, options())) == []
+    assert run.ended(first, Finished(take_range, first, made.destination, options())) == []
     run.commit()
     assert list(rows(made)) == ["captures"]
-    assert (made.place.count("ranges/*"), run.outcome.unread[0][0]) == (0, "a.log")
+    assert (made.place.glob("ranges/*"), run.outcome.unread[0][0]) == ([], "a.log")
     assert ingest(made, task.work.source, retry=True).new == 1
 
 
@@ -174,7 +174,7 @@ def test_a_scan_that_is_gone_with_its_scheduler_begins_anew(split):
     run, gone = Ingest(made, options(), Outcome(), Interrupt()), Finished(lambda: None)
     gone.status = "cancelled"
     [anew] = run.ended(task, gone)
-    assert (anew.work, anew.name == task.name, made.place.count("ranges/*")) == (task.work, False, 0)
+    assert (anew.work, anew.name == task.name, made.place.glob("ranges/*")) == (task.work, False, [])
 
 
 def test_what_a_dead_client_left_is_removed_in_time(split):

@@ -63,6 +63,29 @@ def test_a_bucket_that_fails_one_call_in_five_brings_the_same_rows(bucket, captu
     assert capsys.readouterr().out.split() == ["n", str(len(clean["states"]))]
 
 
+def test_captures_of_a_server_are_fetched_by_sftp(captures, clean, tmp_path, capsys):
+    pytest.importorskip("paramiko")
+    from tests.fleet import sftp_server
+
+    made = str(tmp_path / "lake")
+    with sftp_server.serving(captures.parent) as port:
+        source = f"sftp://plant@127.0.0.1:{port}/{captures.name}"
+        words = ["ingest", source, "--to", made, "--machine", "{machine}/{date}/*", "--workers", "1", "--json"]
+        assert main([*words, "--store", "password=wrong"]) == 2
+        assert "Authentication failed" in capsys.readouterr().err
+        asked = [*words, "--store", f"password={sftp_server.PASSWORD}"]
+        assert main(asked) == 2
+        told = json.loads(capsys.readouterr().out)
+        assert (told["new"], [each["name"] for each in told["unread"]]) == (6, ["notes.txt"])
+        # Nothing is fetched of what is known.
+        assert main(asked) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert (told["known"], told["bytes"]) == (7, 0)
+        assert main(["ingest", f"{source}/nowhere", *asked[2:]]) == 2
+        assert "does not exist" in capsys.readouterr().err
+    assert rows(Lake(Place(made))) == clean
+
+
 class Cluster:
     """A scheduler of Dask and its workers, each a process of its own."""
 
@@ -137,7 +160,7 @@ def test_a_process_that_is_killed_costs_time_alone(victim, huge, cluster, captur
     assert rows(made) == clean
     # A worker of the scheduler that was killed may write a range after its scan was forgotten: `compact` removes it later.
     if victim == "worker":
-        assert made.place.count("ranges/*") == 0
+        assert made.place.glob("ranges/*") == []
 
 
 def test_the_commands(captures, tmp_path, capsys):

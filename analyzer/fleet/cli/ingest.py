@@ -15,10 +15,13 @@ from analyzer.cli.option_types import positive
 from analyzer.cli.reading import add_reading_arguments, showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.fleet.cli.stores import add_store_argument, lake, place
+from analyzer.fleet.files import PARTITIONS
 from analyzer.fleet.ingest import Ingest, Outcome, Pattern, workers, works
 from analyzer.table.extras import needed
 from analyzer.values import counted, printable
 
+#: What a lake can be partitioned by.
+_PARTITIONS = (",".join(PARTITIONS), "date")
 #: Captures that are named because they could not be taken.
 _NAMED = 20
 _WHY = "select name, reason from captures where status in ('unreadable', 'failed')"
@@ -29,6 +32,7 @@ examples:
   servotap ingest hall/ --to lake/ --machine '{machine}/{date}/*'
   servotap ingest s3://plant/captures --to s3://plant/lake --store endpoint_url=http://minio:9000
   servotap ingest s3://plant/captures --to s3://plant/lake --scheduler tcp://scheduler:8786
+  servotap ingest hall/ --to lake/ --machine '{machine}/{date}/*' --partition-by date      few small captures a machine
   servotap ingest captures/ --to lake/ --retry         those that could not be read, too
 """
 
@@ -51,6 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--workers", type=positive, default=cores(), metavar="N", help="processes on this machine (default: the cores)"
     )
+    parser.add_argument(
+        "--partition-by", choices=_PARTITIONS, metavar="COLUMNS",
+        help="for a new lake: date,machine (default), or date where a machine brings few small captures a day",
+    )  # fmt: skip
     parser.add_argument("--retry", action="store_true", help="try again what could not be read before")
     parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
     add_store_argument(parser)
@@ -64,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     pattern = None if arguments.machine is None else Pattern(arguments.machine)
     sources = [place(url, arguments) for url in arguments.sources]
     with Interrupt() as interrupt:
-        to = interrupt.opened(lambda: lake(arguments, arguments.to, make=True))
+        to = interrupt.opened(lambda: lake(arguments, arguments.to, make=True, partitions=arguments.partition_by))
         outcome, started = Outcome(), time.monotonic()
         outcome.recovered = to.recover()
         found = interrupt.opened(lambda: works(sources, to, pattern, arguments.retry, outcome))

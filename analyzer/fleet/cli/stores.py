@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from analyzer.errors import UsageError
+from analyzer.fleet.files import PARTITIONS
 from analyzer.fleet.lake import Lake, store_of
 from analyzer.fleet.place import Place
 from analyzer.values import quote
@@ -18,11 +19,18 @@ def add_store_argument(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def lake(arguments: argparse.Namespace, url: str, *, make: bool = False) -> Lake:
-    """Return a lake. `make`: make it if it is not there. Raises UsageError for a place where none can be."""
+def lake(arguments: argparse.Namespace, url: str, *, make: bool = False, partitions: str | None = None) -> Lake:
+    """Return a lake. `make`: make it if it is not there; `partitions`: what it has to be partitioned by.
+
+    Raises UsageError for a place where none can be, or for a lake that is partitioned otherwise.
+    """
     # What a lake cannot be at is told before a package for it is asked for.
     store_of(url)
-    return Lake(place(url, arguments), make=make)
+    found = Lake(place(url, arguments), make=make, partitions=PARTITIONS if partitions is None else partitions.split(","))
+    own = ",".join(found.destination.partitions)
+    if partitions not in (None, own):
+        raise UsageError(f"{found.place.url} is partitioned by {own}, and stays so: --partition-by is for a new lake")
+    return found
 
 
 def place(url: str, arguments: argparse.Namespace) -> Place:

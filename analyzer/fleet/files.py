@@ -1,0 +1,283 @@
+"""Data files of a lake: rows of many captures in one file, rows of a long capture in files of its own.
+
+    rows of a capture -> as the lake has them -> sorted by day and machine -> a file for each table and partition
+
+The tables are those of `decode --to parquet`, with the columns that a lake needs. Delta Lake knows microseconds, no unsigned
+numbers and no dictionaries, so `time` is exact to a microsecond, `time_ns` to a nanosecond. A time that is none of the epoch
+is in `time_ns` alone. `transactions` are replies with their outcomes, and requests without a reply.
+
+A small file costs as much as thousands of rows: half a millisecond of work, a request to its store, 5 kB of names and types.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from analyzer.fleet.place import Place
+from analyzer.sources.times import DATED
+from analyzer.table.extras import needed
+
+if TYPE_CHECKING:
+    import pyarrow
+
+#: Rows that stand together in a file, and bytes after which a file ends and the next one begins.
+GROUP, FILE_BYTES = 1 << 17, 32 << 20
+#: Rows below which zstd costs more work than all the rest of a file.
+_FEW = 1000
+#: Columns whose values hardly repeat and mostly grow: a dictionary of them would cost ten times as much as their differences.
+_RUNNING = ("time", "time_ns", "sequence", "_request_sequence", "request_sequence", "_offset")
+#: What every table but `captures` can be partitioned by.
+PARTITIONS = ("date", "machine")
+#: Findings of a reply that say what became of its request.
+_FAILED = ("failed_status", "modbus_exception", "refused_write")
+
+
+class Owner(NamedTuple):
+    """The day (as `2026-03-01`) and the machine of a capture."""
+
+    date: str
+    machine: str | None
+
+
+@dataclass(frozen=True)
+class Destination:
+    """Where a worker puts data files: the place of a lake, and what its tables are partitioned by."""
+
+    place: Place
+    partitions: tuple[str, ...] = PARTITIONS
+
+
+@dataclass
+class Added:
+    """A data file of a table. `table`: as `messages/mks-can/read_speed/reply`; `path`: below the table.
+
+    `schema`: of Arrow, without the partitions; `values`: of the partitions.
+    `count`: of its rows; `captures`: whose they are.
+    """
+
+    table: str
+    path: str
+    schema: Any
+    size: int
+    values: dict[str, str | None]
+    count: int
+    captures: tuple[str, ...]
+
+
+def table_of(name: str) -> str:
+    """Return the lake's table for one of `decode --to parquet`: dialect, command and role are folders."""
+    dialect, _, rest = name.partition(".")
+    return f"messages/{dialect}/" + "/".join(rest.rsplit(".", 1)) if rest else name
+
+
+def lake_schema(schema: pyarrow.Schema) -> pyarrow.Schema:
+    """Return the schema of a lake's table, without partitions, for that of a capture's."""
+    pa = needed("pyarrow")
+    fields = [pa.field("capture", pa.string())]
+    for each in schema:
+        if each.name == "time":
+            fields.append(pa.field("time", pa.timestamp("us", "UTC")))
+            fields.append(pa.field("time_ns", pa.int64(), metadata={"unit": "ns"}))
+        else:
+            fields.append(each.with_type(_type(pa, each.type)))
+    return pa.schema(fields, metadata=schema.metadata)
+
+
+def _type(pa: Any, kind: Any) -> Any:
+    if pa.types.is_dictionary(kind):
+        return kind.value_type
+    return pa.decimal128(20, 0) if kind == pa.uint64() else kind
+
+
+def _as_lake(pieces: Sequence[tuple[str, pyarrow.Table]]) -> pyarrow.Table:
+    """Return rows of captures, each with its `capture`, as the lake has them. All have one schema."""
+    pa, compute = needed("pyarrow"), needed("pyarrow.compute")
+    rows = pa.concat_tables([piece for _, piece in pieces])
+    columns = {name: rows[name] for name in rows.column_names}
+    owners = np.repeat(np.arange(len(pieces)), [len(piece) for _, piece in pieces])
+    columns["capture"] = pa.array([capture for capture, _ in pieces], pa.string()).take(pa.array(owners))
+    times = columns["time_ns"] = rows["time"].cast(pa.int64())
+    dated = compute.and_(compute.greater(times, DATED[0]), compute.less(times, DATED[1]))
+    columns["time"] = compute.if_else(dated, rows["time"], None)
+    schema = lake_schema(rows.schema)
+    shown = [columns[each.name].cast(each.type, safe=each.name != "time") for each in schema]
+    return pa.Table.from_arrays(shown, schema=schema)
+
+
+class DataFile:
+    """A data file that grows in memory; `finish` brings it to the lake. `values`: of the partitions."""
+
+    def __init__(self, table: str, schema: pyarrow.Schema, values: Mapping[str, str | None]) -> None:
+        self._table, self._schema, self._values = table, schema, dict(values)
+        self._buffer = needed("pyarrow").BufferOutputStream()
+        self._writer: Any = None
+        self._count = 0
+        self._captures: dict[str, None] = {}
+
+    def write(self, rows: pyarrow.Table, captures: Collection[str]) -> bool:
+        """Write rows as one row group; `captures`: whose they are. Say whether there is room for more."""
+        if self._writer is None:
+            running = [name for name in _RUNNING if name in self._schema.names]
+            others = [each.name for each in self._schema if each.name not in running]
+            # The log of the table has the schema, with units and sections.
+            self._writer = needed("pyarrow.parquet").ParquetWriter(
+                self._buffer, self._schema, compression="snappy" if len(rows) < _FEW else "zstd", store_schema=False,
+                use_dictionary=[*others, *(f"{name}.list.element" for name in others)],
+                column_encoding=dict.fromkeys(running, "DELTA_BINARY_PACKED"),
+            )  # fmt: skip
+        self._writer.write_table(rows)
+        self._count += len(rows)
+        self._captures |= dict.fromkeys(captures)
+        return bool(self._buffer.tell() < FILE_BYTES)
+
+    def finish(self, place: Place) -> Added:
+        """Bring the file to the lake."""
+        self._writer.close()
+        data, name = memoryview(self._buffer.getvalue()), f"{uuid.uuid4().hex}.parquet"
+        place.write(f"{self._table}/{name}", data)
+        return Added(self._table, name, self._schema, len(data), self._values, self._count, tuple(self._captures))
+
+
+class Files:
+    """The data files of a task or of a long capture: one for each table and partition, and for each 32 MiB."""
+
+    def __init__(self, to: Destination) -> None:
+        self.to = to
+        self._owners: dict[str, Owner] = {}
+        self._waiting: dict[tuple[str, bytes], list[tuple[str, pyarrow.Table]]] = {}
+        self._transactions: list[pyarrow.Table] = []
+        self._open: dict[tuple[str, bytes, tuple[str | None, ...]], DataFile] = {}
+        self._added: list[Added] = []
+
+    def add(self, name: str, rows: pyarrow.Table, capture: str, owner: Owner) -> None:
+        """Take rows of a capture's table."""
+        self._owners[capture] = owner
+        # Captures with and without dates have two schemas for one table, and so may two versions of a package.
+        key = (name, rows.schema.serialize().to_pybytes())
+        pieces = self._waiting.setdefault(key, [])
+        pieces.append((capture, rows))
+        if sum(len(piece) for _, piece in pieces) >= GROUP:
+            self._convert(name, self._waiting.pop(key))
+
+    def finish(self) -> list[Added]:
+        """Bring all files to the lake, and return them."""
+        for (name, _), pieces in self._waiting.items():
+            self._convert(name, pieces)
+        self._write_transactions()
+        self._added += [file.finish(self.to.place) for file in self._open.values()]
+        return self._added
+
+    def _convert(self, name: str, pieces: list[tuple[str, pyarrow.Table]]) -> None:
+        table, rows = table_of(name), _as_lake(pieces)
+        self._write(table, rows)
+        found = transactions(table, rows)
+        if found is not None:
+            self._transactions.append(found)
+            if sum(map(len, self._transactions)) >= GROUP:
+                self._write_transactions()
+
+    def _write_transactions(self) -> None:
+        if self._transactions:
+            self._write("transactions", needed("pyarrow").concat_tables(self._transactions))
+            self._transactions = []
+
+    def _write(self, table: str, rows: pyarrow.Table) -> None:
+        """Write rows of any captures to the files of their partitions, sorted by day and machine."""
+        pa = needed("pyarrow")
+        coded = rows["capture"].combine_chunks().dictionary_encode()
+        captures = coded.dictionary.to_pylist()
+        owners = [self._owners[capture] for capture in captures]
+        in_order = sorted(range(len(captures)), key=lambda code: (owners[code].date, owners[code].machine or ""))
+        ranks = np.argsort(in_order)[coded.indices.to_numpy()]
+        if (np.diff(ranks) < 0).any():
+            order = np.argsort(ranks, kind="stable")
+            rows, ranks = rows.take(pa.array(order)), ranks[order]
+        captures, owners = [captures[code] for code in in_order], [owners[code] for code in in_order]
+        if "machine" not in self.to.partitions:
+            machines = pa.array([owner.machine for owner in owners], pa.string())
+            rows = rows.append_column(pa.field("machine", pa.string()), machines.take(pa.array(ranks)))
+        schema = rows.schema.serialize().to_pybytes()
+        values = [tuple(getattr(owner, name) for name in self.to.partitions) for owner in owners]
+        first = 0
+        for stop in range(1, len(captures) + 1):
+            if stop < len(captures) and values[stop] == values[first]:
+                continue
+            start, end = np.searchsorted(ranks, [first, stop])
+            key = (table, schema, values[first])
+            if key not in self._open:
+                self._open[key] = DataFile(table, rows.schema, dict(zip(self.to.partitions, values[first], strict=True)))
+            if not self._open[key].write(rows.slice(start, end - start), captures[first:stop]):
+                self._added.append(self._open.pop(key).finish(self.to.place))
+            first = stop
+
+
+def transactions_schema() -> pyarrow.Schema:
+    """Return the schema of the table `transactions`, without partitions."""
+    pa = needed("pyarrow")
+    place = [("capture", pa.string()), ("time", pa.timestamp("us", "UTC")), ("time_ns", pa.int64())]
+    place += [("bus", pa.string()), ("address", pa.int64()), ("sequence", pa.int64()), ("request_sequence", pa.int64())]
+    own = [("dialect", pa.string()), ("command", pa.string()), ("outcome", pa.string())]
+    return pa.schema([*place, *own, pa.field("latency", pa.float64(), metadata={"unit": "s"})])
+
+
+def transactions(table: str, rows: pyarrow.Table) -> pyarrow.Table | None:
+    """Return the requests that rows of a table tell of, with their outcomes; None for a table that tells of none.
+
+    `outcome`: answered, failed, damaged (the reply's checksum is wrong), or unanswered, where the dialect stays empty.
+    """
+    pa, compute = needed("pyarrow"), needed("pyarrow.compute")
+    parts = table.split("/")
+    columns: dict[str, Any] = {}
+    if len(parts) == 4 and parts[3] == "reply":
+        columns = {"dialect": pa.repeat(parts[1], len(rows)), "command": pa.repeat(parts[2], len(rows))}
+        columns |= {"latency": rows["_latency"], "request_sequence": rows["_request_sequence"]}
+        failed = _with_any(rows["_findings"], _FAILED)
+        good = compute.if_else(failed, "failed", "answered")
+        columns["outcome"] = compute.if_else(rows["_checksum_ok"], good, "damaged")
+    elif table == "findings":
+        rows = rows.filter(compute.equal(rows["rule"], "unanswered"))
+        if not len(rows):
+            return None
+        # A topic is /bus/address/command/role.
+        commands = [text.split("/")[3] for text in rows["topic"].to_pylist()]
+        columns = {"command": pa.array(commands), "outcome": pa.repeat("unanswered", len(rows))}
+        columns |= {"request_sequence": rows["sequence"]}
+    else:
+        return None
+    schema = transactions_schema()
+    arrays = [
+        columns[each.name] if each.name in columns else
+        rows[each.name] if each.name in rows.column_names else pa.nulls(len(rows), each.type)
+        for each in schema
+    ]  # fmt: skip
+    return pa.Table.from_arrays([array.cast(each.type) for array, each in zip(arrays, schema, strict=True)], schema=schema)
+
+
+def _with_any(lists: Any, words: tuple[str, ...]) -> Any:
+    """Say of each list of texts whether one of some words stands in it."""
+    pa, compute = needed("pyarrow"), needed("pyarrow.compute")
+    whole, hits = lists.combine_chunks(), np.zeros(len(lists), dtype=np.bool_)
+    found = compute.is_in(compute.list_flatten(whole), pa.array(words))
+    hits[compute.list_parent_indices(whole).filter(found).to_numpy()] = True
+    return pa.array(hits)
+
+
+def only(place: Place, added: Sequence[Added], captures: Collection[str]) -> list[Added]:
+    """Return data files with the rows of some captures alone: those that hold others too are written anew."""
+    parquet, compute, pa = needed("pyarrow.parquet"), needed("pyarrow.compute"), needed("pyarrow")
+    kept = []
+    for each in added:
+        wanted = [capture for capture in each.captures if capture in captures]
+        if len(wanted) == len(each.captures):
+            kept.append(each)
+        elif wanted:
+            file = DataFile(each.table, each.schema, each.values)
+            rows = parquet.read_table(pa.BufferReader(place.read(f"{each.table}/{each.path}")), schema=each.schema)
+            file.write(rows.filter(compute.is_in(rows["capture"], pa.array(wanted))), wanted)
+            kept.append(file.finish(place))
+    return kept
