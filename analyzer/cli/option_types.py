@@ -11,7 +11,7 @@ import contextlib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from analyzer.errors import UsageError
 from analyzer.values import addresses, quote, storable
@@ -80,6 +80,11 @@ def ids_of(texts: Sequence[str]) -> Ids:
         bus, _, listed = text.rpartition("=")
         found[bus] = found.get(bus, frozenset()) | frozenset(addresses(listed, "--ids", 0))
     return Ids(found.pop("", None), found)
+
+
+def add_model_argument(parser: argparse.ArgumentParser, **more: Any) -> None:
+    """Add the option --model."""
+    parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS", **more)
 
 
 def add_ids_argument(parser: argparse.ArgumentParser) -> None:

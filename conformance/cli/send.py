@@ -16,7 +16,7 @@ from typing import Any
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect
 from analyzer.cli.frame import filled_text, parse_target, parse_values
-from analyzer.cli.option_types import number
+from analyzer.cli.option_types import add_model_argument, number
 from analyzer.cli.show import names_of
 from analyzer.decoder import physical
 from analyzer.dialects import find_command
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_on_argument(parser)
     parser.add_argument("--hex", metavar="BYTES", help="these bytes instead of a command (CAN: 001#F60140023A)")
     parser.add_argument("--form", metavar="NAME", help="the form, if the fields do not determine it")
-    parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
+    add_model_argument(parser)
     parser.add_argument("--wire", action="store_true", help="numbers are integers as sent")
     parser.add_argument("--force", action="store_true", help="send also what the manual forbids, if its bits hold it")
     milliseconds = number("milliseconds above 0, at most 600000", float, lambda ms: 0 < ms <= 600_000)
