@@ -22,7 +22,6 @@ from analyzer.sinks.forked import available
 
 ROOT = Path(__file__).parents[2]
 CAPTURES = ROOT / "captures"
-TWO = ("mks_rs485.log", "mks_can.candump.log")
 JOBS = pytest.mark.parametrize(
     "jobs", ["1", pytest.param("2", marks=pytest.mark.skipif(not available(), reason="no fork on this machine, or one core"))]
 )
