@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from analyzer.cli import main
 from analyzer.cli.boundary import FOLDER
 
 _FOLDER = pytest.StashKey[Path]()
@@ -22,6 +23,17 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 def _folder_of_faults(request, tmp_path_factory):
     folder = request.config.stash[_FOLDER] = tmp_path_factory.mktemp("faults")
     os.environ[FOLDER] = str(folder)
+
+
+@pytest.fixture
+def cli(capsys):
+    """Return a function that runs `servotap WORDS`, checks its exit status, and returns what was printed: `out`, `err`."""
+
+    def run(*words, status=0):
+        assert main([str(word) for word in words]) == status
+        return capsys.readouterr()
+
+    return run
 
 
 @pytest.hookimpl(wrapper=True)

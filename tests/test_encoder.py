@@ -36,7 +36,7 @@ def draw_values(data, layout):
     return values
 
 
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=600)
 @given(st.data())
 def test_what_is_built_is_explained_alike(data):
     dialect, command, role, form = data.draw(st.sampled_from(FORMS))
@@ -54,7 +54,7 @@ def test_what_is_built_is_explained_alike(data):
         assert found.message.values == dict(built.values)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(st.data())
 def test_a_value_shown_is_the_value_read(data):
     _, _, _, form = data.draw(st.sampled_from([f for f in FORMS if f[3].layout.named]))

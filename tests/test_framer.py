@@ -97,7 +97,7 @@ PACKAGE = native("FC 01 F6 01 40 02 00 00 00 00 00 02 F6 01 40 02" + " 00" * 35)
 
 
 @given(data=st.data(), names=wires())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_frames_and_junk_are_the_input(data, names):
     line = data.draw(lines(names) | noise(400))
     whole = Line(*names).feed(line).close()
@@ -110,7 +110,7 @@ def test_frames_and_junk_are_the_input(data, names):
 
 
 @given(data=st.data(), names=wires())
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=250)
 def test_chunks_do_not_matter(data, names):
     line = data.draw(lines(names))
     pieces = data.draw(cuttings(line))
@@ -121,7 +121,7 @@ def test_chunks_do_not_matter(data, names):
 
 
 @given(data=st.data(), names=wires())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_chunks_do_not_matter_between_pauses(data, names):
     """Bytes that come one after the other, with pauses of all lengths between, and their times."""
     reads, now = [], 10**18
@@ -140,7 +140,7 @@ def test_chunks_do_not_matter_between_pauses(data, names):
 
 
 @given(data=st.data(), names=wires(), byte_ns=st.sampled_from((0, BYTE_NS)))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_times_come_from_the_chunks_of_the_first_and_last_byte(data, names, byte_ns):
     line = data.draw(lines(names))
     times, before, now = [], 0, 10**18
@@ -178,7 +178,7 @@ def test_every_vector_is_found(name, command, frame):
 
 
 @given(data=st.data(), names=wires())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_every_frame_of_a_clean_line_is_found(data, names):
     """Several drives, and where the wire has them, several dialects."""
     frames = data.draw(traffic(names))
@@ -189,7 +189,7 @@ def test_every_frame_of_a_clean_line_is_found(data, names):
 
 
 @given(data=st.data(), names=wires())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_frame_is_found_where_the_host_is_echoed(data, names):
     frames = [f for frame in data.draw(traffic(names)) for f in [frame] * (1 + (frame.role is Role.REQUEST))]
     line = Line(*names).feed(*data.draw(cuttings(joined(frames)))).close()
@@ -197,7 +197,7 @@ def test_every_frame_is_found_where_the_host_is_echoed(data, names):
 
 
 @given(data=st.data(), names=wires())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_frame_is_found_in_reads_of_its_own(data, names):
     frames = data.draw(traffic(names))
     line, now = Line(*names, byte_ns=BYTE_NS), 10**18
@@ -208,7 +208,7 @@ def test_every_frame_is_found_in_reads_of_its_own(data, names):
 
 
 @given(data=st.data(), names=wires())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_frame_is_found_where_the_capture_says_who_speaks(data, names):
     frames = data.draw(traffic(names))
     line = Line(*names)
@@ -245,7 +245,7 @@ def damage(draw, frames):
 
 
 @given(data=st.data(), names=wires())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_frames_that_no_damage_touches_or_abuts_are_found(data, names):
     """After a cut, an insertion or a flip the very next frame is found, where it does not abut the damage."""
     line, undamaged = damage(data.draw, data.draw(traffic(names, 2, 6)))
@@ -254,7 +254,7 @@ def test_frames_that_no_damage_touches_or_abuts_are_found(data, names):
 
 
 @given(data=st.data(), names=wires())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_known_frame_whose_check_is_wrong_is_that_frame(data, names):
     frames = data.draw(traffic(names, 2, 6))
     index = data.draw(st.integers(0, len(frames) - 1))
@@ -378,7 +378,7 @@ def test_a_change_of_direction_ends_a_wait():
 
 
 @given(data=st.data(), names=wires())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_waits_are_bounded(data, names):
     line = Line(*names)
     for piece in data.draw(cuttings(data.draw(noise(3000)))):
@@ -544,7 +544,7 @@ def test_junk_without_end_is_passed_on_in_pieces():
 
 
 @given(data=st.data(), names=wires(), burst=st.booleans())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_no_bytes_raise(data, names, burst):
     line = Line(*names)
     for _ in range(data.draw(st.integers(1, 4))):

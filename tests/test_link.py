@@ -50,7 +50,7 @@ def test_look_finds_every_vector(name, command, frame):
 
 
 @given(data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_what_is_built_checks_and_is_parsed(data):
     dialect = data.draw(st.sampled_from((NATIVE, MODBUS, LK)))
     link = dialect.link
@@ -78,7 +78,7 @@ def near_frames():
 
 
 @given(name=st.sampled_from(SERIAL), data=near_frames())
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 def test_an_answer_does_not_change_with_more_bytes(name, data):
     slicer = slicer_of(name)
     size = len(data)
@@ -94,7 +94,7 @@ def test_an_answer_does_not_change_with_more_bytes(name, data):
 
 
 @given(name=st.sampled_from(SERIAL), before=noise(10), data=near_frames())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_an_answer_does_not_depend_on_bytes_before(name, before, data):
     slicer = slicer_of(name)
     line = before + data
@@ -106,7 +106,7 @@ def test_an_answer_does_not_depend_on_bytes_before(name, before, data):
 
 
 @given(name=st.sampled_from(SERIAL), data=near_frames())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_answers_are_lengths_of_what_is_there(name, data):
     slicer = slicer_of(name)
     size = len(data)

@@ -31,18 +31,16 @@ def killed(tmp_path, steps=300, **about):
     return straight, broken
 
 
-def test_with_its_spools_nothing_is_lost(tmp_path, capsys):
+def test_with_its_spools_nothing_is_lost(tmp_path, cli):
     straight, broken = killed(tmp_path)
     assert not is_whole(broken.log)
-    assert main(["recover", str(broken.log)]) == 0
-    assert "whole; went on where the recording had stopped" in capsys.readouterr().out
+    assert "whole; went on where the recording had stopped" in cli("recover", str(broken.log)).out
     assert content(broken.log) == content(straight.log)
     assert not broken.folder.exists()
-    assert main(["recover", str(broken.log)]) == 0
-    assert "nothing was changed" in capsys.readouterr().out
+    assert "nothing was changed" in cli("recover", str(broken.log)).out
 
 
-def test_on_a_copy_all_stays_as_it_was(tmp_path, capsys):
+def test_on_a_copy_all_stays_as_it_was(tmp_path, cli):
     straight, broken = killed(tmp_path)
     before = broken.log.read_bytes(), sorted(p.name for p in broken.folder.iterdir())
     out = tmp_path / "whole.mcap"
@@ -50,8 +48,7 @@ def test_on_a_copy_all_stays_as_it_was(tmp_path, capsys):
     assert content(out) == content(straight.log)
     assert (broken.log.read_bytes(), sorted(p.name for p in broken.folder.iterdir() if p.name != RUNNING)) == before
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
-    assert main(["recover", str(broken.log), "-o", str(out)]) == 2
-    assert "--force" in capsys.readouterr().err
+    assert "--force" in cli("recover", str(broken.log), "-o", out, status=2).err
 
 
 def test_not_while_it_runs(tmp_path, capsys):
@@ -61,16 +58,15 @@ def test_not_while_it_runs(tmp_path, capsys):
     assert "is being recorded" in capsys.readouterr().err
 
 
-def test_a_log_that_was_cut_is_written_anew_from_spools_that_hold_it_all(tmp_path, capsys):
+def test_a_log_that_was_cut_is_written_anew_from_spools_that_hold_it_all(tmp_path, cli):
     straight, broken = killed(tmp_path)
     broken.log.write_bytes(broken.log.read_bytes()[:3000])
-    assert main(["recover", str(broken.log)]) == 0
-    assert "it was cut or replaced" in capsys.readouterr().out
+    assert "it was cut or replaced" in cli("recover", str(broken.log)).out
     assert content(broken.log) == content(straight.log)
     assert sorted(p.name for p in broken.log.parent.iterdir()) == ["out.mcap"]
 
 
-def test_another_log_under_the_name_stays_as_it_is(tmp_path, capsys):
+def test_another_log_under_the_name_stays_as_it_is(tmp_path, cli):
     straight, broken = killed(tmp_path)
     with broken.log.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)
@@ -78,17 +74,15 @@ def test_another_log_under_the_name_stays_as_it_is(tmp_path, capsys):
         writer.add_attachment(1, 1, "a.bin", "", random.Random(1).randbytes(100_000))
         writer.finish()
     foreign = broken.log.read_bytes()
-    assert main(["recover", str(broken.log)]) == 0
-    assert "is not the log of this recording" in capsys.readouterr().out
+    assert "is not the log of this recording" in cli("recover", str(broken.log)).out
     assert broken.log.read_bytes() == foreign
     assert content(broken.log.with_name("out-spools.mcap")) == content(straight.log)
 
 
-def test_without_its_spools_what_was_flushed_is_kept(tmp_path, capsys):
+def test_without_its_spools_what_was_flushed_is_kept(tmp_path, cli):
     straight, broken = killed(tmp_path)
     broken.folder.rename(tmp_path / "away")
-    assert main(["recover", str(broken.log)]) == 0
-    said = capsys.readouterr().out
+    said = cli("recover", str(broken.log)).out
     assert "whole;" in said
     assert is_whole(broken.log)
     whole, saved = content(straight.log), content(broken.log)
@@ -174,7 +168,7 @@ def test_garbage_at_the_end_and_in_the_midst(tmp_path):
         assert kept == wanted
 
 
-def test_a_damaged_chunk_costs_that_chunk_and_is_told(tmp_path, capsys):
+def test_a_damaged_chunk_costs_that_chunk_and_is_told(tmp_path, cli):
     spools = whole_log(tmp_path)
     data = bytearray(spools.log.read_bytes())
     wanted = messages(bytes(data))
@@ -186,8 +180,7 @@ def test_a_damaged_chunk_costs_that_chunk_and_is_told(tmp_path, capsys):
     assert 0 < len(kept) < len(wanted)
     assert set(kept) < set(wanted)
     assert "is damaged" in str(outcome.faults[0])
-    assert main(["recover", str(spools.log)]) == 0
-    assert "is damaged" in capsys.readouterr().out
+    assert "is damaged" in cli("recover", str(spools.log)).out
     assert messages(spools.log.read_bytes()) == kept
 
 
@@ -239,11 +232,10 @@ def test_logs_of_other_programs(tmp_path, compression, chunked):
     assert outcome.messages == len(kept)
 
 
-def test_what_is_no_log(tmp_path, capsys):
+def test_what_is_no_log(tmp_path, cli):
     path = tmp_path / "x.mcap"
     path.write_bytes(b"hello")
-    assert main(["recover", str(path)]) == 2
-    assert "is not an MCAP log" in capsys.readouterr().err
+    assert "is not an MCAP log" in cli("recover", path, status=2).err
     assert path.read_bytes() == b"hello"
     assert main(["recover", str(tmp_path / "none.mcap")]) == 2
 
@@ -258,12 +250,11 @@ def test_a_recording_in_parts(tmp_path):
     assert read(part)
 
 
-def test_a_recording_in_parts_without_its_checkpoints(tmp_path, capsys):
+def test_a_recording_in_parts_without_its_checkpoints(tmp_path, cli):
     _, broken = killed(tmp_path, rotate_bytes=1 << 30)
     for path in broken.folder.glob("checkpoint.*"):
         path.unlink()
-    assert main(["recover", str(broken.log)]) == 0
-    assert "there is no checkpoint" in capsys.readouterr().out
+    assert "there is no checkpoint" in cli("recover", str(broken.log)).out
     part, rest = broken.log.with_name("out-0001.mcap"), broken.log.with_name("out-spools.mcap")
     assert sorted(broken.log.parent.glob("out*")) == [part, rest]
     assert is_whole(part)

@@ -158,15 +158,14 @@ def test_a_stray_file_is_no_spool(tmp_path):
 
 
 @pytest.mark.parametrize("pattern", ["recording*.json", "checkpoint.?", "*.raw"])
-def test_what_is_missing_is_said_with_what_to_do(tmp_path, pattern, capsys):
+def test_what_is_missing_is_said_with_what_to_do(tmp_path, pattern, capsys, cli):
     files, sent = killed(True)
     files = {name: data for name, data in files.items() if not Path(name).match(pattern)}
     if pattern == "recording*.json":
         for name, data in files.items():
             (tmp_path / name).parent.mkdir(exist_ok=True)
             (tmp_path / name).write_bytes(data)
-        assert main(["recover", str(tmp_path / LOG)]) == 2
-        assert "repairs the log alone" in capsys.readouterr().err
+        assert "repairs the log alone" in cli("recover", tmp_path / LOG, status=2).err
         assert (tmp_path / LOG).read_bytes() == files[LOG]
         return
     found = recovered(files, tmp_path)
@@ -198,14 +197,13 @@ def test_spools_hold_all_of_a_recording_where_nothing_is_missing_in_their_count(
 
 
 @pytest.mark.parametrize("name", [".", "", "./", "/"])
-def test_a_folder_is_no_log(name, tmp_path, monkeypatch, capsys):
+def test_a_folder_is_no_log(name, tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)
-    assert main(["recover", name]) == 2
-    assert "is a folder, expected a log" in capsys.readouterr().err
+    assert "is a folder, expected a log" in cli("recover", name, status=2).err
 
 
 @pytest.mark.parametrize("command", ["recover", "decode", "test"])
-def test_what_is_no_file_is_not_replaced(command, tmp_path, capsys):
+def test_what_is_no_file_is_not_replaced(command, tmp_path, cli):
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
     link = tmp_path / "link"
@@ -217,6 +215,5 @@ def test_what_is_no_file_is_not_replaced(command, tmp_path, capsys):
             if command != "test"
             else ["mks-rs485@1", "--claim", "*/shape/read_speed/code", "--log", target]
         )
-        assert main([command, *words, "--force"]) == 2
-        assert "is not a regular file" in capsys.readouterr().err
+        assert "is not a regular file" in cli(command, *words, "--force", status=2).err
     assert fifo.is_fifo()

@@ -14,6 +14,7 @@ import msgspec
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect
+from analyzer.cli.option_types import add_model_argument
 from analyzer.dialects import search_commands
 from analyzer.reference.objects import concerns, reference
 from analyzer.reference.pages import errata, listing, overview, page, statements
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "command", nargs="?", metavar="NAME|CODE", help="this command's page; or a word, a section: what has it"
     )
     parser.add_argument("--dialect", metavar="D", help="only this dialect")
-    parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
+    add_model_argument(parser)
     parser.add_argument("--errata", action="store_true", help="the errata of the manuals, or of one command")
     parser.add_argument("--statements", action="store_true", help="what the manuals say a drive does, and the claims about it")
     parser.add_argument("--pages", action="store_true", help="the pages of all commands")

@@ -16,6 +16,7 @@ from typing import Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Role
+from analyzer.cli.option_types import add_model_argument
 from analyzer.codec import codec
 from analyzer.decoder import physical, slots_of
 from analyzer.dialects import code_text
@@ -48,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("frame", nargs="+", metavar="FRAME", help="the bytes; - reads standard input, one frame per line")
     parser.add_argument("--dialect", metavar="D", help="read it only in this dialect")
     parser.add_argument("--role", choices=("request", "reply"), help="who sent it, if its bytes do not tell")
-    parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
+    add_model_argument(parser)
     parser.add_argument("--no-checksum", action="store_true", help="the bytes are given without their checksum")
     parser.add_argument("--request", metavar="FRAME", help="the request that this reply answers")
     parser.add_argument("--json", action="store_true", help="one JSON object per line")

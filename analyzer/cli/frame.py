@@ -15,6 +15,7 @@ from typing import Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Role
+from analyzer.cli.option_types import add_model_argument
 from analyzer.dialects import code_text, find_command
 from analyzer.encoder import SLOTS, Built, assemble
 from analyzer.errors import UsageError
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("values", nargs="*", metavar="FIELD=VALUE", help='values of its fields; slot="1 run_speed speed=50"')
     parser.add_argument("--reply", action="store_true", help="the drive's reply instead of the request")
     parser.add_argument("--form", metavar="NAME", help="the form, if the fields do not determine it")
-    parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
+    add_model_argument(parser)
     parser.add_argument("--wire", action="store_true", help="numbers are integers as sent")
     parser.add_argument("--force", action="store_true", help="build values that the manual forbids, if the bits hold them")
     shown = parser.add_mutually_exclusive_group()

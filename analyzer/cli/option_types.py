@@ -7,13 +7,16 @@ A type of an option returns the value of a text, or says what it expected. Times
 from __future__ import annotations
 
 import argparse
+import contextlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from analyzer.errors import UsageError
 from analyzer.values import addresses, quote, storable
+
+Number = TypeVar("Number", int, float)
 
 _SECOND = 1_000_000_000
 DURATIONS = {
@@ -33,12 +36,23 @@ _ANY_CASE = {name.lower(): size for name, size in SIZES.items()}
 _AMOUNT = re.compile(r"(\d+(?:\.\d+)?)\s*([A-Za-z]+)")
 
 
-def positive(text: str) -> int:
-    """Return a whole number above 0."""
-    value = int(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
-    return value
+def number(expected: str, read: Callable[[str], Number], fits: Callable[[Number], bool]) -> Callable[[str], Number]:
+    """Return the type of an option that takes a number. `expected`: which, in words, for the error about any other text."""
+
+    def taken(text: str) -> Number:
+        with contextlib.suppress(ValueError):
+            value = read(text)
+            if fits(value):
+                return value
+        raise argparse.ArgumentTypeError(f"expected {expected}, got {text}")
+
+    return taken
+
+
+positive = number("a number above 0", int, lambda value: value > 0)
+#: Of any dialect.
+address = number("an address 0..0x7FF", lambda text: int(text, 0), lambda value: 0 <= value <= 0x7FF)
+milliseconds = number("milliseconds above 0", float, lambda value: 0 < value < 1e9)
 
 
 def utf8(text: str) -> str:
@@ -46,14 +60,6 @@ def utf8(text: str) -> str:
     if text != storable(text):
         raise argparse.ArgumentTypeError(f"expected a name in UTF-8, got {quote(text)}")
     return text
-
-
-def address(text: str) -> int:
-    """Return an address of any dialect."""
-    value = int(text, 0)
-    if not 0 <= value <= 0x7FF:
-        raise argparse.ArgumentTypeError(f"expected an address 0..0x7FF, got {text}")
-    return value
 
 
 class Ids(NamedTuple):
@@ -76,20 +82,17 @@ def ids_of(texts: Sequence[str]) -> Ids:
     return Ids(found.pop("", None), found)
 
 
+def add_model_argument(parser: argparse.ArgumentParser, **more: Any) -> None:
+    """Add the option --model."""
+    parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS", **more)
+
+
 def add_ids_argument(parser: argparse.ArgumentParser) -> None:
     """Add the option --ids."""
     parser.add_argument(
         "--ids", action="append", default=[], metavar="[BUS=]LIST",
         help="who is a drive, as 1,2,0x123-0x12F: frames of others are kept, and nothing is found wrong with them",
     )  # fmt: skip
-
-
-def milliseconds(text: str) -> float:
-    """Return milliseconds above 0."""
-    value = float(text)
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"expected milliseconds above 0, got {text}")
-    return value
 
 
 def duration_ns(text: str) -> int:

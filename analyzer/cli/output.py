@@ -12,9 +12,7 @@ from pathlib import Path
 from typing import IO
 
 from analyzer.errors import UsageError
-from analyzer.live.lock import running
-from analyzer.live.spool import spool_folder
-from analyzer.sources.recording_parts import base_of
+from analyzer.live.lock import recorded
 
 
 def target_of(path: Path) -> Path:
@@ -80,7 +78,7 @@ class Output:
         self._replace = replace
         if target.exists() and not target.is_file():
             raise UsageError(f"{target} is not a regular file: name a file")
-        if running(spool_folder(base_of(target))):
+        if recorded(target):
             raise UsageError(f"{target} is being recorded; stop the recording first, or name another file")
         try:
             handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)

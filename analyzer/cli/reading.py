@@ -14,7 +14,7 @@ import msgspec
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
-from analyzer.cli.option_types import add_ids_argument, address, ids_of, milliseconds, positive
+from analyzer.cli.option_types import add_ids_argument, add_model_argument, address, ids_of, milliseconds, positive
 from analyzer.cli.time_range import TimeRange, add_time_range_arguments
 from analyzer.detect import Choice, choose
 from analyzer.devices import load
@@ -60,7 +60,7 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.csv",
         help="registers of other Modbus slaves; may be repeated",
     )
-    parser.add_argument("--model", metavar="M", help="42D 57D 28D 35D 42E 57E MF MG MH MS: limits and units of a model")
+    add_model_argument(parser)
     parser.add_argument("--baud", type=positive, metavar="N", help="line speed: for timestamps, bus load, logic analyzers")
     parser.add_argument(
         "--channel", action="append", default=[], metavar="NAME",

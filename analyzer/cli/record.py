@@ -25,6 +25,7 @@ from analyzer import dialects as registry
 from analyzer.cli.option_types import (
     Ids,
     add_ids_argument,
+    add_model_argument,
     address,
     duration_ns,
     ids_of,
@@ -98,7 +99,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=utf8, metavar="OUT.mcap", help="the log, or a folder (default recording-DATE-TIME.mcap)"
     )
     parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or the dialects on the buses: D,D")
-    parser.add_argument("--model", default="", metavar="M", help="42D 57D 28D 35D 42E 57E MF MG MH MS: limits and units")
+    add_model_argument(parser, default="")
     parser.add_argument(
         "--group", action="append", type=address, default=[], metavar="ADDRESS",
         help="a group address: several drives listen, none answers; may be repeated",

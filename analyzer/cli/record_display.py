@@ -6,7 +6,7 @@ import contextlib
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -33,35 +33,13 @@ def _out(text: str) -> None:
         print(text + "\n", end="", flush=True)
 
 
-class Display(Protocol):
-    """Shows a recording. `note` and `snapshot` are called from the supervisor's thread, the others from the main one."""
-
-    def note(self, bus: str, text: str) -> None:
-        """Tell what happened."""
-
-    def snapshot(self, snapshot: Snapshot) -> None:
-        """Take a snapshot of the decoding process."""
-
-    def say(self, text: str) -> None:
-        """Tell something about the program itself; called from a signal handler, too."""
-
-    def begin(self, supervisor: Supervisor) -> None:
-        """Tell that it records."""
-
-    def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
-        """Show how it goes until the thread has ended."""
-
-    def end(self, summary: Summary) -> None:
-        """Tell how it ended."""
-
-
 def make_display(*, json: bool = False, view: bool = False) -> Display:
     """Return what fits the options and where the output goes."""
     if view:
         return ViewDisplay()
     if json:
         return JsonDisplay()
-    return TableDisplay() if sys.stdout.isatty() else LineDisplay()
+    return TableDisplay() if sys.stdout.isatty() else Display()
 
 
 def counts(supervisor: Supervisor) -> list[tuple[str, str, BusCounts]]:
@@ -111,13 +89,17 @@ def seconds_of(supervisor: Supervisor) -> float:
     return (until_ns - supervisor.began_ns) / 1e9 if supervisor.began_ns else 0.0
 
 
-class LineDisplay:
-    """A line a second on standard output; notes on standard error."""
+class Display:
+    """Shows a recording: a line a second on standard output, notes on standard error. Others show some of it otherwise.
+
+    `note` and `snapshot` are called from the supervisor's thread, the others from the main one.
+    """
 
     #: Causes that were told.
     _told: frozenset[str] = frozenset()
 
     def note(self, bus: str, text: str) -> None:
+        """Tell what happened, on one bus or on all."""
         print(printable(f"{bus}: {text}" if bus else text) + "\n", end="", file=sys.stderr, flush=True)
 
     def snapshot(self, snapshot: Snapshot) -> None:
@@ -129,7 +111,7 @@ class LineDisplay:
                     self.note("", line)
 
     def say(self, text: str) -> None:
-        """Print a line."""
+        """Tell something about the program itself; called from a signal handler, too."""
         # Not `print`: the signal may have come in the middle of one.
         sys.stderr.flush()
         with open(2, "wb", buffering=0, closefd=False) as stderr:
@@ -172,7 +154,7 @@ class LineDisplay:
         print("\n".join(as_text(summary)), flush=True)
 
 
-class JsonDisplay(LineDisplay):
+class JsonDisplay(Display):
     """The same as lines of JSON, each with an "event": begin, counts, note, end."""
 
     @staticmethod
@@ -212,7 +194,7 @@ class JsonDisplay(LineDisplay):
         self._print("end", **msgspec.to_builtins(summary))
 
 
-class TableDisplay(LineDisplay):
+class TableDisplay(Display):
     """A table that is drawn again and again, with the notes above it."""
 
     def __init__(self) -> None:
@@ -263,7 +245,7 @@ class TableDisplay(LineDisplay):
         return table
 
 
-class ViewDisplay(LineDisplay):
+class ViewDisplay(Display):
     """The terminal view; messages wait until it is closed."""
 
     def __init__(self) -> None:

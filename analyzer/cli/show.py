@@ -12,7 +12,6 @@ import contextlib
 import shutil
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -22,11 +21,9 @@ from analyzer.cli.filter import Filter, bytes_text, vocabulary
 from analyzer.cli.reading import LONG_CAPTURE, add_reading_arguments, open_reading, progress
 from analyzer.decoder import physical, units_of
 from analyzer.events import text_of
-from analyzer.live.lock import running
-from analyzer.live.spool import spool_folder
+from analyzer.live.lock import recorded
 from analyzer.pipeline import Entry
 from analyzer.records import Comment, Event, Finding, Junk, Message
-from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
 from analyzer.sources.times import ShownTime
 from analyzer.values import fields_text, printable
@@ -242,7 +239,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    follow = Follow(_alive) if arguments.follow else None
+    follow = Follow(recorded) if arguments.follow else None
     reading = open_reading(arguments.file, arguments, follow)
     with contextlib.closing(reading.source):
         wanted = None
@@ -265,9 +262,3 @@ def _show(arguments: argparse.Namespace) -> int:
             asked = " and ".join(["the filter"] * (wanted is not None) + ["the time range"] * reading.time_range.wanted)
             print(f"note: no frame fits {asked}", file=sys.stderr)
     return 0
-
-
-def _alive(path: Path) -> bool | None:
-    """Say whether a log is being recorded; None where no file beside it tells."""
-    folder = spool_folder(base_of(path))
-    return running(folder) if folder.is_dir() else None

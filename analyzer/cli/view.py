@@ -15,10 +15,8 @@ from pathlib import Path
 from analyzer.cli.filter import Filter, vocabulary
 from analyzer.cli.reading import add_reading_arguments, open_reading
 from analyzer.errors import UsageError
-from analyzer.live.lock import running
+from analyzer.live.lock import recorded
 from analyzer.live.profile import FILE, names
-from analyzer.live.spool import spool_folder
-from analyzer.sources.recording_parts import base_of
 from analyzer.sources.tail import Follow
 from analyzer.values import printable
 from analyzer.view import require_terminal, run_capture
@@ -48,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.file in names() and not Path(arguments.file).exists():
         raise UsageError(f"{arguments.file} is a name of {FILE}, expected a file (servotap record {arguments.file} --view)")
     require_terminal()
-    reading = open_reading(arguments.file, arguments, Follow(_alive) if arguments.follow else None)
+    reading = open_reading(arguments.file, arguments, Follow(recorded) if arguments.follow else None)
     with contextlib.closing(reading.source):
         if arguments.filter:
             Filter(arguments.filter, vocabulary(reading.possible))
@@ -58,9 +56,3 @@ def run(arguments: argparse.Namespace) -> int:
     if why != "quit":
         raise UsageError(why)
     return 0
-
-
-def _alive(path: Path) -> bool | None:
-    """Say whether a log is being recorded; None where no file beside it tells."""
-    folder = spool_folder(base_of(path))
-    return running(folder) if folder.is_dir() else None

@@ -13,6 +13,8 @@ from pathlib import Path
 from types import TracebackType
 
 from analyzer.errors import UsageError
+from analyzer.live.spool import spool_folder
+from analyzer.sources.recording_parts import base_of
 
 try:
     import fcntl
@@ -61,3 +63,9 @@ def running(folder: Path) -> bool:
     except OSError:
         return False
     return False
+
+
+def recorded(log: Path) -> bool | None:
+    """Say whether a log is being recorded; None where no folder of spools beside it tells."""
+    folder = spool_folder(base_of(log))
+    return running(folder) if folder.is_dir() else None

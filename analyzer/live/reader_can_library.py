@@ -26,6 +26,7 @@ _AT_ONCE = 256
 _BURST_NS = 10_000_000
 #: The pause where an interface does not wait for a frame, but says at once that there is none.
 _PAUSE_S = 0.001
+#: Attributes of python-can's messages, and their flags in a spool.
 _FLAGS = (
     ("is_extended_id", CanFlag.EXTENDED),
     ("is_remote_frame", CanFlag.REMOTE),
@@ -126,10 +127,12 @@ def keep(store: Store, t_ns: int, message: Any) -> None:
     data = message.data or b""
     if not isinstance(data, (bytes, bytearray)) or len(data) > MOST_BYTES:
         raise ValueError(f"expected at most {MOST_BYTES} data bytes, got {len(data) if hasattr(data, '__len__') else data!r}")
-    flags = 0
-    for name, flag in _FLAGS:
-        if getattr(message, name):
-            flags |= flag
+    flags = flags_of(message)
     if not message.is_rx:
         flags |= CanFlag.TX
     store.can(t_ns, message.arbitration_id, flags, bytes(data))
+
+
+def flags_of(message: Any) -> int:
+    """Return what a message of python-can, or one that has its attributes, says of its frame."""
+    return sum(flag for name, flag in _FLAGS if getattr(message, name))

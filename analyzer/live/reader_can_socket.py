@@ -22,6 +22,7 @@ import msgspec
 
 from analyzer.live.can_listen_only import kernel_notes
 from analyzer.live.endpoint import Endpoint
+from analyzer.live.reader_can_library import flags_of
 from analyzer.live.reader_port import BadCount, Lost, Opened, Stop, Unopened, listen, readable
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import MOST_BYTES, CanFlag
@@ -75,21 +76,12 @@ _unpack = msgspec.msgpack.Decoder(_Multicast).decode
 def dissect_multicast(datagram: bytes) -> tuple[int, int, bytes]:
     """Return identifier, flags and payload of a datagram of python-can's udp_multicast. Raises ValueError."""
     message = _unpack(datagram)
-    flags = 0
-    if message.is_extended_id:
-        flags |= CanFlag.EXTENDED
-    if message.is_remote_frame:
-        flags |= CanFlag.REMOTE
-    if message.is_error_frame:
-        flags |= CanFlag.ERROR
-    if message.is_fd:
-        flags |= CanFlag.FD
     if not 0 <= message.arbitration_id < 1 << 32:
         raise ValueError(f"identifier {message.arbitration_id}")
     data = message.data or b""
     if len(data) > MOST_BYTES:
         raise ValueError(counted(len(data), "data byte"))
-    return message.arbitration_id, flags, data
+    return message.arbitration_id, flags_of(message), data
 
 
 def dissect_kernel(frame: bytes) -> tuple[int, int, bytes]:

@@ -21,55 +21,54 @@ def reference(
     return {"dialects": [_dialect(d, None if commands is None else commands[d.name], errata_only) for d in dialects]}
 
 
+def _known(**values: Any) -> dict[str, Any]:
+    """Return an object without what is not known or does not apply: None, and an empty text."""
+    return {name: value for name, value in values.items() if value is not None and value != ""}
+
+
 def _dialect(dialect: Dialect, commands: Sequence[Command] | None, errata_only: bool) -> dict[str, Any]:
-    shown: dict[str, Any] = {"name": dialect.name, "title": dialect.title, "manual": dialect.manual, "bus": dialect.bus}
-    shown["models"] = list(dialect.models)
-    if dialect.model:
-        shown["model"] = dialect.model
-    shown["addresses"] = list(dialect.addresses)
-    if dialect.broadcast is not None:
-        shown["broadcast"] = dialect.broadcast
-    shown["baud_rates"] = list(dialect.baud_rates)
-    if not errata_only:
-        shown["commands"] = [command_object(c) for c in (dialect.commands if commands is None else commands)]
     chosen = dialect.errata if commands is None else [e for e in dialect.errata if any(concerns(e, c) for c in commands)]
-    shown["errata"] = [erratum_object(e) for e in chosen]
-    return shown
+    return _known(
+        name=dialect.name,
+        title=dialect.title,
+        manual=dialect.manual,
+        bus=dialect.bus,
+        models=list(dialect.models),
+        model=dialect.model,
+        addresses=list(dialect.addresses),
+        broadcast=dialect.broadcast,
+        baud_rates=list(dialect.baud_rates),
+        commands=None if errata_only else [command_object(c) for c in (dialect.commands if commands is None else commands)],
+        errata=[erratum_object(e) for e in chosen],
+    )
 
 
 def command_object(command: Command) -> dict[str, Any]:
     """Return a command as an object."""
-    shown: dict[str, Any] = {
-        "name": command.name,
-        "code": code_text(command.code, command.function),
-        "section": command.section,
-        "summary": command.summary,
-        "verb": command.verb.value,
-        "risk": sorted(command.all_risks),
-        "risk_rules": [_risk_rule(rule, command) for rule in command.risk],
-    }
-    if command.function is not None:
-        shown["function"] = code_text(command.function)
-    if command.quantity:
-        shown["quantity"] = command.quantity
-    if command.printed:
-        shown["printed"] = command.printed
-    for name in ("modes", "models", "notes"):
-        if getattr(command, name):
-            shown[name] = list(getattr(command, name))
-    if command.slots is not None:
-        shown["slots"] = {"count": command.slots.count, "size": command.slots.size}
-    shown["answers_broadcast"] = command.answers_broadcast
-    shown["answers_group"] = command.answers_group
-    shown["request"] = _union(command.request_forms)
-    if len(command.request_forms) > 1:
-        shown["requests"] = [_form(f) for f in command.request_forms]
-    shown["replies"] = [_form(f) for f in command.reply_forms]
-    statuses = _statuses(command)
-    if statuses:
-        shown["statuses"] = statuses
-    shown["vectors"] = [_vector(v, command) for v in command.vectors]
-    return shown
+    slots, several = command.slots, len(command.request_forms) > 1
+    return _known(
+        name=command.name,
+        code=code_text(command.code, command.function),
+        section=command.section,
+        summary=command.summary,
+        verb=command.verb.value,
+        risk=sorted(command.all_risks),
+        risk_rules=[_risk_rule(rule, command) for rule in command.risk],
+        function=None if command.function is None else code_text(command.function),
+        quantity=command.quantity or None,
+        printed=command.printed,
+        modes=list(command.modes) or None,
+        models=list(command.models) or None,
+        notes=list(command.notes) or None,
+        slots=None if slots is None else {"count": slots.count, "size": slots.size},
+        answers_broadcast=command.answers_broadcast,
+        answers_group=command.answers_group,
+        request=_union(command.request_forms),
+        requests=[_form(f) for f in command.request_forms] if several else None,
+        replies=[_form(f) for f in command.reply_forms],
+        statuses=_statuses(command) or None,
+        vectors=[_vector(v, command) for v in command.vectors],
+    )
 
 
 def _risk_rule(rule: RiskRule, command: Command) -> dict[str, Any]:
@@ -99,16 +98,14 @@ def _statuses(command: Command) -> dict[str, Any]:
 
 
 def _form(form: Form) -> dict[str, Any]:
-    shown: dict[str, Any] = {"name": form.name, "fields": fields_of(form.layout)}
-    if form.code is not None:
-        shown["code"] = code_text(form.code)
-    if form.models:
-        shown["models"] = list(form.models)
-    if form.needs_request:
-        shown["needs_request"] = True
-    if form.request_values:
-        shown["request_values"] = dict(form.request_values)
-    return shown
+    return _known(
+        name=form.name,
+        fields=fields_of(form.layout),
+        code=None if form.code is None else code_text(form.code),
+        models=list(form.models) or None,
+        needs_request=form.needs_request or None,
+        request_values=dict(form.request_values or {}) or None,
+    )
 
 
 def fields_of(layout: Layout) -> list[dict[str, Any]]:
@@ -129,32 +126,26 @@ def _union(forms: tuple[Form, ...]) -> list[dict[str, Any]]:
 
 def field_object(offset: int, field: Field) -> dict[str, Any]:
     """Return a field as an object; `offset`: its first bit in the command's own data."""
-    shown: dict[str, Any] = {"name": field.name}
-    if field.printed:
-        shown["printed"] = field.printed
-    shown |= {"bit_offset": offset, "bit_width": field.bit_width, "type": field.kind.value}
-    if field.kind is not FieldKind.BYTES:
-        shown["order"] = field.order.value
-        free = field.choices is None and field.values is None and field.fixed is None
-        if free or field.minimum is not None:
-            shown["minimum"] = field.low
-        if free or field.maximum is not None:
-            shown["maximum"] = field.high
-        if field.choices is not None:
-            shown["choices"] = {str(v): n for v, n in sorted(field.choice_names.items())}
-        if field.values is not None:
-            shown["values"] = sorted(field.values)
-        if field.unit:
-            shown["unit"] = field.unit
-        shown["scale"] = number(field)
-    for name in ("default", "fixed"):
-        if getattr(field, name) is not None:
-            shown[name] = int(getattr(field, name))
-    if field.note:
-        shown["note"] = field.note
-    if field.models:
-        shown["models"] = {model: _limits(limits) for model, limits in field.models.items()}
-    return shown
+    is_number = field.kind is not FieldKind.BYTES
+    free = is_number and field.choices is None and field.values is None and field.fixed is None
+    return _known(
+        name=field.name,
+        printed=field.printed,
+        bit_offset=offset,
+        bit_width=field.bit_width,
+        type=field.kind.value,
+        order=field.order.value if is_number else None,
+        minimum=field.low if free or field.minimum is not None else None,
+        maximum=field.high if free or field.maximum is not None else None,
+        choices=None if field.choices is None else {str(v): n for v, n in sorted(field.choice_names.items())},
+        values=None if field.values is None else sorted(field.values),
+        unit=field.unit,
+        scale=number(field) if is_number else None,
+        default=None if field.default is None else int(field.default),
+        fixed=None if field.fixed is None else int(field.fixed),
+        note=field.note,
+        models={model: _limits(limits) for model, limits in field.models.items()} if field.models else None,
+    )
 
 
 def number(field: Field | ModelLimits) -> int | float:
@@ -165,50 +156,33 @@ def number(field: Field | ModelLimits) -> int | float:
 
 
 def _limits(limits: ModelLimits) -> dict[str, Any]:
-    shown: dict[str, Any] = {}
-    for name in ("minimum", "maximum", "default"):
-        if getattr(limits, name) is not None:
-            shown[name] = int(getattr(limits, name))
-    if limits.scale is not None:
-        shown["scale"] = number(limits)
-    if limits.unit is not None:
-        shown["unit"] = limits.unit
-    return shown
+    numbers = {name: getattr(limits, name) for name in ("minimum", "maximum", "default")}
+    shown = _known(
+        **{name: None if value is None else int(value) for name, value in numbers.items()},
+        scale=None if limits.scale is None else number(limits),
+    )
+    # An empty unit is one, too: the model has none.
+    return shown if limits.unit is None else shown | {"unit": limits.unit}
 
 
 def _vector(vector: Vector, command: Command) -> dict[str, Any]:
-    shown: dict[str, Any] = {
-        "frame": vector.printed,
-        "role": vector.role.value,
-        "section": vector.section or command.section,
-        "checksum": vector.checksum,
-        "values": {n: int(v) for n, v in vector.values.items()},
-        "computed": vector.computed,
-    }
-    if vector.erratum:
-        shown["erratum"] = vector.erratum
-    if vector.corrected:
-        shown["corrected"] = vector.corrected
-    if vector.models:
-        shown["models"] = list(vector.models)
-    return shown
+    return _known(
+        frame=vector.printed,
+        role=vector.role.value,
+        section=vector.section or command.section,
+        checksum=vector.checksum,
+        values={n: int(v) for n, v in vector.values.items()},
+        computed=vector.computed,
+        erratum=vector.erratum,
+        corrected=vector.corrected,
+        models=list(vector.models) or None,
+    )
 
 
 def erratum_object(erratum: Erratum) -> dict[str, Any]:
     """Return an erratum as an object."""
-    shown: dict[str, Any] = {
-        "id": erratum.id,
-        "section": erratum.section,
-        "printed": erratum.printed,
-        "wrong": erratum.wrong,
-        "taken_as": erratum.taken_as,
-        "why": erratum.why,
-        "certainty": erratum.certainty.value,
-        "damage": erratum.damage.value,
-    }
-    if erratum.commands:
-        shown["commands"] = list(erratum.commands)
-    return shown
+    names = ("id", "section", "printed", "wrong", "taken_as", "why", "certainty", "damage")
+    return {name: str(getattr(erratum, name)) for name in names} | _known(commands=list(erratum.commands) or None)
 
 
 def concerns(erratum: Erratum, command: Command) -> bool:

@@ -11,6 +11,7 @@ import sys
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
+from analyzer.cli.option_types import number
 from analyzer.cli.reading import add_reading_arguments, open_reading, progress
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.values import near, printable, quote, storable
@@ -43,16 +44,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--about", metavar="WHO", default="", help="only claims about these, separated by commas: drive, host, wire"
     )
     parser.add_argument("--all", action="store_true", help="list confirmed claims and those that did not run too")
-    parser.add_argument("--examples", type=_count, default=3, metavar="N", help="findings shown for each claim (default 3)")
+    parser.add_argument(
+        "--examples",
+        type=number("a number 0..1000", int, lambda count: 0 <= count <= 1000),
+        default=3,
+        metavar="N",
+        help="findings shown for each claim (default 3)",
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON, one line per file")
     add_reading_arguments(parser)
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if not 0 <= value <= 1000:
-        raise argparse.ArgumentTypeError(f"expected a number 0..1000, got {text}")
-    return value
 
 
 def run(arguments: argparse.Namespace) -> int:

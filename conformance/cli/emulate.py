@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
+from analyzer.cli.option_types import number
 from analyzer.cli.signals import handled
 from analyzer.errors import UsageError
 from analyzer.live import profile
@@ -66,30 +67,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log", metavar="OUT.mcap", help="log what goes over the bus, decoded")
     parser.add_argument("--force", action="store_true", help="replace a log that exists")
     parser.add_argument("--no-wire-time", action="store_true", help="bytes and frames take no time on the wire")
-    parser.add_argument("--reply-delay", type=_milliseconds, metavar="MS", help="delay of a drive's reply")
+    delay = number("milliseconds from 0 to 60000", float, lambda ms: 0 <= ms < 60_000)
+    parser.add_argument("--reply-delay", type=delay, metavar="MS", help="delay of a drive's reply")
     parser.add_argument("--echo", action="store_true", help="echo what the host sends, as some adapters do")
     parser.add_argument(
         "--wire-fault", action="append", default=[], metavar="KIND=RATE,...",
         help="faults of the wire: flip, drop, insert, pause for each byte; cut, collision for each sending",
     )  # fmt: skip
-    parser.add_argument("--duration", type=_seconds, metavar="S", help="end after S seconds")
+    seconds = number("seconds above 0", float, lambda s: 0 < s < 1e9)
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
     parser.add_argument("--list-quirks", action="store_true", help="list the quirks of real drives and where they were seen")
     parser.add_argument("--list-realism", action="store_true", help="list what honest drives and lines do, by trait")
     parser.add_argument("--list-faults", action="store_true", help="list the faults a drive can be given")
-
-
-def _milliseconds(text: str) -> float:
-    value = float(text)
-    if not 0 <= value < 60_000:
-        raise argparse.ArgumentTypeError(f"expected milliseconds from 0 to 60000, got {text}")
-    return value
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"expected seconds above 0, got {text}")
-    return value
 
 
 def run(arguments: argparse.Namespace) -> int:

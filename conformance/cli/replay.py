@@ -18,6 +18,7 @@ from typing import Any
 import msgspec
 
 from analyzer.catalogue import Dialect
+from analyzer.cli.option_types import number
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, open_reading, progress
 from analyzer.dialects import drive_name
 from analyzer.errors import UsageError
@@ -58,8 +59,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("file", metavar="FILE", help="a capture or an MCAP log")
     add_on_argument(parser)
-    parser.add_argument("--speed", type=_factor, default=1.0, metavar="X", help="2 is twice as fast (default 1)")
-    parser.add_argument("--loop", type=_loops, default=1, metavar="N", help="N times over; 0: until Ctrl-C")
+    parser.add_argument(
+        "--speed",
+        type=number("a factor above 0", float, lambda factor: 0 < factor <= 1e6),
+        default=1.0,
+        metavar="X",
+        help="2 is twice as fast (default 1)",
+    )
+    parser.add_argument(
+        "--loop",
+        type=number("a number from 0 on", int, lambda loops: 0 <= loops <= 1_000_000_000),
+        default=1,
+        metavar="N",
+        help="N times over; 0: until Ctrl-C",
+    )
     parser.add_argument("--bus", default="", metavar="NAME", help="only this bus, if the file has several")
     parser.add_argument("--address", metavar="LIST", help="only requests to these addresses, as 1,2 or 1-4")
     parser.add_argument("--skip-refused", action="store_true", help="skip requests that are not allowed, and send the rest")
@@ -67,20 +80,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="the result as one JSON object")
     add_reading_arguments(parser)
     add_gate_arguments(parser)
-
-
-def _factor(text: str) -> float:
-    value = float(text)
-    if not 0 < value <= 1e6:
-        raise argparse.ArgumentTypeError(f"expected a factor above 0, got {text}")
-    return value
-
-
-def _loops(text: str) -> int:
-    value = int(text)
-    if not 0 <= value <= 1_000_000_000:
-        raise argparse.ArgumentTypeError(f"expected a number from 0 on, got {text}")
-    return value
 
 
 def run(arguments: argparse.Namespace) -> int:

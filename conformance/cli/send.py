@@ -16,6 +16,7 @@ from typing import Any
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect
 from analyzer.cli.frame import filled_text, parse_target, parse_values
+from analyzer.cli.option_types import add_model_argument, number
 from analyzer.cli.show import names_of
 from analyzer.decoder import physical
 from analyzer.dialects import find_command
@@ -62,21 +63,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_on_argument(parser)
     parser.add_argument("--hex", metavar="BYTES", help="these bytes instead of a command (CAN: 001#F60140023A)")
     parser.add_argument("--form", metavar="NAME", help="the form, if the fields do not determine it")
-    parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS")
+    add_model_argument(parser)
     parser.add_argument("--wire", action="store_true", help="numbers are integers as sent")
     parser.add_argument("--force", action="store_true", help="send also what the manual forbids, if its bits hold it")
-    parser.add_argument("--timeout", type=_milliseconds, default=_DEFAULT_TIMEOUT, metavar="MS", help="default 1000")
+    milliseconds = number("milliseconds above 0, at most 600000", float, lambda ms: 0 < ms <= 600_000)
+    parser.add_argument("--timeout", type=milliseconds, default=_DEFAULT_TIMEOUT, metavar="MS", help="default 1000")
     parser.add_argument("--wait", action="store_true", help="wait for the reply that says it is done, two minutes at most")
     parser.add_argument("--dry-run", action="store_true", help="show the bytes and what can be read in them; open nothing")
     parser.add_argument("--json", action="store_true", help="one JSON object")
     add_gate_arguments(parser)
-
-
-def _milliseconds(text: str) -> float:
-    value = float(text)
-    if not 0 < value <= 600_000:
-        raise argparse.ArgumentTypeError(f"expected milliseconds above 0, at most 600000, got {text}")
-    return value
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analyzer import __version__
+from analyzer.cli.option_types import number
 from analyzer.cli.reading import now_text
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import profile
@@ -65,7 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--claim", action="append", default=[], metavar="ID", help="only these claims; * and ? are patterns")
     parser.add_argument("--short", action="store_true", help="the most telling claims, as many as fit into 90 s of the line")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of random values (default 0)")
-    parser.add_argument("--jobs", type=_jobs, default=0, metavar="N", help="processes for emulated drives (default: all cores)")
+    processes = number("processes from 1 on", int, lambda count: count > 0)
+    parser.add_argument(
+        "--jobs", type=processes, default=0, metavar="N", help="processes for emulated drives (default: all cores)"
+    )
     add_safety_arguments(parser)
     add_verdict_arguments(parser)
     parser.add_argument("--dry-run", action="store_true", help="print all that would be sent, and send nothing")
@@ -79,13 +83,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--write-baseline", metavar="FILE", help="write the refuted claims as a baseline")
     parser.add_argument("--force", action="store_true", help="replace a log that exists, or another file in place of a report")
     parser.add_argument("--json", action="store_true", help="one JSON object a verdict, then one of the run")
-
-
-def _jobs(text: str) -> int:
-    value = int(text) if text.isdigit() else 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected processes from 1 on, got {text}")
-    return value
 
 
 #: What the outputs that a later run replaces begin with; no other file is replaced.

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Risk
+from analyzer.cli.option_types import number
 from analyzer.errors import UsageError
 from analyzer.live.profile import BOUNDS, NamedDrive
 from analyzer.values import near, quote
@@ -44,6 +45,8 @@ class Objection:
 #: Bounds are below this.
 _LARGEST = 1e12
 _SUBDIVISIONS = range(1, 257)
+_ABOVE_ZERO = number("a number above 0", float, lambda value: 0 < value < _LARGEST)
+_SUBDIVISION = number("a subdivision 1..256", int, lambda value: value in _SUBDIVISIONS)
 
 
 @dataclass(frozen=True)
@@ -149,16 +152,16 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options by which a user says what may be sent."""
     group = parser.add_argument_group("permissions (without them, only reads are sent)")
     group.add_argument("--allow", action="append", default=[], metavar="RISKS", help=f"some of {','.join(WORDS)}")
-    group.add_argument("--max-speed", type=_above_zero, metavar="RPM", help="highest speed of the shaft, by its subdivision")
-    group.add_argument("--max-turns", type=_above_zero, metavar="N", help="longest move; runs without an end are `unbounded`")
-    group.add_argument("--max-acceleration", type=_above_zero, metavar="N", help="as sent, 1..255; 0, at once, is above all")
-    group.add_argument("--max-current", type=_above_zero, metavar="MA", help="highest current that is set or held")
+    group.add_argument("--max-speed", type=_ABOVE_ZERO, metavar="RPM", help="highest speed of the shaft, by its subdivision")
+    group.add_argument("--max-turns", type=_ABOVE_ZERO, metavar="N", help="longest move; runs without an end are `unbounded`")
+    group.add_argument("--max-acceleration", type=_ABOVE_ZERO, metavar="N", help="as sent, 1..255; 0, at once, is above all")
+    group.add_argument("--max-current", type=_ABOVE_ZERO, metavar="MA", help="highest current that is set or held")
     group.add_argument("--alone", action="store_true", help="no other drive is on the bus: broadcasts, packages, link changes")
     group.add_argument("--spoken", metavar="DIALECTS", help="what drives on this bus speak: --alone looks for these")
     group.add_argument(
         "--budget", action="append", default=[], metavar="WORD=N,...", help="of the whole run: commands, seconds, turns, wear"
     )
-    group.add_argument("--subdivision", type=_subdivision, metavar="N", help="what MKS drives are set to (else taken as 1)")
+    group.add_argument("--subdivision", type=_SUBDIVISION, metavar="N", help="what MKS drives are set to (else taken as 1)")
 
 
 def allowance_from(arguments: argparse.Namespace, *, addresses: Iterable[int] | None = None) -> Allowance:
@@ -190,17 +193,3 @@ def narrow(arguments: argparse.Namespace, drives: Iterable[NamedDrive]) -> None:
     subdivisions = {entry.subdivision for entry in entries}
     if len(subdivisions) == 1 and getattr(arguments, "subdivision", None) is None:
         arguments.subdivision = subdivisions.pop()
-
-
-def _above_zero(text: str) -> float:
-    value = float(text)
-    if not 0 < value < _LARGEST:
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
-    return value
-
-
-def _subdivision(text: str) -> int:
-    value = int(text)
-    if value not in _SUBDIVISIONS:
-        raise argparse.ArgumentTypeError(f"expected a subdivision 1..256, got {text}")
-    return value

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from analyzer.cli.option_types import number
 from analyzer.live.profile import NamedDrive
 from conformance.gate.permissions import allowance_from, narrow
 from conformance.suite.plan import Plan
@@ -51,15 +52,8 @@ def inconclusive(text: str) -> float:
         raise argparse.ArgumentTypeError(f"expected a number of claims, or a share as 10%, got {text}") from None
 
 
-def seconds(text: str) -> float:
-    """Return the time that `--max-run` names."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value <= _LONGEST_RUN:
-        raise argparse.ArgumentTypeError(f"expected seconds above 0, up to {_LONGEST_RUN:g}, got {text}")
-    return value
+#: The time that `--max-run` names.
+seconds = number(f"seconds above 0, up to {_LONGEST_RUN:g}", float, lambda value: 0 < value <= _LONGEST_RUN)
 
 
 def plan_from(

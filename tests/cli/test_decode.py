@@ -48,11 +48,10 @@ def test_the_metadata_accounts_for_every_byte(tmp_path):
         assert values[key], key
 
 
-def test_an_existing_log_is_replaced_only_by_force(tmp_path, capsys):
+def test_an_existing_log_is_replaced_only_by_force(tmp_path, cli):
     log = tmp_path / "out.mcap"
     log.write_text("precious")
-    assert main(["decode", str(BENCH), "-o", str(log)]) == 2
-    assert "exists; --force replaces it" in capsys.readouterr().err
+    assert "exists; --force replaces it" in cli("decode", BENCH, "-o", log, status=2).err
     assert log.read_text() == "precious"
     assert main(["decode", str(BENCH), "-o", str(log), "--force"]) == 0
 
@@ -63,9 +62,8 @@ def test_strict_is_1_for_errors_and_0_without(tmp_path):
     assert main(["decode", str(CAPTURES / "lk_rs485.log"), "-o", log, "--strict", "--force"]) == 0
 
 
-def test_json_is_one_object_a_file(tmp_path, capsys):
-    assert main(["decode", str(BENCH), "-o", str(tmp_path / "o.mcap"), "--json"]) == 0
-    whole = json.loads(capsys.readouterr().out)
+def test_json_is_one_object_a_file(tmp_path, cli):
+    whole = json.loads(cli("decode", BENCH, "-o", tmp_path / "o.mcap", "--json").out)
     assert whole["dialects"] == ["mks-rs485"]
     assert whole["bytes"]["frames"] == whole["bytes"]["total"]
     rows = {(r["address"], r["command"]): r for r in whole["commands"]}
@@ -73,23 +71,20 @@ def test_json_is_one_object_a_file(tmp_path, capsys):
     assert {f["rule"] for f in whole["findings"]} == {"out_of_range", "failed_status", "bad_checksum"}
 
 
-def test_several_files_need_a_folder(tmp_path, capsys):
+def test_several_files_need_a_folder(tmp_path, cli):
     files = [str(BENCH), str(CAPTURES / "mks_can.asc")]
-    assert main(["decode", *files, "-o", str(tmp_path / "one.mcap")]) == 2
-    assert "give a folder" in capsys.readouterr().err
+    assert "give a folder" in cli("decode", *files, "-o", tmp_path / "one.mcap", status=2).err
     assert main(["decode", *files, "-o", str(tmp_path)]) == 0
     assert sorted(os.listdir(tmp_path)) == ["mks_can.asc.mcap", "mks_rs485.log.mcap"]
 
 
-def test_a_folder_of_captures_becomes_a_folder_of_logs(tmp_path, capsys):
+def test_a_folder_of_captures_becomes_a_folder_of_logs(tmp_path, cli):
     week, logs = tmp_path / "week", tmp_path / "logs"
     week.mkdir()
-    assert main(["decode", str(week), "-o", str(logs)]) == 2
-    assert "without files" in capsys.readouterr().err
+    assert "without files" in cli("decode", week, "-o", logs, status=2).err
     for name in ("mks_rs485.log", "mks_can.candump.log"):
         shutil.copy(CAPTURES / name, week)
-    assert main(["decode", str(week)]) == 2
-    assert "with -o" in capsys.readouterr().err
+    assert "with -o" in cli("decode", week, status=2).err
     assert main(["decode", str(week), "-o", str(week / "mks_rs485.log")]) == 2
     assert main(["decode", str(week), "-o", str(logs)]) == 0
     assert sorted(os.listdir(logs)) == ["mks_can.candump.log.mcap", "mks_rs485.log.mcap"]
@@ -100,16 +95,14 @@ def test_a_folder_of_captures_becomes_a_folder_of_logs(tmp_path, capsys):
     assert sorted(os.listdir(week)) == ["a.bin", "mks_can.candump.log", "mks_rs485.log"]
 
 
-def test_the_rest_goes_on_after_an_unreadable_file(tmp_path, capsys):
+def test_the_rest_goes_on_after_an_unreadable_file(tmp_path, cli):
     files = [str(tmp_path / "missing.log"), str(BENCH)]
-    assert main(["decode", *files, "-o", str(tmp_path)]) == 2
-    assert "missing.log" in capsys.readouterr().err
+    assert "missing.log" in cli("decode", *files, "-o", tmp_path, status=2).err
     assert (tmp_path / "mks_rs485.log.mcap").exists()
 
 
-def test_standard_input_needs_a_name(tmp_path, capsys):
-    assert main(["decode", "-"]) == 2
-    assert "-o" in capsys.readouterr().err
+def test_standard_input_needs_a_name(tmp_path, cli):
+    assert "-o" in cli("decode", "-", status=2).err
 
 
 def test_standard_input_decodes(tmp_path):
@@ -122,27 +115,23 @@ def test_standard_input_decodes(tmp_path):
     assert metadata(log)["frames"] == "25"
 
 
-def test_an_unknown_dialect_names_the_near_one(tmp_path, capsys):
-    assert main(["decode", str(BENCH), "-o", str(tmp_path / "o.mcap"), "--dialect", "mks-rs458"]) == 2
-    assert "did you mean mks-rs485?" in capsys.readouterr().err
+def test_an_unknown_dialect_names_the_near_one(tmp_path, cli):
+    assert "did you mean mks-rs485?" in cli("decode", BENCH, "-o", tmp_path / "o.mcap", "--dialect", "mks-rs458", status=2).err
 
 
-def test_a_model_that_no_dialect_has(tmp_path, capsys):
-    assert main(["decode", str(BENCH), "-o", str(tmp_path / "o.mcap"), "--model", "42X"]) == 2
-    assert "42D" in capsys.readouterr().err
+def test_a_model_that_no_dialect_has(tmp_path, cli):
+    assert "42D" in cli("decode", BENCH, "-o", tmp_path / "o.mcap", "--model", "42X", status=2).err
 
 
-def test_a_dialect_of_the_wrong_bus(tmp_path, capsys):
-    assert main(["decode", str(BENCH), "-o", str(tmp_path / "o.mcap"), "--dialect", "mks-can"]) == 2
-    assert "serial" in capsys.readouterr().err
+def test_a_dialect_of_the_wrong_bus(tmp_path, cli):
+    assert "serial" in cli("decode", BENCH, "-o", tmp_path / "o.mcap", "--dialect", "mks-can", status=2).err
     assert os.listdir(tmp_path) == []
 
 
-def test_the_capture_itself_is_never_the_target(tmp_path, capsys):
+def test_the_capture_itself_is_never_the_target(tmp_path, cli):
     log = tmp_path / "a.mcap"
     main(["decode", str(BENCH), "-o", str(log)])
-    assert main(["decode", str(log), "-o", str(log), "--force"]) == 2
-    assert "is the capture itself" in capsys.readouterr().err
+    assert "is the capture itself" in cli("decode", log, "-o", log, "--force", status=2).err
 
 
 def test_a_disk_that_is_full_leaves_no_broken_log(tmp_path):
@@ -224,10 +213,9 @@ def test_other_ends_leave_a_whole_log_too(tmp_path, number):
         assert make_reader(stream).get_summary() is not None
 
 
-def test_only_regular_files_are_replaced(tmp_path, capsys):
+def test_only_regular_files_are_replaced(tmp_path, cli):
     os.mkfifo(tmp_path / "fifo")
-    assert main(["decode", str(BENCH), "-o", str(tmp_path / "fifo"), "--force"]) == 2
-    assert "not a regular file" in capsys.readouterr().err
+    assert "not a regular file" in cli("decode", BENCH, "-o", tmp_path / "fifo", "--force", status=2).err
     (tmp_path / "real.mcap").write_text("old")
     (tmp_path / "link").symlink_to("real.mcap")
     assert main(["decode", str(BENCH), "-o", str(tmp_path / "link"), "--force"]) == 0
@@ -252,9 +240,8 @@ def test_an_output_that_is_full_is_a_message():
     assert "Traceback" not in done.stderr
 
 
-def test_glued_captures_begin_anew_where_time_goes_back(tmp_path, capsys):
+def test_glued_captures_begin_anew_where_time_goes_back(tmp_path, cli):
     glued = tmp_path / "glued.log"
     glued.write_bytes(BENCH.read_bytes() * 2)
-    assert main(["decode", str(glued), "--json"]) == 0
-    rows = {(r["address"], r["command"]): r for r in json.loads(capsys.readouterr().out)["commands"]}
+    rows = {(r["address"], r["command"]): r for r in json.loads(cli("decode", glued, "--json").out)["commands"]}
     assert rows["1", "read_speed"]["latency"]["median"] == pytest.approx(0.003, rel=0.05)

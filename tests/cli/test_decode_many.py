@@ -22,7 +22,6 @@ from analyzer.sinks.forked import available
 
 ROOT = Path(__file__).parents[2]
 CAPTURES = ROOT / "captures"
-TWO = ("mks_rs485.log", "mks_can.candump.log")
 JOBS = pytest.mark.parametrize(
     "jobs", ["1", pytest.param("2", marks=pytest.mark.skipif(not available(), reason="no fork on this machine, or one core"))]
 )
@@ -98,13 +97,12 @@ def test_no_two_share_a_log(week, tmp_path, capsys):
 
 
 @JOBS
-def test_what_is_no_capture_is_named_once(jobs, week, tmp_path, capsys):
+def test_what_is_no_capture_is_named_once(jobs, week, tmp_path, cli):
     (week / "photo.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     (week / "empty").mkdir()
     (week / "empty" / "nothing.log").touch()
     logs = tmp_path / "logs"
-    assert main(["decode", str(week), "-o", str(logs), "--jobs", jobs]) == 2
-    captured = capsys.readouterr()
+    captured = cli("decode", week, "-o", logs, "--jobs", jobs, status=2)
     assert captured.err.count("week/photo.png") == captured.err.count("week/empty/nothing.log") == 1
     assert captured.err.count("\n") == 2
     assert "photo.png" not in captured.out
@@ -130,7 +128,7 @@ def test_a_fault_in_one_ends_no_other(jobs, week, tmp_path, capsys, monkeypatch)
 
 
 @pytest.mark.skipif(not available(), reason="no fork on this machine, or one core")
-def test_a_process_that_dies_takes_one_capture_with_it(week, tmp_path, capsys, monkeypatch):
+def test_a_process_that_dies_takes_one_capture_with_it(week, tmp_path, cli, monkeypatch):
     parent, opened = os.getpid(), command.open_reading
 
     def deadly(path, arguments):
@@ -139,8 +137,7 @@ def test_a_process_that_dies_takes_one_capture_with_it(week, tmp_path, capsys, m
         return opened(path, arguments)
 
     monkeypatch.setattr(command, "open_reading", deadly)
-    assert main(["decode", str(week), "-o", str(tmp_path / "logs"), "--jobs", "2"]) == 2
-    captured = capsys.readouterr()
+    captured = cli("decode", week, "-o", tmp_path / "logs", "--jobs", "2", status=2)
     assert "mks_rs485.log: the process that decoded it died (signal 9)" in captured.err
     assert tree(tmp_path / "logs") == MIRRORED[1:]
 
@@ -180,14 +177,12 @@ def test_ctrl_c_leaves_valid_logs_and_ends_all(jobs, tmp_path):
             assert make_reader(stream, validate_crcs=True).get_summary() is not None
 
 
-def test_an_order_that_is_wrong_ends_before_anything_is_made(week, tmp_path, capsys):
+def test_an_order_that_is_wrong_ends_before_anything_is_made(week, tmp_path, cli):
     (tmp_path / "logs" / "mon").mkdir(parents=True)
     (tmp_path / "logs" / "mon" / "mks_can.asc.mcap").touch()
-    assert main(["decode", str(week), "-o", str(tmp_path / "logs")]) == 2
-    assert "exists; --force replaces it" in capsys.readouterr().err
+    assert "exists; --force replaces it" in cli("decode", week, "-o", tmp_path / "logs", status=2).err
     assert tree(tmp_path / "logs") == ["mon/mks_can.asc.mcap"]
-    assert main(["decode", str(week), "-o", str(week)]) == 2
-    assert "is the folder of the captures itself" in capsys.readouterr().err
+    assert "is the folder of the captures itself" in cli("decode", week, "-o", week, status=2).err
 
 
 def test_how_far_all_are_is_shown(monkeypatch):

@@ -428,7 +428,7 @@ def test_lines_in_words(monkeypatch, explain):
 EXPLAINER = Explainer(ALL)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.binary(max_size=60), st.sampled_from([Role.UNKNOWN, Role.REQUEST, Role.REPLY]), st.booleans())
 def test_any_bytes_are_explained_or_refused(data, role, no_checksum):
     if not data:
@@ -441,7 +441,7 @@ def test_any_bytes_are_explained_or_refused(data, role, no_checksum):
     assert json.loads(json.dumps(module.explained(found)))["dialect"] == found.dialect.name
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.data())
 def test_flipped_vectors_are_explained_or_refused(data):
     _, _, vector = data.draw(st.sampled_from(VECTORS)).values
@@ -455,7 +455,7 @@ def test_flipped_vectors_are_explained_or_refused(data):
     module.explained(found)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.text(max_size=200))
 def test_any_text_is_read_or_refused(text):
     said = ""

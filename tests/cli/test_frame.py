@@ -67,13 +67,12 @@ def test_every_vector_is_built_from_its_values(frame, dialect: Dialect, command:
 
 
 @pytest.mark.parametrize(("dialect", "command", "vector"), VECTORS)
-def test_every_vector_is_built_from_what_explain_says(capsys, dialect: Dialect, command: Command, vector: Vector):
+def test_every_vector_is_built_from_what_explain_says(cli, dialect: Dialect, command: Command, vector: Vector):
     if vector.erratum:
         pytest.skip("does not hold")
     model = ["--model", vector.models[0]] if vector.models else []
     role = ["--role", vector.role.value] + ([] if vector.checksum else ["--no-checksum"])
-    assert main(["explain", "--json", "--dialect", dialect.name, *role, *model, vector.printed]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(cli("explain", "--json", "--dialect", dialect.name, *role, *model, vector.printed).out)
     fields = {n: v for n, v in told["fields"].items() if not n.endswith("_name")}
     words = [f"{n}={told['fields'].get(n + '_name', v)}" for n, v in fields.items() if not n.endswith("_text")]
     if "slots" in fields:
@@ -81,8 +80,7 @@ def test_every_vector_is_built_from_what_explain_says(capsys, dialect: Dialect, 
     if any(n.endswith("_text") for n in fields):
         words = [f"{n[:-5]}={v}" for n, v in fields.items() if n.endswith("_text")]
     words += ["--reply"] if vector.role is Role.REPLY else []
-    assert main(["frame", f"{dialect.name}@{told['address']}", told["command"], *words, *model]) == 0
-    assert capsys.readouterr().out.strip() == told["frame"]
+    assert cli("frame", f"{dialect.name}@{told['address']}", told["command"], *words, *model).out.strip() == told["frame"]
 
 
 def slot_text(slot):
@@ -161,9 +159,8 @@ def test_a_frame_as_json(frame):
     assert package["risk"] == ["torque"]
 
 
-def test_what_was_left_out_is_told_beside_the_frame(capsys):
-    assert main(["frame", "mks-rs485@1", "set_current", "--model", "42D"]) == 0
-    out, err = capsys.readouterr()
+def test_what_was_left_out_is_told_beside_the_frame(capsys, cli):
+    out, err = cli("frame", "mks-rs485@1", "set_current", "--model", "42D")
     assert out.strip() == "FA 01 83 06 40 C4"
     assert err.strip() == "left out and taken so: current=1600 mA"
     assert main(["frame", "mks-rs485@1", "set_current"]) == 2

@@ -187,42 +187,34 @@ def test_a_stretch_is_decoded_as_in_the_whole(tmp_path, words, kind):
     assert (about["since"], about["until"]) == (iso(UTC + FIRST), iso(UTC + LAST))
 
 
-def test_show_a_stretch(tmp_path, capsys):
+def test_show_a_stretch(tmp_path, cli):
     path = log(tmp_path / "logs")
-    assert main(["show", str(path), "--since=-1s", "--json"]) == 0
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    rows = [json.loads(line) for line in cli("show", path, "--since=-1s", "--json").out.splitlines()]
     assert len(rows) == 40
-    assert main(["show", str(path), "--since", "+5s", "--until", "+1s"]) == 2
-    assert "lies before" in capsys.readouterr().err
+    assert "lies before" in cli("show", path, "--since", "+5s", "--until", "+1s", status=2).err
 
 
-def test_of_any_capture(tmp_path, capsys):
+def test_of_any_capture(tmp_path, cli):
     path = tmp_path / "can.log"
     path.write_text("".join(f"({100 + n}.000000) can0 001#3031\n" for n in range(100)))
-    assert main(["show", str(path), "--since", "+10s", "--until", "+14s", "--json"]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 5
-    assert main(["show", str(path), "--since=-3s", "--json"]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 4
+    assert len(cli("show", path, "--since", "+10s", "--until", "+14s", "--json").out.splitlines()) == 5
+    assert len(cli("show", path, "--since=-3s", "--json").out.splitlines()) == 4
     path.write_text("FA 01 32 2D\n" * 5)
-    assert main(["show", str(path), "--since", "+10s"]) == 2
-    assert "has no times" in capsys.readouterr().err
+    assert "has no times" in cli("show", path, "--since", "+10s", status=2).err
 
 
-def test_comments_before_all_traffic_do_not_begin_a_log_in_1970(tmp_path, capsys):
+def test_comments_before_all_traffic_do_not_begin_a_log_in_1970(tmp_path, capsys, cli):
     """With a comment at no time, `--since +9.9s` and a time of day counted from 1970, and took all."""
     path = decoded(Path(shutil.copy(CAPTURES / "mks_rs485.log", tmp_path)))
     for since in ("+9.9s", "09:00:09.9"):
         capsys.readouterr()
-        assert main(["show", str(path), "--utc", "--since", since, "--json"]) == 0
-        shown = capsys.readouterr()
+        shown = cli("show", path, "--utc", "--since", since, "--json")
         assert len(shown.out.splitlines()) == 4
         # What a time range leaves out is not missing.
         assert "missing" not in shown.err
     cut = tmp_path / "cut.mcap"
-    assert main(["cut", str(path), "--utc", "--since", "09:00:09.9", "-o", str(cut)]) == 0
-    assert "from 2026-03-02T09:00:09.9" in capsys.readouterr().out
-    assert main(["show", str(cut)]) == 0
-    assert "serial begins at byte 250: what came before is not in the log" in capsys.readouterr().err
+    assert "from 2026-03-02T09:00:09.9" in cli("cut", path, "--utc", "--since", "09:00:09.9", "-o", cut).out
+    assert "serial begins at byte 250: what came before is not in the log" in cli("show", cut).err
 
 
 def test_what_lies_before_is_not_read(tmp_path):
@@ -253,15 +245,14 @@ def test_what_lies_before_is_not_read(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["whole", "unfinished", "parts"])
-def test_a_cut_is_complete_by_itself(tmp_path, capsys, kind):
+def test_a_cut_is_complete_by_itself(tmp_path, cli, kind):
     path = log(tmp_path / "logs", parts=kind == "parts")
     whole = [row for part in sorted(path.parent.glob("*.mcap")) for row in read(part)]
     if kind == "unfinished":
         path.write_bytes(path.read_bytes()[:-60])
     out = tmp_path / "cut.mcap"
     given = str(path.parent if kind == "parts" else path)
-    assert main(["cut", given, "--since", "+9.95s", "--until", "+11.95s", "-o", str(out)]) == 0
-    said = capsys.readouterr()
+    said = cli("cut", given, "--since", "+9.95s", "--until", "+11.95s", "-o", out)
     assert "from 2026-09-21T14:13:30" in said.out
     assert ("is incomplete" in said.err) == (kind == "unfinished")
     assert bare(within(read(out), 0, 100)) == bare(within(whole, 9.95, 11.95))
@@ -277,31 +268,27 @@ def test_a_cut_is_complete_by_itself(tmp_path, capsys, kind):
     assert metadata(again)["dialect"] == "mks-rs485,mks-can"
 
 
-def test_a_cut_of_one_bus(tmp_path, capsys):
+def test_a_cut_of_one_bus(tmp_path, cli):
     path = log(tmp_path / "logs")
     out = tmp_path / "cut.mcap"
     assert main(["cut", str(path), "--bus", "arm", "-o", str(out)]) == 0
     assert {t.split("/")[1] for t, _, _ in read(out)} == {"arm", "recording", "comments"}
     assert {v["bus"] for t, _, v in read(out) if t == "/recording"} == {"arm", ""}
-    assert main(["cut", str(path), "--bus", "none", "-o", str(tmp_path / "x.mcap")]) == 2
-    assert "no bus none in out.mcap; there are" in capsys.readouterr().err
+    assert "no bus none in out.mcap; there are" in cli("cut", path, "--bus", "none", "-o", tmp_path / "x.mcap", status=2).err
     assert not (tmp_path / "x.mcap").exists()
 
 
-def test_wrong_cuts(tmp_path, capsys):
+def test_wrong_cuts(tmp_path, cli):
     path = log(tmp_path / "logs", seconds=2)
     for words, text in (
         (("--since", "2020-01-01", "--until", "2020-01-02"), "nothing of out.mcap lies there"),
         (("--since", "+2s", "--until", "+1s"), "lies before"),
     ):
-        assert main(["cut", str(path), *words, "-o", str(tmp_path / "x.mcap")]) == 2
-        assert text in capsys.readouterr().err
-    assert main(["cut", str(path), "-o", str(path)]) == 2
-    assert "is the log itself" in capsys.readouterr().err
+        assert text in cli("cut", path, *words, "-o", tmp_path / "x.mcap", status=2).err
+    assert "is the log itself" in cli("cut", path, "-o", path, status=2).err
     capture = tmp_path / "x.log"
     capture.write_text("(1.0) can0 001#3031\n")
-    assert main(["cut", str(capture), "-o", str(tmp_path / "x.mcap")]) == 2
-    assert "expected an MCAP log" in capsys.readouterr().err
+    assert "expected an MCAP log" in cli("cut", capture, "-o", tmp_path / "x.mcap", status=2).err
 
 
 @pytest.mark.parametrize("capture", ["mks_rs485.log", "mks_can.asc", "mks_modbus.log"])
@@ -321,21 +308,19 @@ def test_a_cut_makes_no_findings_that_the_whole_has_not(tmp_path, capsys, captur
 # --- merge ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_log_is_merged_once(tmp_path, capsys):
+def test_a_log_is_merged_once(tmp_path, cli):
     path = log(tmp_path / "a", "a.mcap", seconds=1)
     copied = shutil.copy(path, tmp_path / "copy.mcap")
     for twice in (path, copied):
-        assert main(["merge", str(path), str(twice), "-o", str(tmp_path / "out.mcap")]) == 2
-        assert "has the same messages as" in capsys.readouterr().err
+        assert "has the same messages as" in cli("merge", path, twice, "-o", tmp_path / "out.mcap", status=2).err
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_logs_with_buses_of_one_name(tmp_path, capsys):
+def test_logs_with_buses_of_one_name(tmp_path, cli):
     first = log(tmp_path / "a", "a.mcap", seconds=3)
     second = log(tmp_path / "b", "b.mcap", seconds=3, ports=(LEFT,), anchor=10_000_000)
     out = tmp_path / "both.mcap"
-    assert main(["merge", str(first), str(second), "-o", str(out)]) == 0
-    assert "renamed: b_left" in capsys.readouterr().out
+    assert "renamed: b_left" in cli("merge", first, second, "-o", out).out
     rows = read(out)
     assert len(rows) == len(read(first)) + len(read(second))
     times = [m.log_time for _, m, _ in rows]

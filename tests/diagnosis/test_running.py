@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from analyzer.cli.record_display import JsonDisplay, LineDisplay
+from analyzer.cli.record_display import Display, JsonDisplay
 from analyzer.diagnosis import running as running_module
 from analyzer.diagnosis.diagnose import diagnosis, lines
 from analyzer.diagnosis.running import Running
@@ -93,7 +93,7 @@ def test_a_recording_prints_a_cause_once(capsys: pytest.CaptureFixture[str]):
     feed = SnapshotSink()
     feed.causes = {"echo": ["1. The adapter echoes.", "   next: switch it off"]}
     first, second = feed.snapshot(1), feed.snapshot(2)
-    for display in (LineDisplay(), JsonDisplay()):
+    for display in (Display(), JsonDisplay()):
         for snapshot in (first, second):
             display.snapshot(snapshot)
     output = capsys.readouterr()
@@ -102,5 +102,5 @@ def test_a_recording_prints_a_cause_once(capsys: pytest.CaptureFixture[str]):
 
 
 def test_the_last_snapshot_leaves_causes_to_the_summary(capsys: pytest.CaptureFixture[str]):
-    LineDisplay().snapshot(Snapshot(1, 1, causes={"echo": ["1. It echoes."]}, ended=True))
+    Display().snapshot(Snapshot(1, 1, causes={"echo": ["1. It echoes."]}, ended=True))
     assert capsys.readouterr().err == ""

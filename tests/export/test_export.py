@@ -182,15 +182,13 @@ def test_a_log_exported_and_decoded_again_holds_the_same_frames(capture, to, opt
     assert len(frames(log)) > 10
 
 
-def test_the_default_name_and_what_is_said(tmp_path, capsys):
+def test_the_default_name_and_what_is_said(tmp_path, capsys, cli):
     log = tmp_path / "week.mcap"
     main(["decode", str(CAPTURES / "mks_can.asc"), "-o", str(log)])
     capsys.readouterr()
-    assert main(["export", str(log), "--to", "candump"]) == 0
-    assert "25 frames of can1 (CAN, 89 bytes)" in capsys.readouterr().out
+    assert "25 frames of can1 (CAN, 89 bytes)" in cli("export", log, "--to", "candump").out
     assert (tmp_path / "week.candump.log").stat().st_mode & 0o777 == 0o666 & ~_umask()
-    assert main(["export", str(log), "--to", "candump"]) == 2
-    assert "exists; --force replaces it" in capsys.readouterr().err
+    assert "exists; --force replaces it" in cli("export", log, "--to", "candump", status=2).err
     assert main(["export", str(log), "--to", "candump", "--force"]) == 0
 
 
@@ -205,10 +203,9 @@ def both(path):
     return path
 
 
-def test_candump_leaves_serial_buses_out_and_says_so(tmp_path, capsys):
+def test_candump_leaves_serial_buses_out_and_says_so(tmp_path, cli):
     capture = both(tmp_path / "both.pcapng")
-    assert main(["export", str(capture), "--to", "candump", "-o", str(tmp_path / "a.log")]) == 0
-    out = capsys.readouterr().out
+    out = cli("export", capture, "--to", "candump", "-o", tmp_path / "a.log").out
     assert "left out: 3 pieces of left (serial, 13 bytes), 1 piece of arm-2.x (serial, 2 bytes): candump holds CAN alone" in out
     assert "left out: 1 comment:" in out
     assert len((tmp_path / "a.log").read_text().splitlines()) == len(CAN)

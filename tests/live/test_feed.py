@@ -95,7 +95,7 @@ def test_the_load_is_left_out_where_the_speed_is_not_known():
     assert b"load" not in encode(feed.snapshot(START + SECOND))
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(st.lists(st.integers(0, 200), max_size=8), st.randoms(use_true_random=False))
 def test_each_frame_is_shown_once_or_counted_as_left_out(sizes, random):
     feed = SnapshotSink()

@@ -54,7 +54,7 @@ def test_all_of_it_when_nobody_writes_any_more(tmp_path):
     assert merger.behind_ns(10**12) == 0
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 10_000), st.integers(1, 4))
 def test_any_row_in_any_steps(tmp_path_factory, seed, count):
     """However records and looks alternate: all come once, in order, if none is stored more than the patience late."""

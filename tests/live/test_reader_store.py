@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer.live.reader_store import RETRY_NS, StatusLine, Store
@@ -144,7 +144,6 @@ def test_beyond_the_memory_it_is_dropped_counted_and_told_in_its_place(tmp_path)
 
 
 @given(st.lists(st.sampled_from(["chunk", "event", "quiet", "full", "room", "flush"]), max_size=60), st.integers(0, 300))
-@settings(deadline=None)
 def test_whatever_the_disk_does_every_byte_is_stored_or_counted(tmp_path_factory, steps, held_limit):
     bench = Bench(tmp_path_factory.mktemp("store"), held_limit=held_limit)
     sent = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer import dialects
@@ -75,7 +75,6 @@ PAUSES = st.sampled_from([0, 300_000, 5_000_000, 24_000_000, 60_000_000, 900_000
 
 
 @given(st.lists(st.tuples(st.sampled_from(TRAFFIC), PAUSES)), BYTE_NS, st.sampled_from(["mks-rs485", "mks-modbus", "lk-rs485"]))
-@settings(deadline=None)
 def test_ending_waits_at_an_idle_changes_nothing(traffic, byte_ns, name):
     """What comes of the stored times is the same with and without the silences that were told live."""
     idle_after_ns = IDLE_NS + 2 * byte_ns

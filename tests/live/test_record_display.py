@@ -7,7 +7,7 @@ import json
 import sys
 from types import SimpleNamespace
 
-from analyzer.cli.record_display import JsonDisplay, LineDisplay, behind
+from analyzer.cli.record_display import Display, JsonDisplay, behind
 from analyzer.live.port_status import PortStatus
 from analyzer.live.snapshot import BusCounts, Snapshot
 
@@ -30,7 +30,7 @@ def test_a_line_is_one_write_so_that_two_threads_never_share_a_line(monkeypatch)
     monkeypatch.setattr(sys, "stdout", out)
     monkeypatch.setattr(sys, "stderr", errors)
     JsonDisplay().note("left", "cannot store")
-    LineDisplay().note("left", "cannot store")
+    Display().note("left", "cannot store")
     assert [json.loads(text) for text in out.each] == [{"event": "note", "bus": "left", "text": "cannot store"}]
     assert out.each[0].endswith("}\n")
     assert errors.each == ["left: cannot store\n"]
@@ -43,7 +43,7 @@ def test_a_reader_of_the_output_that_has_gone_does_not_end_a_recording(monkeypat
 
     monkeypatch.setattr(sys, "stdout", Gone())
     JsonDisplay().note("left", "cannot store")
-    LineDisplay().begin(SimpleNamespace(tallies={}, config=SimpleNamespace(log="x.mcap")))
+    Display().begin(SimpleNamespace(tallies={}, config=SimpleNamespace(log="x.mcap")))
 
 
 def test_it_says_by_how_much_decoding_is_behind(monkeypatch):
@@ -59,7 +59,7 @@ def test_it_says_by_how_much_decoding_is_behind(monkeypatch):
     assert behind(supervisor) == (2.5, 130)
     out = Writes()
     monkeypatch.setattr(sys, "stdout", out)
-    LineDisplay().line(supervisor)
+    Display().line(supervisor)
     JsonDisplay().line(supervisor)
     assert "decoding is 2.5 s behind, about 130 frames" in "".join(out.each)
     told = json.loads(out.each[-1])

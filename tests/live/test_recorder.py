@@ -206,7 +206,7 @@ def test_noise_is_no_dialect_and_it_is_tried_again(tmp_path):
 # --- however it comes -----------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.data())
 def test_the_log_is_what_decode_makes_of_its_bytes(tmp_path_factory, data):
     """Random chunks, pauses and idle marks, with any times."""

@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer.live import spool
@@ -43,7 +43,6 @@ def write_all(folder, records, segment_size=spool.SEGMENT_SIZE):
 
 
 @given(RECORDS, st.integers(1, 300), st.integers(1, 200))
-@settings(deadline=None)
 def test_what_was_written_is_read_whatever_the_segments_and_the_portions(tmp_path_factory, records, segment_size, most):
     folder = tmp_path_factory.mktemp("spool")
     write_all(folder, records, segment_size)
@@ -57,7 +56,6 @@ def test_what_was_written_is_read_whatever_the_segments_and_the_portions(tmp_pat
 
 
 @given(RECORDS, st.integers(1, 300), st.data())
-@settings(deadline=None)
 def test_reading_goes_on_at_any_record(tmp_path_factory, records, segment_size, data):
     folder = tmp_path_factory.mktemp("spool")
     write_all(folder, records, segment_size)
@@ -68,7 +66,6 @@ def test_reading_goes_on_at_any_record(tmp_path_factory, records, segment_size, 
 
 
 @given(RECORDS, st.integers(1, 300), st.data())
-@settings(deadline=None)
 def test_a_reader_that_stops_in_the_midst_loses_nothing(tmp_path_factory, records, segment_size, data):
     folder = tmp_path_factory.mktemp("spool")
     write_all(folder, records, segment_size)
@@ -87,7 +84,6 @@ def test_a_reader_that_stops_in_the_midst_loses_nothing(tmp_path_factory, record
 
 
 @given(RECORDS.filter(bool), st.data())
-@settings(deadline=None)
 def test_damage_costs_no_record_but_those_it_hit(tmp_path_factory, records, data):
     folder = tmp_path_factory.mktemp("spool")
     write_all(folder, records)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analyzer import dialects
@@ -110,7 +110,7 @@ noise = st.lists(st.one_of(st.binary(max_size=12), st.lists(st.sampled_from(HEAD
 
 @pytest.mark.parametrize("dialect", READS)
 @given(bursts=noise, wait_ns=st.sampled_from([0, 100_000, 3_000_000, 60_000_000]))
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+@settings(max_examples=150, derandomize=True)
 def test_after_any_noise_and_a_pause_the_next_request_is_answered(dialect: str, bursts: list[bytes], wait_ns: int) -> None:
     request, reply = READS[dialect]
     known = dialects.get(dialect)

@@ -20,7 +20,7 @@ from tests.conformance.drives.lk_bench import Bench
 
 ADDRESS = 3
 READ = bytes.fromhex("3E 9C 03 00 DD")
-EXAMPLES = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+EXAMPLES = settings(max_examples=150, suppress_health_check=list(HealthCheck))
 
 
 @st.composite
@@ -158,7 +158,7 @@ def test_time_may_stand_still_and_does_not_go_back(model: str) -> None:
     assert first.data == second.data
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data(), quirks=st.sets(st.sampled_from(QUIRKS), max_size=6))
 def test_quirks_together_never_raise(data: st.DataObject, quirks: set[Any]) -> None:
     bench = Bench(ADDRESS, model="MS", quirks=sorted(quirks, key=lambda q: q.name), seed=9)

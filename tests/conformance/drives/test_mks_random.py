@@ -89,7 +89,7 @@ def forbidden(dialect, data, address, can_id):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=150, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_random_requests(name, data):
     model = data.draw(st.sampled_from(["", *dialects.get(name).models]))
@@ -119,7 +119,7 @@ def test_random_requests(name, data):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(blob=st.binary(max_size=64), address=st.sampled_from([0, 1, 80, 0x7FF]))
 def test_any_bytes_at_all(name, blob, address):
     rig = Rig(name, group_address=80)

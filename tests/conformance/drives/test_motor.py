@@ -124,7 +124,7 @@ speeds = st.integers(1, 3000)
 steps_ns = st.integers(0, 255).map(ramp_step_ns)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     at=st.integers(-(10**6), 10**6), now=st.integers(-3000, 3000), target=st.integers(-(10**7), 10**7), cruise=speeds,
     divisor=st.sampled_from([1, 1, 1, 3, 16, 256]), step_ns=steps_ns,
@@ -154,7 +154,7 @@ def test_any_move_ends_exactly_and_keeps_the_law(at, now, target, cruise, diviso
     assert position == target * part
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(target=st.integers(-(10**6), 10**6), cruise=speeds, step_ns=steps_ns, part_of=st.integers(0, 1000))
 def test_the_time_of_a_position_is_the_inverse_of_the_position_at_a_time(target, cruise, step_ns, part_of):
     motor = Motor()

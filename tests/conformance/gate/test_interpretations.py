@@ -275,7 +275,7 @@ def test_heads_left_over_before_a_read():
             assert not refuses(data, bytes.fromhex(head)), f"{data.hex(' ')} behind {head}"
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.lists(st.binary(min_size=1, max_size=12), max_size=6), st.sampled_from(SAFE_BYTES))
 def test_a_plain_read_can_always_follow(before: list[bytes], data: bytes):
     found = judge()
@@ -335,7 +335,7 @@ def test_it_never_grows_beyond_the_longest_frame():
         assert len(stream.tail) <= 262
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(min_size=2, max_size=40), st.data())
 def test_cutting_hides_no_sound_frame(data: bytes, drawn: st.DataObject):
     whole = SerialInterpreter([MKS, LK])
@@ -385,7 +385,7 @@ PIECES = st.lists(
 )  # fmt: skip
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(PIECES, st.sets(st.sampled_from(sorted(EVERYTHING))))
 def test_no_sound_frame_that_is_not_allowed_ever_stands_in_what_left(pieces: list[bytes], allowed: set[Risk]):
     # An oracle that shares nothing with the gate but the catalogue: all that left, searched by slicers and decoded.

@@ -111,22 +111,20 @@ def stored(tmp_path):
 @pytest.mark.parametrize(
     ("raised", "status"), [(RigFault("the port is gone"), 1), (NotStopped("NOT STOPPED"), 20)], ids=["rig", "not stopped"]
 )
-def test_what_a_rerun_refuted_is_not_lost_where_the_rig_fails(raised, status, stored, capsys, monkeypatch):
+def test_what_a_rerun_refuted_is_not_lost_where_the_rig_fails(raised, status, stored, cli, monkeypatch):
     def close(rig):
         raise raised
 
     monkeypatch.setattr("conformance.suite.rig_emulated.EmulatedRig.close", close)
-    assert main(["rerun", stored, "--drive", WRONG_SUM, "--times", "2"]) == status
-    out = capsys.readouterr().out
+    out = cli("rerun", stored, "--drive", WRONG_SUM, "--times", "2", status=status).out
     assert "failing: 2 of 2" in out
     assert str(raised) in out
 
 
-def test_a_rerun_without_a_verdict_is_a_fault_of_the_rig(stored, capsys, monkeypatch):
+def test_a_rerun_without_a_verdict_is_a_fault_of_the_rig(stored, cli, monkeypatch):
     unjudged = lambda claim, rig: Verdict(claim, Outcome.INCONCLUSIVE, "nothing answers")  # noqa: E731
     monkeypatch.setattr("conformance.cli.rerun.engine.run_claim", unjudged)
-    assert main(["rerun", stored]) == 10
-    assert "no verdict: nothing answers" in capsys.readouterr().out
+    assert "no verdict: nothing answers" in cli("rerun", stored, status=10).out
 
 
 @pytest.mark.parametrize(
@@ -138,12 +136,11 @@ def test_a_rerun_without_a_verdict_is_a_fault_of_the_rig(stored, capsys, monkeyp
         ({"claim": "*/shape/read_speed/*"}, "expected the name of one claim"),
     ],
 )
-def test_a_stored_failure_that_no_run_wrote(changed, told, tmp_path, capsys):
+def test_a_stored_failure_that_no_run_wrote(changed, told, tmp_path, cli):
     about = {"claim": "mks-rs485/shape/read_speed/answered", "target": "mks-rs485@1"} | changed
     with (tmp_path / "f.mcap").open("wb") as stream:
         writer = Writer(stream)
         writer.start()
         writer.add_metadata("servotap.claim", about)
         writer.finish()
-    assert main(["rerun", str(tmp_path / "f.mcap")]) == 2
-    assert told in capsys.readouterr().err
+    assert told in cli("rerun", tmp_path / "f.mcap", status=2).err

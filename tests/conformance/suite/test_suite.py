@@ -34,16 +34,14 @@ def pytest_run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 # --- exit statuses ----------------------------------------------------------------------------------------------------
 
 
-def test_a_drive_as_the_manual_has_it_exits_with_0(capsys):
-    assert main(["test", "mks-rs485@1", *FEW]) == 0
-    out = capsys.readouterr().out
+def test_a_drive_as_the_manual_has_it_exits_with_0(cli):
+    out = cli("test", "mks-rs485@1", *FEW).out
     assert "passed" in out
     assert "REFUTED" not in out
 
 
-def test_a_refuted_claim_exits_with_1_and_shows_everything(capsys):
-    assert main(["test", "mks-rs485@1,fault=checksum-wrong", *FEW]) == 1
-    out = capsys.readouterr().out
+def test_a_refuted_claim_exits_with_1_and_shows_everything(cli):
+    out = cli("test", "mks-rs485@1,fault=checksum-wrong", *FEW, status=1).out
     assert "FAILED  mks-rs485/shape/read_speed/checksum  (mks-rs485@1,fault=checksum-wrong)" in out
     assert "FA 01 32 2D" in out
     assert "servotap test mks-rs485@1,fault=checksum-wrong --claim mks-rs485/shape/read_speed/checksum" in out
@@ -64,13 +62,12 @@ def test_a_refuted_claim_exits_with_1_and_shows_everything(capsys):
         (["mks-rs485@1", "mks-rs485@2", "mks-rs485@3", "--on", "emulated", "--on", "emulated"], "3 drives and 2 places"),
     ],
 )
-def test_wrong_use_exits_with_2_and_says_what_was_expected(words, told, capsys, tmp_path, monkeypatch):
+def test_wrong_use_exits_with_2_and_says_what_was_expected(words, told, cli, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     if words == ["mks-rs485"]:
         assert main(["test", *words, *FEW]) == 0, "an emulated drive needs no address"
         return
-    assert main(["test", *words, "--jobs", "1"]) == 2
-    err = capsys.readouterr().err
+    err = cli("test", *words, "--jobs", "1", status=2).err
     assert told in err
     assert "Traceback" not in err
 
@@ -121,11 +118,10 @@ def test_the_reports_of_a_run_say_the_same(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("fault", "status"), [("", 2), (",fault=checksum-wrong", 1)])
-def test_a_report_that_cannot_be_written_costs_neither_the_others_nor_the_verdict(fault, status, tmp_path, capsys):
+def test_a_report_that_cannot_be_written_costs_neither_the_others_nor_the_verdict(fault, status, tmp_path, cli):
     junit = tmp_path / "j.xml"
     words = ["--claim", "*/shape/read_speed/checksum", "--report", str(tmp_path / "none" / "r.html"), "--junitxml", str(junit)]
-    assert main(["test", f"mks-rs485@1{fault}", *words, "--jobs", "1"]) == status
-    shown = capsys.readouterr()
+    shown = cli("test", f"mks-rs485@1{fault}", *words, "--jobs", "1", status=status)
     assert "cannot write" in shown.err
     assert "1 of 1 claims ran" in shown.out
     assert ElementTree.parse(junit).getroot().find("./testsuite/testcase") is not None
@@ -141,38 +137,33 @@ def test_an_older_report_stays_where_the_new_one_finds_no_room(tmp_path, monkeyp
     assert list(tmp_path.iterdir()) == [page]
 
 
-def test_a_log_of_a_run_is_a_log_like_any_other(tmp_path, capsys):
+def test_a_log_of_a_run_is_a_log_like_any_other(tmp_path, cli):
     log = tmp_path / "run.mcap"
     assert main(["test", "mks-rs485@1", *FEW, "--log", str(log)]) == 0
-    assert main(["decode", str(log), "-o", str(tmp_path / "again.mcap")]) == 0
-    assert "read_speed" in capsys.readouterr().out
+    assert "read_speed" in cli("decode", log, "-o", tmp_path / "again.mcap").out
 
 
-def test_a_stored_failure_is_run_again(tmp_path, capsys):
+def test_a_stored_failure_is_run_again(tmp_path, cli):
     failures = tmp_path / "failures"
     words = ["--claim", "*/shape/read_speed/checksum", "--jobs", "1", "--failures", str(failures)]
     assert main(["test", "mks-rs485@1,fault=checksum-wrong", *words]) == 1
     (stored,) = failures.iterdir()
-    assert main(["rerun", str(stored)]) == 1
-    assert "failing: 3 of 3" in capsys.readouterr().out
-    assert main(["rerun", str(stored), "--drive", "mks-rs485@1"]) == 0
-    assert "fixed: 3 of 3" in capsys.readouterr().out
-    assert main(["rerun", str(ROOT / "README.md")]) == 2
-    assert "expected a stored failure" in capsys.readouterr().err
+    assert "failing: 3 of 3" in cli("rerun", stored, status=1).out
+    assert "fixed: 3 of 3" in cli("rerun", stored, "--drive", "mks-rs485@1").out
+    assert "expected a stored failure" in cli("rerun", str(ROOT / "README.md"), status=2).err
 
 
 # --- baselines --------------------------------------------------------------------------------------------------------
 
 
-def test_a_baseline_accepts_what_is_known_and_nothing_else(tmp_path, capsys):
+def test_a_baseline_accepts_what_is_known_and_nothing_else(tmp_path, capsys, cli):
     baseline = tmp_path / "known.json"
     faulty = ["test", "mks-rs485@1,fault=checksum-wrong", "--jobs", "1"]
     assert main([*faulty, "--claim", "*/shape/read_speed/*", "--write-baseline", str(baseline)]) == 1
     assert main([*faulty, "--claim", "*/shape/read_speed/*", "--baseline", str(baseline)]) == 0
     assert main([*faulty, "--claim", "*/shape/read_*/*", "--baseline", str(baseline)]) == 1
     assert "new: mks-rs485/shape/read_position/checksum" in capsys.readouterr().err
-    assert main(["test", "mks-rs485@1", *FEW, "--baseline", str(baseline)]) == 0
-    assert "fixed: mks-rs485/shape/read_speed/checksum" in capsys.readouterr().err
+    assert "fixed: mks-rs485/shape/read_speed/checksum" in cli("test", "mks-rs485@1", *FEW, "--baseline", baseline).err
     assert main([*faulty, "--claim", "*/shape/read_position/answered", "--baseline", str(baseline)]) == 1
     assert "not looked at: mks-rs485/shape/read_speed/checksum" in capsys.readouterr().err
 
@@ -186,9 +177,8 @@ def test_a_baseline_with_lists_among_the_parameters_knows_its_claims_again(tmp_p
     capsys.readouterr()
 
 
-def test_a_baseline_that_is_missing_is_told_before_the_run(tmp_path, capsys):
-    assert main(["test", "mks-rs485@1", "--baseline", str(tmp_path / "none.json")]) == 2
-    assert "none.json: No such file" in capsys.readouterr().err
+def test_a_baseline_that_is_missing_is_told_before_the_run(tmp_path, cli):
+    assert "none.json: No such file" in cli("test", "mks-rs485@1", "--baseline", tmp_path / "none.json", status=2).err
 
 
 def test_one_wrong_command_paints_no_other_refuted():
