@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,11 +20,14 @@ _FINEST = 10_000
 
 
 class ColumnCodec:
-    """Reads the data of many frames of one layout. `data` is always of shape (frames, bytes of the layout)."""
+    """Reads the data of many frames of one layout. `start`: bytes of a frame before the layout.
 
-    def __init__(self, layout: Layout) -> None:
+    `data` is always of shape (frames, bytes of a frame, in whole words).
+    """
+
+    def __init__(self, layout: Layout, start: int = 0) -> None:
         self.layout = layout
-        self.items = [(o, f) for o, f in layout if f.kind is not FieldKind.RESERVED]
+        self._every = [(offset + 8 * start, field) for offset, field in layout]
 
     @staticmethod
     def fits(layout: Layout) -> bool:
@@ -35,12 +36,12 @@ class ColumnCodec:
 
     def wire(self, data: Bytes) -> dict[str, Integers]:
         """Return the integers as sent, by field name."""
-        return {field.name: column(data, offset, field) for offset, field in self.items}
+        return {f.name: column(data, offset, f) for offset, f in self._every if f.kind is not FieldKind.RESERVED}
 
     def valid(self, data: Bytes) -> Flags:
         """Say of each frame whether all values are as the manual lists them."""
         good = np.ones(len(data), dtype=np.bool_)
-        for offset, field in self.layout:
+        for offset, field in self._every:
             if field.fixed is not None:
                 continue
             lowest, highest, allowed = limits(field)
@@ -58,7 +59,7 @@ class ColumnCodec:
     def matches(self, data: Bytes) -> Flags:
         """Say of each frame whether every fixed field has its value; the length fits already."""
         good = np.ones(len(data), dtype=np.bool_)
-        for offset, field in self.layout:
+        for offset, field in self._every:
             if field.fixed is not None:
                 good &= column(data, offset, field) == field.fixed
         return good
@@ -80,19 +81,23 @@ def limits(field: Field) -> tuple[int, int, list[int] | None]:
 
 
 def column(data: Bytes, offset: int, field: Field) -> Integers:
-    """Return a field of every frame as integers as sent; `offset` in bits."""
-    first, last = offset // 8, (offset + field.bit_width - 1) // 8 + 1
-    places = range(first, last) if field.order is Order.BIG else range(last - 1, first - 1, -1)
-    value: Any = np.zeros(len(data), dtype=np.int64)
-    for place in places:
-        value = value << 8 | data[:, place]
-    if field.bit_width == _WORD:
-        # All bits of the number are its own, the sign too.
-        word: Integers = value
-        return word
-    value = value >> (last * 8 - offset - field.bit_width) & ((1 << field.bit_width) - 1)
+    """Return a field of every frame as integers as sent; `offset` in bits from the beginning of the frame.
+
+    A word that holds the whole field is moved to the left until the field's first bit is its highest, then to the right.
+    """
+    count, width = data.shape
+    bits, stop = field.bit_width, (offset + field.bit_width - 1) // 8 + 1
+    begin = min(offset // 8, width - 8)
+    order, first = (">", offset - 8 * begin)
+    if field.order is Order.LITTLE:
+        # Its first byte is the lowest, and its bits are counted from the end of its last byte.
+        order, first = "<", _WORD - (8 * (offset // 8 - begin) + 8 * stop - offset - bits) - bits
+    words = np.ndarray(count, dtype=f"{order}u8", buffer=data, offset=begin, strides=(width,)).astype(np.uint64)
+    words <<= np.uint64(first)
+    value: Integers = words.view(np.int64)
     if field.kind is FieldKind.INT:
-        half = 1 << (field.bit_width - 1)
-        value = (value ^ half) - half
-    result: Integers = value
-    return result
+        # A signed number moves its sign along.
+        value >>= np.int64(_WORD - bits)
+    else:
+        words >>= np.uint64(_WORD - bits)
+    return value

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, CanBlock, FrameBlock, Head
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
-from analyzer.columns.groups import groups, numbered, ranks, words
+from analyzer.columns.groups import groups, numbered, ranks, taken, words
 from analyzer.context import Request, RequestOutcome, State
 from analyzer.link import Link
 from analyzer.link.can import CanLink
@@ -44,8 +44,8 @@ _FEW = 3
 #: Every second byte of a word; and by what four numbers in its pairs of bytes are multiplied to have their sum in the highest.
 _EVEN, _EACH_PAIR = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
 _UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
-#: All that one byte can be.
-_BYTES: Bytes = np.arange(256, dtype=np.uint8)[:, None]
+#: How many values one byte can have.
+_BYTES = 256
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class Pairing:
         #: The first is that of all frames without a lane: there are as many heads of such as one likes.
         self._kinds = [_Kind()]
         #: Of each kind whose data are one byte at most, what each byte says, by part.
-        self._said: list[tuple[NDArray[np.int8], ...]] = [(np.zeros(len(_BYTES), dtype=np.int8),)]
+        self._said: list[tuple[NDArray[np.int8], ...]] = [(np.zeros(_BYTES, dtype=np.int8),)]
         self._tables: _Tables | None = None
         #: Of each lane the number of its command and drive; requests that no drive answers have none, -1.
         self._exchanges: list[int] = []
@@ -365,7 +365,7 @@ class Pairing:
         for number, rows in groups(tables.readings[kinds]) if tables.examples else ():
             if number:
                 kind = tables.examples[number - 1]
-                for part, own_said in enumerate(self.say(kind, block.data[rows, kind.start : kind.stop])):
+                for part, own_said in enumerate(self.say(kind, taken(block.data, rows))):
                     said[part][rows] = own_said
         return kinds, said, tables
 
@@ -392,7 +392,9 @@ class Pairing:
             return 0
         size = kind.stop - kind.start
         self._kinds.append(kind)
-        self._said.append(tuple(self.say(kind, _BYTES[:, :size])) if size <= 1 else ())
+        every: Bytes = np.zeros((_BYTES, block.data.shape[1]), dtype=np.uint8)
+        every[:, kind.start : kind.start + 1] = np.arange(_BYTES)[:, None]
+        self._said.append(tuple(self.say(kind, every)) if size <= 1 else ())
         self._tables = None
         return len(self._kinds) - 1
 
@@ -426,24 +428,24 @@ class Pairing:
         lanes = [self._lanes[n] for n in (*kind.asking, *kind.telling)]
         return kind.start, kind.stop, len(kind.asking), tuple((id(lane.form), id(lane.command)) for lane in lanes)
 
-    def say(self, kind: _Kind, own: Bytes) -> Iterator[NDArray[np.int8]]:
-        """Yield what data say: 0: it is none. For a request 2 n + 1: it is the n-th that it can be, one more: and in order.
+    def say(self, kind: _Kind, data: Bytes) -> Iterator[NDArray[np.int8]]:
+        """Yield what frames say: 0: it is none. For a request 2 n + 1: it is the n-th that it can be, one more: and in order.
 
         For each reply that it can be, 1: it is that one, 2: and it ends its exchange well.
         """
-        said = np.zeros(len(own), dtype=np.int8)
+        said = np.zeros(len(data), dtype=np.int8)
         for place, number in enumerate(kind.asking):
-            codec = ColumnCodec(self._lanes[number].form.layout)
+            codec = ColumnCodec(self._lanes[number].form.layout, kind.start)
             # The first that matches is the frame's lane, even if its values are then found wrong.
-            said = np.where((said == 0) & codec.matches(own), 2 * place + 1 + codec.valid(own), said).astype(np.int8)
+            said = np.where((said == 0) & codec.matches(data), 2 * place + 1 + codec.valid(data), said).astype(np.int8)
         yield said
         for number in kind.telling:
             lane = self._lanes[number]
-            codec = ColumnCodec(lane.form.layout)
-            matches = codec.matches(own)
-            good = matches & codec.valid(own)
+            codec = ColumnCodec(lane.form.layout, kind.start)
+            matches = codec.matches(data)
+            good = matches & codec.valid(data)
             if lane.command.judged:
-                good[good] = self._final(lane, own[good])
+                good[good] = self._final(lane, data[good, kind.start : kind.stop])
             yield (matches.astype(np.int8) + good).astype(np.int8)
 
     def _checked(self, block: CanBlock | FrameBlock) -> Flags:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from analyzer.columns.pairs import Plain
 
 #: Rows of blocks that are packed together: fewer cost more for each kind of frame, more need more memory.
-ROWS = 1 << 15
+ROWS = 1 << 16
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 #: channel and place of its message index, for each;
@@ -264,6 +264,9 @@ class McapFile:
         while start < stop:
             if self._plain is not plain:
                 self._end_part()
+                if self._rows + len(plain.lane) > ROWS:
+                    # Rather a block is packed whole.
+                    self._end_batch()
             left = ROWS - self._rows - (0 if self._plain is None else start - self._first_row)
             if left <= 0:
                 self._end_batch()
