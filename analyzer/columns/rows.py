@@ -21,7 +21,7 @@ from analyzer.catalogue import Role
 from analyzer.codec import Codec
 from analyzer.columns import text
 from analyzer.columns.block import DIRECTIONS, CanBlock
-from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
+from analyzer.columns.codec import Bytes, Flags, Integers, column_codec
 from analyzer.columns.groups import groups, ranks, taken, words
 from analyzer.columns.pairs import Plain
 from analyzer.layout import Field
@@ -124,7 +124,7 @@ def _parts(plain: Plain, sequences: Integers) -> Iterator[_Part]:
         yield rows, 0, [head, *tail_of[is_request](rows)]
     for rows, lane in alike(plain, left):
         data = taken(plain.block.data, rows)
-        wire = ColumnCodec(lane.form.layout, lane.start).wire(data)
+        wire = column_codec(lane.form.layout, lane.start).wire(data)
         named = lane.form.layout.named
         pieces: list[text.Piece] = [b"{"]
         for name, values in wire.items():
