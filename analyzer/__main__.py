@@ -4,7 +4,12 @@
 """
 
 import _signal as signal  # type: ignore[import-not-found]
+import gc
+import os
 import sys
+
+# Nothing here multiplies matrices; for each core, NumPy would start a thread that waits for some in a loop.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def main() -> int:
@@ -15,7 +20,11 @@ def main() -> int:
     from analyzer.cli import main as command
 
     signal.signal(signal.SIGINT, handler)
-    return command()
+    try:
+        return command()
+    finally:
+        # With the process all memory ends: what is in use needs no search for circles.
+        gc.freeze()
 
 
 if __name__ == "__main__":

@@ -110,6 +110,10 @@ class _Sinks:
         self._workers: Workers | None = None
         long = source.size is not None and source.size >= LONG_CAPTURE
         source.in_blocks = long and not reading.time_range.wanted
+        if source.in_blocks:
+            from analyzer.columns.memory import keep
+
+            keep()
         several = long and jobs > 1 and available()
         if several and source.in_blocks and isinstance(output, Output):
             from analyzer.sinks.workers import MOST, Workers

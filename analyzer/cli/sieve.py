@@ -14,7 +14,7 @@ import numpy as np
 
 from analyzer.cli.filter import OWN, Filter, bytes_text
 from analyzer.columns.codec import Integers, column
-from analyzer.columns.groups import groups
+from analyzer.columns.groups import groups, taken
 from analyzer.columns.pairs import Plain
 from analyzer.columns.rows import physical_column
 from analyzer.layout import Field
@@ -94,9 +94,8 @@ class Sieve:
 
 def _values(run: Run, lane: Lane, rows: Integers, name: str, field: Field) -> list[Any]:
     """Return a field of each row in its unit, or the name of its choice; None where it has none."""
-    data = run.plain.block.data[rows, lane.start : lane.stop]
     offset = next(offset for offset, each in lane.form.layout if each is field)
-    wire = column(data, offset, field)
+    wire = column(taken(run.plain.block.data, rows), 8 * lane.start + offset, field)
     if name == field.name:
         shown: list[Any] = physical_column(wire, field).tolist()
         return shown

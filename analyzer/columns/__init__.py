@@ -9,4 +9,5 @@ decoded, paired and written by operations over arrays. All else goes through fra
     pairs    which frames of a block are plain exchanges
     text     numbers as JSON text
     rows     messages of a log
+    memory   what they are made in
 """

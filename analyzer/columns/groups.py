@@ -24,7 +24,7 @@ def ranks(values: NDArray[Any]) -> tuple[Integers, NDArray[Any]]:
     known = np.flatnonzero(np.bincount(values))
     table = np.zeros(int(known[-1]) + 1 if len(known) else 0, dtype=np.uint16 if len(known) <= _SHORT else np.int64)
     table[known] = np.arange(len(known))
-    return known, table[values]
+    return known, table.take(values)
 
 
 def groups(values: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
@@ -37,6 +37,14 @@ def groups(values: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
     for value, count in zip(known.tolist(), np.bincount(places, minlength=len(known)).tolist(), strict=True):
         yield value, order[start : start + count]
         start += count
+
+
+def taken(rows: Bytes, places: NDArray[np.integer[Any]]) -> Bytes:
+    """Return the rows of bytes at some places. `rows`: one behind the other."""
+    size = rows.shape[1]
+    # Items of a type as wide as a row are taken at once.
+    result: Bytes = rows.view(f"V{size}")[:, 0].take(places).view(np.uint8).reshape(len(places), size)
+    return result
 
 
 def words(data: Bytes) -> NDArray[np.uint64]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from analyzer.columns import text
 from analyzer.columns.codec import Integers
+from analyzer.columns.groups import taken
 
 _HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("size", "<u4")])
 _MESSAGE_INDEX = 7
@@ -14,13 +15,13 @@ _ENTRY = 16
 _COUNTED = 6
 
 
-def index_records(channels: Integers, log_ns: Integers, places: Integers) -> tuple[bytes, dict[int, int], dict[int, int]]:
-    """Return the records, where each channel's begins in them, and how many messages it has; channels rising.
+def index_records(channels: Integers, log_ns: Integers, places: Integers) -> tuple[bytes, list[tuple[int, int, int]]]:
+    """Return the records, and of each its channel, where it begins, and how many messages it has; channels rising.
 
     There is one entry a message, in the order of the messages.
     """
     order = np.argsort(channels.astype(np.uint16), kind="stable")
-    own = channels[order]
+    own = channels.take(order)
     firsts = np.flatnonzero(np.diff(own, prepend=-1))
     counts = np.diff(firsts, append=len(own))
     begins = np.arange(len(firsts)) * _HEAD.itemsize + firsts * _ENTRY
@@ -31,8 +32,10 @@ def index_records(channels: Integers, log_ns: Integers, places: Integers) -> tup
     heads["channel"] = own[firsts]
     heads["size"] = counts * _ENTRY
     text.put(data, begins + _HEAD.itemsize, heads.view(np.uint8).reshape(len(heads), _HEAD.itemsize))
-    entries = np.stack((log_ns[order], places[order]), axis=1)
-    ends = np.repeat(begins - firsts * _ENTRY, counts) + _HEAD.itemsize + np.arange(1, len(own) + 1) * _ENTRY
-    text.put(data, ends, entries.view(np.uint8).reshape(len(entries), _ENTRY))
-    names = own[firsts].tolist()
-    return data.tobytes(), dict(zip(names, begins.tolist(), strict=True)), dict(zip(names, counts.tolist(), strict=True))
+    entries = np.empty((len(own), 2), dtype=np.int64)
+    entries[:, 0], entries[:, 1] = log_ns, places
+    # Behind as many heads as there are channels up to its own.
+    ends = np.arange(_ENTRY, (len(own) + 1) * _ENTRY, _ENTRY)
+    ends += np.repeat(np.arange(1, len(firsts) + 1) * _HEAD.itemsize, counts)
+    text.put(data, ends, taken(entries.view(np.uint8), order))
+    return data.tobytes(), list(zip(own[firsts].tolist(), begins.tolist(), counts.tolist(), strict=True))

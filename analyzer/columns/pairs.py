@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, CanBlock, FrameBlock, Head
-from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
-from analyzer.columns.groups import groups, numbered, ranks, words
+from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers, column_codec
+from analyzer.columns.groups import groups, numbered, ranks, taken, words
 from analyzer.context import Request, RequestOutcome, State
 from analyzer.link import Link
 from analyzer.link.can import CanLink
@@ -44,8 +44,8 @@ _FEW = 3
 #: Every second byte of a word; and by what four numbers in its pairs of bytes are multiplied to have their sum in the highest.
 _EVEN, _EACH_PAIR = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
 _UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
-#: All that one byte can be.
-_BYTES: Bytes = np.arange(256, dtype=np.uint8)[:, None]
+#: How many values one byte can have.
+_BYTES = 256
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,11 @@ class Plain:
 
     def firsts(self, start: int, stop: int, wanted: Flags) -> list[int]:
         """Return the first row of each lane that is wanted and occurs in some rows, in their order."""
-        own = self.lane[start:stop]
-        numbers = np.flatnonzero(wanted & (np.bincount(own, minlength=len(wanted)) > 0))
-        return sorted(start + int((own == number).argmax()) for number in numbers)
+        first = np.full(len(wanted), stop, dtype=np.int64)
+        # Of several rows of a lane, what is written last stays.
+        first[self.lane[start:stop][::-1]] = np.arange(stop - 1, start - 1, -1)
+        rows: list[int] = np.sort(first[wanted & (first < stop)]).tolist()
+        return rows
 
     def part(self, first: int, runs: Sequence[tuple[int, int]]) -> tuple[Plain, Integers]:
         """Return what is plain in some runs, with no other lanes, and the places of its lanes here.
@@ -120,6 +122,8 @@ class _Tables:
         parts = 1 + max(len(kind.telling) for kind in kinds)
         self.starts = np.array([kind.start for kind in kinds])
         self.addresses = np.array([kind.address for kind in kinds])
+        #: Numbers of the drives, short ones, by which rows are sorted fast.
+        self.drives = np.unique(self.addresses, return_inverse=True)[1].astype(np.uint16)
         self.said = np.zeros((parts, len(kinds), 256), dtype=np.int8)
         self.asking = _padded([kind.asking for kind in kinds])
         self.telling = _padded([kind.telling for kind in kinds])
@@ -153,12 +157,14 @@ class Pairing:
         self._dialect = dialect
         self._decoder = port.decoders[dialect.name]
         self._lanes: list[Lane] = []
+        #: Of each lane the identifier of its frames; None where frames have none.
+        self._identifiers: dict[Lane, int | None] = {}
         #: By identifier, length, first bytes and what was asked before: places in `_kinds`.
         self._known: dict[tuple[Head, int | None], int] = {}
         #: The first is that of all frames without a lane: there are as many heads of such as one likes.
         self._kinds = [_Kind()]
         #: Of each kind whose data are one byte at most, what each byte says, by part.
-        self._said: list[tuple[NDArray[np.int8], ...]] = [(np.zeros(len(_BYTES), dtype=np.int8),)]
+        self._said: list[tuple[NDArray[np.int8], ...]] = [(np.zeros(_BYTES, dtype=np.int8),)]
         self._tables: _Tables | None = None
         #: Of each lane the number of its command and drive; requests that no drive answers have none, -1.
         self._exchanges: list[int] = []
@@ -259,23 +265,23 @@ class Pairing:
     def _allowed(self, lane: Lane) -> bool:
         """Say whether what is known of the drives lets frames of a lane be plain."""
         context, address, command = self._port.context, lane.address, lane.command
-        link = self._dialect.link
-        identifier = link.identifier(command, address)
-        return (
-            (identifier is None or identifier in self._port.nodes.drives)
-            # Where requests tell what their replies are, an open one could tell another thing.
-            and (bool(link.deciding_bytes) or address not in context.open)
-            and address not in context.groups
-            and not (command.silenced and address in context.silenced)
-            and context.speaks.get(address, lane.dialect) == lane.dialect
-            and all(
-                # What a drive still does takes no reply of another code; a request that waits is overtaken by any.
-                other.state is State.RUNNING
-                and not command.moves
-                and other.command is not None
-                and not _share(command, other.command)
-                for other in context.open.get(address, ())
-            )
+        identifier, open_ = self._identifiers[lane], context.open.get(address)
+        if identifier is not None and identifier not in self._port.nodes.drives:
+            return False
+        if address in context.groups or context.speaks.get(address, lane.dialect) != lane.dialect:
+            return False
+        if command.silenced and address in context.silenced:
+            return False
+        if open_ is None:
+            return True
+        # Where requests tell what their replies are, an open one could tell another thing.
+        return bool(self._dialect.link.deciding_bytes) and all(
+            # What a drive still does takes no reply of another code; a request that waits is overtaken by any.
+            other.state is State.RUNNING
+            and not command.moves
+            and other.command is not None
+            and not _share(command, other.command)
+            for other in open_
         )
 
     # --- what each frame can be -----------------------------------------------------------------------------------
@@ -285,48 +291,51 @@ class Pairing:
         kinds, said, tables = self._said_by(block)
         sound = self._checked(block)
         chosen = said[0]
-        good = (chosen > 0) & (chosen % 2 == 0) & sound & (block.directions != _REPLY)
-        requests = np.where(good, tables.asking[kinds, (chosen - 1) >> 1], -1)
+        good = (chosen > 0) & (chosen & 1 == 0) & sound & (block.directions != _REPLY)
+        numbers = kinds * tables.asking.shape[1] + ((chosen - 1) >> 1)
+        requests = np.where(good, tables.asking.reshape(-1).take(numbers, mode="clip"), -1)
         self._repeated = repeated = np.zeros(len(block), dtype=np.bool_)
         repeated[1:] = block.sizes[1:] == block.sizes[:-1]
         for word in words(block.data).T:
             repeated[1:] &= word[1:] == word[:-1]
         if isinstance(block, CanBlock):
-            repeated[1:] &= (block.ids[1:] == block.ids[:-1]) | (tables.addresses[kinds[1:]] == block.ids[:-1])
+            repeated[1:] &= (block.ids[1:] == block.ids[:-1]) | (tables.addresses.take(kinds[1:]) == block.ids[:-1])
             # Frames of one drive follow each other here; of those that are of none, it does not matter.
-            order = np.argsort(ranks(tables.addresses[kinds] + 1)[1], kind="stable")
+            order = np.argsort(tables.drives.take(kinds), kind="stable")
         else:
             order = np.arange(len(block))
         before, after = order[:-1], order[1:]
         exchanges = np.array([*self._exchanges, -1])
-        apart = repeated[before]
+        apart = repeated.take(before)
         if isinstance(block, FrameBlock):
-            apart = apart | (block.starts[after] != block.starts[before] + block.sizes[before])
-        asked = np.where(apart, -1, exchanges[requests[before]])
+            apart = apart | (block.starts[1:] != block.starts[:-1] + block.sizes[:-1])
+        asked = np.where(apart, -1, exchanges.take(requests.take(before), mode="wrap"))
         if not self._dialect.link.deciding_bytes:
             asked_before = np.full(len(block), -1, dtype=np.int64)
             asked_before[after] = asked
             kinds, said, tables = self._said_by(block, asked_before)
             exchanges = np.array([*self._exchanges, -1])
         replies = np.full(len(after), -1, dtype=np.int64)
-        open_ = (asked >= 0) & sound[after] & (block.directions[after] != _REQUEST)
-        open_ &= block.t_ns[after] - block.t_ns[before] <= self._late_ns
+        open_ = np.flatnonzero(asked >= 0)
+        rows = after.take(open_)
+        in_time = block.t_ns.take(rows) - block.t_ns.take(before.take(open_)) <= self._late_ns
+        open_ = open_[in_time & sound.take(rows) & (block.directions.take(rows) != _REQUEST)]
         for part in range(1, len(said)):
             # The first reply to the command that matches is the one; then its values are looked at.
-            places = np.flatnonzero(open_ & (said[part][after] > 0))
-            lanes = tables.telling[kinds[after[places]], part - 1]
-            fits = exchanges[lanes] == asked[places]
-            places, lanes = places[fits], lanes[fits]
-            open_[places] = False
-            replies[places] = np.where(said[part][after[places]] % 2 == 0, lanes, -1)
+            rows = after.take(open_)
+            says = said[part].take(rows)
+            lanes = tables.telling[:, part - 1].take(kinds.take(rows))
+            fits = (says > 0) & (exchanges.take(lanes, mode="wrap") == asked.take(open_))
+            replies[open_] = np.where(fits & (says & 1 == 0), lanes, -1)
+            open_ = open_[~fits]
         places = np.flatnonzero(_first_of_two(replies >= 0))
-        asking, telling = before[places], after[places]
+        asking, telling = before.take(places), after.take(places)
         lane = np.full(len(block), -1, dtype=np.int64)
-        lane[asking], lane[telling] = requests[asking], replies[places]
+        lane[asking], lane[telling] = requests.take(asking), replies.take(places)
         for _ in range(_ROUNDS):
             # An exchange with another frame within goes one by one, so that the others around it need not.
             others = np.concatenate(([0], np.cumsum(lane < 0)))
-            crossed = others[telling] > others[asking]
+            crossed = others.take(telling) > others.take(asking)
             if not crossed.any():
                 break
             lane[asking[crossed]] = lane[telling[crossed]] = -1
@@ -356,16 +365,16 @@ class Pairing:
                 known = self._known[head] = self._new_kind(block, row, before)
             numbers[number] = known
         tables = self._tables = self._tables or _Tables(self, self._kinds, self._said)
-        kinds = numbers[at]
+        kinds = numbers.take(at)
         width = block.data.shape[1]
         starts = np.minimum(tables.starts, width - 1)
-        bytes_ = block.data.reshape(-1)[np.arange(0, width * len(block), width) + starts[kinds]]
+        bytes_ = block.data.reshape(-1).take(np.arange(0, width * len(block), width) + starts.take(kinds))
         entries = kinds * 256 + bytes_
-        said = [part.reshape(-1)[entries] for part in tables.said]
+        said = [part.reshape(-1).take(entries) for part in tables.said]
         for number, rows in groups(tables.readings[kinds]) if tables.examples else ():
             if number:
                 kind = tables.examples[number - 1]
-                for part, own_said in enumerate(self.say(kind, block.data[rows, kind.start : kind.stop])):
+                for part, own_said in enumerate(self.say(kind, taken(block.data, rows))):
                     said[part][rows] = own_said
         return kinds, said, tables
 
@@ -392,7 +401,9 @@ class Pairing:
             return 0
         size = kind.stop - kind.start
         self._kinds.append(kind)
-        self._said.append(tuple(self.say(kind, _BYTES[:, :size])) if size <= 1 else ())
+        every: Bytes = np.zeros((_BYTES, block.data.shape[1]), dtype=np.uint8)
+        every[:, kind.start : kind.start + 1] = np.arange(_BYTES)[:, None]
+        self._said.append(tuple(self.say(kind, every)) if size <= 1 else ())
         self._tables = None
         return len(self._kinds) - 1
 
@@ -418,6 +429,7 @@ class Pairing:
             start, stop, address = lane.start, lane.stop, lane.address
             lanes[not lane.is_request].append(len(self._lanes))
             self._lanes.append(lane)
+            self._identifiers[lane] = link.identifier(lane.command, lane.address)
             self._exchanges.append(exchange)
         return _Kind(tuple(lanes[0]), tuple(lanes[1]), start, stop, address)
 
@@ -426,24 +438,24 @@ class Pairing:
         lanes = [self._lanes[n] for n in (*kind.asking, *kind.telling)]
         return kind.start, kind.stop, len(kind.asking), tuple((id(lane.form), id(lane.command)) for lane in lanes)
 
-    def say(self, kind: _Kind, own: Bytes) -> Iterator[NDArray[np.int8]]:
-        """Yield what data say: 0: it is none. For a request 2 n + 1: it is the n-th that it can be, one more: and in order.
+    def say(self, kind: _Kind, data: Bytes) -> Iterator[NDArray[np.int8]]:
+        """Yield what frames say: 0: it is none. For a request 2 n + 1: it is the n-th that it can be, one more: and in order.
 
         For each reply that it can be, 1: it is that one, 2: and it ends its exchange well.
         """
-        said = np.zeros(len(own), dtype=np.int8)
+        said = np.zeros(len(data), dtype=np.int8)
         for place, number in enumerate(kind.asking):
-            codec = ColumnCodec(self._lanes[number].form.layout)
+            codec = column_codec(self._lanes[number].form.layout, kind.start)
             # The first that matches is the frame's lane, even if its values are then found wrong.
-            said = np.where((said == 0) & codec.matches(own), 2 * place + 1 + codec.valid(own), said).astype(np.int8)
+            said = np.where((said == 0) & codec.matches(data), 2 * place + 1 + codec.valid(data), said).astype(np.int8)
         yield said
         for number in kind.telling:
             lane = self._lanes[number]
-            codec = ColumnCodec(lane.form.layout)
-            matches = codec.matches(own)
-            good = matches & codec.valid(own)
+            codec = column_codec(lane.form.layout, kind.start)
+            matches = codec.matches(data)
+            good = matches & codec.valid(data)
             if lane.command.judged:
-                good[good] = self._final(lane, own[good])
+                good[good] = self._final(lane, data[good, kind.start : kind.stop])
             yield (matches.astype(np.int8) + good).astype(np.int8)
 
     def _checked(self, block: CanBlock | FrameBlock) -> Flags:

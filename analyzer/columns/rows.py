@@ -9,18 +9,20 @@ chunk of the log.
 from __future__ import annotations
 
 from binascii import hexlify
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analyzer.catalogue import Role
+from analyzer.codec import Codec
 from analyzer.columns import text
 from analyzer.columns.block import DIRECTIONS, CanBlock
-from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers
-from analyzer.columns.groups import groups, ranks, words
+from analyzer.columns.codec import Bytes, Flags, Integers, column_codec
+from analyzer.columns.groups import groups, ranks, taken, words
 from analyzer.columns.pairs import Plain
 from analyzer.layout import Field
 from analyzer.records import Lane
@@ -55,37 +57,32 @@ class Rows:
 
     def __init__(self, plain: Plain, channels: Integers, sequences: Integers, log_ns: Integers) -> None:
         self.plain = plain
-        states = np.array([*(lane.states for lane in plain.lanes), False])[plain.lane]
+        count = len(plain.lane)
+        each = of_lanes(plain, [1 + lane.states for lane in plain.lanes], 0)
         #: Where the messages of each row begin among all: its own, and behind it the state that it carries.
-        self._firsts = np.zeros(len(plain.lane) + 1, dtype=np.int64)
-        np.cumsum((plain.lane >= 0).astype(np.int64) + states, out=self._firsts[1:])
-        rows = np.repeat(np.arange(len(plain.lane)), np.diff(self._firsts))
-        lengths = np.full(len(rows), HEADER.itemsize, dtype=np.int64)
-        parts = [
-            (self._firsts[own] + place, pieces, text.width(pieces))
-            for place, own, pieces in (*_tails(plain, sequences), *_heads(plain))
-        ]
-        for own, _, width in parts:
-            lengths[own] += width
-        self._ends = np.cumsum(lengths)
-        self._starts = self._ends - lengths
-        self._channels = channels[plain.lane[rows], np.arange(len(rows)) - self._firsts[rows]]
-        self._log_ns = log_ns[rows]
-        self._data = np.empty(int(self._ends[-1]), dtype=np.uint8)
-        left = self._ends.copy()
-        for own, pieces, width in parts:
-            ends = left[own]
-            text.place(self._data, ends, pieces)
-            left[own] = ends - width
-        headers = np.empty(len(lengths), dtype=HEADER)
+        self._firsts = np.zeros(count + 1, dtype=np.int64)
+        np.cumsum(each, out=self._firsts[1:])
+        rows = np.repeat(np.arange(count), each)
+        parts = [(self._firsts.take(own) + place, pieces) for own, place, pieces in _parts(plain, sequences)]
+        lengths = np.empty(len(rows), dtype=np.int64)
+        for own, pieces in parts:
+            lengths[own] = text.width(pieces)
+        self._ends = np.cumsum(lengths + HEADER.itemsize)
+        self._starts = self._ends - lengths - HEADER.itemsize
+        self._channels = channels.reshape(-1).take(2 * plain.lane.take(rows) + (np.arange(len(rows)) - self._firsts.take(rows)))
+        self._log_ns = log_ns.take(rows)
+        headers = np.empty(len(rows), dtype=HEADER)
         headers["opcode"] = _MESSAGE
-        headers["length"] = lengths - _UNCOUNTED
+        headers["length"] = lengths + (HEADER.itemsize - _UNCOUNTED)
         headers["channel"] = self._channels
-        headers["sequence"] = sequences[rows] & 0xFFFFFFFF
+        headers["sequence"] = (sequences & 0xFFFFFFFF).take(rows)
         headers["log_ns"] = self._log_ns
-        headers["publish_ns"] = np.maximum(plain.block.first_ns, 0)[rows]
+        first_ns = plain.block.first_ns
+        headers["publish_ns"] = self._log_ns if first_ns is log_ns else np.maximum(first_ns, 0).take(rows)
         codes = headers.view(np.uint8).reshape(len(headers), HEADER.itemsize)
-        text.put(self._data, self._starts + HEADER.itemsize, codes)
+        self._data = np.empty(int(self._ends[-1]), dtype=np.uint8)
+        for own, pieces in parts:
+            text.place(self._data, self._ends.take(own), [text.Cell(taken(codes, own), HEADER.itemsize), *pieces])
 
     def messages(self, start: int, stop: int) -> Messages:
         """Return the messages of some rows."""
@@ -101,106 +98,123 @@ def alike(plain: Plain, wanted: Flags | None = None) -> Iterator[tuple[Integers,
     kinds: dict[tuple[int, bool, int], int] = {}
     numbers = [kinds.setdefault((id(lane.form), lane.is_request, lane.start), len(kinds)) for lane in plain.lanes]
     examples = dict(zip(numbers, plain.lanes, strict=True))
-    kind = np.array([*numbers, -1], dtype=np.int64)[plain.lane] + 1
+    kind = of_lanes(plain, [number + 1 for number in numbers], 0)
     for number, rows in groups(kind if wanted is None else kind * wanted):
         if number:
             yield rows, examples[number - 1]
 
 
-#: Pieces of some rows: 0 for their messages, 1 for the states; the rows.
-_Part = tuple[int, Integers, list[text.Piece]]
+def of_lanes(plain: Plain, each: Sequence[Any], other: Any) -> NDArray[Any]:
+    """Return for each row what its lane has. `other`: for rows without a lane, whose number is -1."""
+    result: NDArray[Any] = np.array([*each, other]).take(plain.lane, mode="wrap")
+    return result
 
 
-def _tails(plain: Plain, sequences: Integers) -> Iterator[_Part]:
-    """Yield the ends of all messages, which are the log's own keys: of requests and of replies."""
-    block = plain.block
-    is_request = np.array([*(lane.is_request for lane in plain.lanes), False])[plain.lane]
-    for rows, reply in ((np.flatnonzero(is_request), False), (np.flatnonzero((plain.lane >= 0) & ~is_request), True)):
-        if not len(rows):
-            continue
-        pieces: list[text.Piece] = [b'","_checksum_ok":true,"_offset":', text.naturals(plain.offsets[rows])]
-        if reply:
-            pieces += _reply(plain, rows, sequences)
-        if isinstance(block, CanBlock):
-            pieces += [b',"_can_id":', text.naturals(block.ids[rows])]
-            marks = block.directions[rows]
-            if marks.any():
-                pieces.append(text.of_table(marks, _MARKS))
-        yield 0, rows, [*pieces, b"}"]
+#: Rows, and the pieces of their messages behind the headers: of their own, 0, or of the states that they carry, 1.
+_Part = tuple[Integers, int, list[text.Piece]]
 
 
-def _reply(plain: Plain, rows: Integers, sequences: Integers) -> list[text.Piece]:
-    latencies = plain.latencies[rows]
-    seconds, rest = np.divmod(np.maximum(latencies, 0), _SECOND)
-    pieces: list[text.Piece] = [b',"_latency":', text.naturals(seconds), b".", text.fixed_digits(rest, 9)]
-    if not (known := latencies > 0).all():
-        pieces = [text.only(known, piece) for piece in pieces]
-    return [*pieces, b',"_request_sequence":', text.naturals(sequences[rows] - plain.behind[rows])]
-
-
-def _heads(plain: Plain) -> Iterator[_Part]:
-    """Yield the beginnings of all messages, which are the fields of a command and the bytes, and the states that they carry."""
-    block, singly = plain.block, plain.lane >= 0
-    for rows, places, texts in _few(plain):
-        singly[rows] = False
-        yield 0, rows, [text.of_table(places, texts)]
-    for rows, lane in alike(plain, singly):
+def _parts(plain: Plain, sequences: Integers) -> Iterator[_Part]:
+    """Yield all messages: the fields of a command and its bytes, and behind these the log's own keys."""
+    asks = of_lanes(plain, [lane.is_request for lane in plain.lanes], False)
+    left = plain.lane >= 0
+    tail_of = {True: _tails(plain, np.flatnonzero(asks), None), False: _tails(plain, np.flatnonzero(left & ~asks), sequences)}
+    for rows, is_request, head in _few(plain):
+        left[rows] = False
+        yield rows, 0, [head, *tail_of[is_request](rows)]
+    for rows, lane in alike(plain, left):
+        data = taken(plain.block.data, rows)
+        wire = column_codec(lane.form.layout, lane.start).wire(data)
         named = lane.form.layout.named
-        wire = ColumnCodec(lane.form.layout).wire(block.data[rows, lane.start : lane.stop])
         pieces: list[text.Piece] = [b"{"]
         for name, values in wire.items():
             field = named[name]
-            pieces += [f'"{name}":'.encode(), _number(values, field), b","]
+            pieces += [f'"{name}":'.encode(), *_number(values, field), b","]
             if field.choices is not None:
                 pieces += [f'"{name}_name":"'.encode(), text.names(values, field.choice_names), b'",']
         # A code that has one layout has one length.
-        size = int(block.sizes[rows[0]])
-        yield 0, rows, [*pieces, b'"_raw":"', text.hexadecimal(block.data[rows, :size])]
+        size = int(plain.block.sizes[rows[0]])
+        yield rows, 0, [*pieces, b'"_raw":"', text.hexadecimal(data, size), *tail_of[lane.is_request](rows)]
         if lane.states:
             parts: list[text.Piece] = []
             for quantity, shares in states(lane, wire).items():
-                parts += [(b"," if parts else b"{") + f'"{quantity}":'.encode(), text.floats(shares)]
-            yield 1, rows, [*parts, b"}"]
+                parts += [(b"," if parts else b"{") + f'"{quantity}":'.encode(), *text.floats(shares)]
+            yield rows, 1, [*parts, b"}"]
 
 
-def _few(plain: Plain) -> Iterator[tuple[Integers, Integers, list[bytes]]]:
-    """Yield the rows of lanes whose frames can have few texts: for each row a place among the texts, and these."""
+def _tails(plain: Plain, rows: Integers, sequences: Integers | None) -> Callable[[Integers], list[text.Piece]]:
+    """Return a function that gives the ends of the messages of some of these rows, which are the log's own keys.
+
+    `rows`: all requests, or all replies, which tell the numbers of their requests.
+    """
+    block = plain.block
+    pieces: list[text.Piece] = [b'","_checksum_ok":true,"_offset":', text.integers(plain.offsets.take(rows))]
+    if sequences is not None:
+        pieces += _reply(plain, rows, sequences)
+    if isinstance(block, CanBlock):
+        pieces += [b',"_can_id":', text.integers(block.ids.take(rows))]
+        marks = block.directions.take(rows)
+        if marks.any():
+            pieces.append(text.of_table(marks, _MARKS))
+    pieces.append(b"}")
+    places = np.empty(len(plain.lane), dtype=np.int64)
+    places[rows] = np.arange(len(rows))
+    return lambda some: text.take(pieces, places.take(some))
+
+
+def _reply(plain: Plain, rows: Integers, sequences: Integers) -> list[text.Piece]:
+    latencies = plain.latencies.take(rows)
+    seconds, rest = np.divmod(np.maximum(latencies, 0), _SECOND)
+    pieces: list[text.Piece] = [b',"_latency":', text.integers(seconds), b".", text.fixed_digits(rest, 9)]
+    if not (known := latencies > 0).all():
+        pieces = [text.only(known, piece) for piece in pieces]
+    return [*pieces, b',"_request_sequence":', text.integers(sequences.take(rows) - plain.behind.take(rows))]
+
+
+def _few(plain: Plain) -> Iterator[tuple[Integers, bool, text.Cell]]:
+    """Yield rows of lanes whose frames can have few texts, whether they are requests, and their texts as far as the bytes."""
     lanes, block = plain.lanes, plain.block
-    short = np.array([lane.stop - lane.start <= 1 and not lane.states for lane in lanes])
-    rows = np.flatnonzero(np.append(short, False)[plain.lane])
+    rows = np.flatnonzero(of_lanes(plain, [lane.stop - lane.start <= 1 and not lane.states for lane in lanes], False))
     if not len(rows):
         return
-    width = block.data.shape[1]
-    starts = np.array([min(lane.start, width - 1) for lane in lanes])[plain.lane[rows]]
-    known, places = ranks(plain.lane[rows] << 8 | block.data.reshape(-1)[width * rows + starts])
+    width, numbers = block.data.shape[1], plain.lane.take(rows)
+    starts = np.array([min(lane.start, width - 1) for lane in lanes]).take(numbers)
+    known, places = ranks(numbers << 8 | block.data.reshape(-1).take(width * rows + starts))
     examples = np.empty(len(known), dtype=np.int64)
     examples[places] = rows
     # Without a checksum, two frames of a lane and a value can still differ.
     same = np.ones(len(rows), dtype=np.bool_)
     for word in words(block.data).T:
-        same &= word[rows] == word[examples][places]
-    texts = []
+        same &= word.take(rows) == word.take(examples).take(places)
+    texts, kinds = [], []
     for row, number in zip(examples.tolist(), (known >> 8).tolist(), strict=True):
-        data, lane = block.data[row, : block.sizes[row]].tobytes(), lanes[number]
-        texts.append(lane.json(data[lane.start : lane.stop]) + b'"_raw":"' + hexlify(data, " ").upper())
-    # Texts that are about as wide stand in one table.
-    bands = np.array([len(t) // text.ROOM for t in texts])
-    for band, own in groups(np.where(same, bands[places] + 1, 0)):
-        if band:
-            chosen = np.flatnonzero(bands == band - 1)
-            number_of = np.zeros(len(texts), dtype=np.int64)
+        lane = lanes[number]
+        texts.append(_head(lane.codec, lane.start, lane.stop, block.data[row, : block.sizes[row]].tobytes()))
+        # Texts that are about as wide stand in one table.
+        kinds.append(2 * (1 + len(texts[-1]) // text.ROOM) + lane.is_request)
+    for kind, own in groups(np.array(kinds).take(places) * same):
+        if kind:
+            chosen = [n for n, each in enumerate(kinds) if each == kind]
+            number_of = np.zeros(len(kinds), dtype=np.int64)
             number_of[chosen] = np.arange(len(chosen))
-            yield rows[own], number_of[places[own]], [texts[n] for n in chosen.tolist()]
+            table = text.of_table(number_of.take(places.take(own)), [texts[n] for n in chosen])
+            yield rows.take(own), bool(kind & 1), table
 
 
-def _number(values: Integers, field: Field) -> text.Cell:
+@lru_cache(maxsize=1 << 14)
+def _head(codec: Codec, start: int, stop: int, data: bytes) -> bytes:
+    """Return the text of a frame as far as its bytes."""
+    return codec.json(data[start:stop]) + b'"_raw":"' + hexlify(data, " ").upper()
+
+
+def _number(values: Integers, field: Field) -> list[text.Piece]:
     shown = physical_column(values, field)
-    return text.integers(shown) if shown.dtype == np.int64 else text.floats(shown)
+    return [text.integers(shown)] if shown.dtype == np.int64 else text.floats(shown)
 
 
 def physical_column(values: Integers, field: Field) -> NDArray[Any]:
     """Return values in the field's unit, as the codec of single frames reckons them."""
-    whole = values * field.scale.numerator
+    whole = values if field.scale.numerator == 1 else values * field.scale.numerator
     return whole if field.scale.denominator == 1 else whole / field.scale.denominator
 
 

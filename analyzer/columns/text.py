@@ -13,32 +13,40 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from analyzer.columns.codec import Bytes, Flags, Integers
-from analyzer.columns.groups import ranks
+from analyzer.columns.groups import ranks, taken
 
 #: Bytes that stand before the first cell of any message, at least: so much of a cell may be without meaning.
 ROOM = 31
 _GROUP = 10_000
 #: Four digits as one word.
 _DIGITS = np.frombuffer(b"".join(b"%04d" % n for n in range(_GROUP)), dtype=np.uint32)
+#: Digits of numbers that always fit into such a word.
+_SMALL_DIGITS = 9
 _MINUS = ord("-")
-#: Two bytes as hex digits, each with a blank behind it.
-_HEX = np.frombuffer(np.arange(1 << 16, dtype="<u2").tobytes().hex(" ").upper().encode() + b" ", dtype="V6")
-#: Where Python writes a number with an exponent, and JSON encoders write that in another way.
+#: A byte as two hex digits in one word.
+_HEX = np.frombuffer(bytes(range(256)).hex().upper().encode(), dtype=np.uint16)
+#: Where Python writes a number with an exponent: below one, but for 0, and from the other on.
 _SMALL, _GREAT = 1e-4, 1e16
+_MINUS_ZERO = np.int64(-1 << 63)
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One text a row. `codes`: shape (rows, width), ASCII; `widths`: how many at the right of each row are its text."""
+    """One text a row. `codes`: ASCII, a row for each; `widths`: how many at the right of each row are its text."""
 
     codes: Bytes
     widths: Integers | int
+
+    def take(self, rows: Integers) -> Cell:
+        """Return the texts of some rows."""
+        return Cell(taken(self.codes, rows), self.widths if isinstance(self.widths, int) else self.widths.take(rows))
 
 
 #: A text that all rows have, or one for each.
@@ -50,20 +58,27 @@ def width(pieces: Sequence[Piece]) -> Integers | int:
     return sum((len(p) if isinstance(p, bytes) else p.widths for p in pieces), 0)
 
 
+def take(pieces: Sequence[Piece], rows: Integers) -> list[Piece]:
+    """Return the pieces of some rows."""
+    return [piece if isinstance(piece, bytes) else piece.take(rows) for piece in pieces]
+
+
 def place(out: Bytes, ends: Integers, pieces: Sequence[Piece]) -> None:
     """Write rows of pieces side by side, so that each row ends where it should.
 
-    Left of each row must be room: `ROOM` bytes that are written afterwards.
+    Left of each row must be room, `ROOM` bytes, that are written afterwards, or all widths must be fixed.
     """
     fixed: list[Bytes | bytes] = []
     for piece in reversed(pieces):
-        if isinstance(piece, bytes) or isinstance(piece.widths, int):
-            fixed.insert(0, piece if isinstance(piece, bytes) else piece.codes)
-            continue
-        codes = joined([piece.codes, *fixed], len(ends))
-        _put(out, ends, codes, piece.codes.shape[1] - piece.widths)
-        ends = ends - (codes.shape[1] - piece.codes.shape[1]) - piece.widths
-        fixed = []
+        if isinstance(piece, bytes):
+            fixed.insert(0, piece)
+        elif isinstance(piece.widths, int):
+            fixed.insert(0, piece.codes[:, piece.codes.shape[1] - piece.widths :])
+        else:
+            codes = joined([piece.codes, *fixed], len(ends))
+            _put(out, ends, codes, piece.codes.shape[1] - piece.widths)
+            ends = ends - (codes.shape[1] - piece.codes.shape[1]) - piece.widths
+            fixed = []
     if fixed:
         put(out, ends, joined(fixed, len(ends)))
 
@@ -105,42 +120,32 @@ def joined(pieces: Sequence[Bytes | bytes], rows: int) -> Bytes:
 
 def only(wanted: Flags, piece: Piece) -> Cell:
     """Return a piece that some rows have, the others have nothing."""
-    codes = joined([piece if isinstance(piece, bytes) else piece.codes], len(wanted))
+    codes = joined([piece], len(wanted)) if isinstance(piece, bytes) else piece.codes
     return Cell(codes, width([piece]) * wanted)
 
 
 def integers(values: Integers) -> Cell:
-    """Return integers of any sign as text."""
-    negative = np.flatnonzero(values < 0)
-    if not len(negative):
-        return naturals(values)
-    cell = naturals(np.abs(values))
-    return _signed(cell, negative)
-
-
-def _signed(cell: Cell, negative: Integers) -> Cell:
-    """Return texts of which some get a minus."""
-    rows, size = cell.codes.shape
-    widths = np.full(rows, cell.widths) if isinstance(cell.widths, int) else cell.widths
-    codes = np.empty((rows, size + 1), dtype=np.uint8)
-    codes[:, 1:] = cell.codes
-    codes.reshape(-1)[negative * (size + 1) + size - widths[negative]] = _MINUS
-    widths[negative] += 1
-    return Cell(codes, widths)
-
-
-def naturals(values: Integers) -> Cell:
-    """Return integers that are not negative as text."""
+    """Return integers as text."""
     if not len(values):
         return Cell(np.zeros((0, 1), dtype=np.uint8), 1)
+    negative: Integers | None = None
+    if values.min() < 0:
+        negative = np.flatnonzero(values < 0)
+        values = np.abs(values)
     least, greatest = len(str(int(values.min()))), len(str(int(values.max())))
-    codes = _digits(values, greatest)
-    if least == greatest:
-        return Cell(codes, greatest)
-    widths = np.full(len(values), least, dtype=np.int64)
+    # Small words are compared and divided faster.
+    values = values.astype(np.uint32) if greatest <= _SMALL_DIGITS else values
+    more = np.zeros(len(values), dtype=np.uint8)
     for digits in range(least, greatest):
-        widths += values >= 10**digits
-    return Cell(codes, widths)
+        more += (values >= 10**digits).view(np.uint8)
+    codes = _digits(values, greatest + (negative is not None))
+    if negative is not None:
+        size = codes.shape[1]
+        more[negative] += 1
+        codes.reshape(-1)[negative * size + (size - least) - more[negative]] = _MINUS
+    elif least == greatest:
+        return Cell(codes, greatest)
+    return Cell(codes, more + np.int64(least))
 
 
 def fixed_digits(values: Integers, digits: int) -> Cell:
@@ -148,29 +153,34 @@ def fixed_digits(values: Integers, digits: int) -> Cell:
     return Cell(_digits(values, digits), digits)
 
 
-def _digits(values: Integers, digits: int) -> Bytes:
+def _digits(values: NDArray[np.integer[Any]], digits: int) -> Bytes:
+    """Return so many digits, and before them more of no meaning, in whole words."""
     groups = -(-digits // 4)
     codes = np.empty((len(values), groups), dtype=np.uint32)
-    # Small words are divided faster.
-    rest = values.astype(np.uint32) if digits <= 9 else values
+    rest = values.astype(np.uint32) if digits <= _SMALL_DIGITS else values
     for place in range(groups - 1, 0, -1):
         above = rest // _GROUP
-        codes[:, place] = _DIGITS[rest - above * _GROUP]
+        codes[:, place] = _DIGITS.take(rest - above * _GROUP)
         rest = above
-    codes[:, 0] = _DIGITS[rest]
-    return codes.view(np.uint8)[:, 4 * groups - digits :]
+    codes[:, 0] = _DIGITS.take(rest)
+    return codes.view(np.uint8)
 
 
-def floats(values: NDArray[np.float64]) -> Cell:
+def floats(values: NDArray[np.float64]) -> list[Piece]:
     """Return numbers as the shortest text that reads back the same, as Python writes it."""
     size = np.abs(values)
-    odd = (size < _SMALL) & (size > 0) | (size >= _GREAT) | ~np.isfinite(values)
-    if not odd.any():
-        return _split(msgspec.json.encode(values.tolist())[1:-1])
-    texts = msgspec.json.encode(np.where(odd, 0.0, values).tolist())[1:-1].split(b",")
-    for row in np.flatnonzero(odd).tolist():
-        texts[row] = repr(float(values[row])).encode()
-    return _split(b",".join(texts))
+    if not size.max(initial=0) < _GREAT:
+        return [_each(values)]
+    whole = values.astype(np.int64)
+    if (whole == values).all() and not (values.view(np.int64) == _MINUS_ZERO).any():
+        # Most drives send whole numbers, whose texts are made faster.
+        return [integers(whole), b".0"]
+    return [_each(values) if ((size < _SMALL) & (size > 0)).any() else _split(msgspec.json.encode(values.tolist())[1:-1])]
+
+
+def _each(values: NDArray[np.float64]) -> Cell:
+    """Return numbers of which some have an exponent, which JSON encoders write in another way."""
+    return _split(b",".join(repr(value).encode() for value in values.tolist()))
 
 
 def _split(text: bytes) -> Cell:
@@ -199,19 +209,12 @@ def of_table(places: NDArray[np.integer], texts: Sequence[bytes]) -> Cell:
     widths = np.array([len(t) for t in texts], dtype=np.int64)
     cell = _at(b"".join(texts), np.cumsum(widths), widths)
     if len(set(widths.tolist())) == 1:
-        return Cell(_taken(cell.codes, places), int(widths[0]))
-    return Cell(_taken(cell.codes, places), widths[places])
+        return Cell(taken(cell.codes, places), int(widths[0]))
+    return Cell(taken(cell.codes, places), widths[places])
 
 
-def _taken(codes: Bytes, places: NDArray[np.integer]) -> Bytes:
-    rows: Bytes = codes.view(f"V{codes.shape[1]}")[places, 0].view(np.uint8).reshape(len(places), codes.shape[1])
-    return rows
-
-
-def hexadecimal(data: Bytes) -> Cell:
-    """Return bytes as hex digits with blanks between."""
-    rows, size = data.shape
-    padded = np.zeros((rows, size + size % 2), dtype=np.uint8)
-    padded[:, :size] = data
-    codes = _HEX[padded.view("<u2")].view(np.uint8).reshape(rows, 3 * padded.shape[1])
+def hexadecimal(data: Bytes, size: int) -> Cell:
+    """Return the first bytes of each row as hex digits with blanks between."""
+    codes = np.full((len(data), 3 * size), ord(" "), dtype=np.uint8)
+    np.ndarray((len(data), size), dtype=np.uint16, buffer=codes, strides=(3 * size, 3))[:] = _HEX.take(data[:, :size])
     return Cell(codes[:, : max(0, 3 * size - 1)], max(0, 3 * size - 1))

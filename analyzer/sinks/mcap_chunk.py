@@ -89,22 +89,21 @@ class Chunk:
         self.messages += stop - at
         return stop
 
-    def indexed(self) -> tuple[bytes, dict[int, int], dict[int, int]]:
-        """Return the index records, where each channel's begins in them, and how many messages it has."""
+    def indexed(self) -> tuple[bytes, list[tuple[int, int, int]]]:
+        """Return the index records, and of each its channel, where it begins, and how many messages it has."""
         if self.many:
             return self._indexed_together()
         parts: list[bytes] = []
-        begins: dict[int, int] = {}
-        counts: dict[int, int] = {}
+        found: list[tuple[int, int, int]] = []
         place = 0
         for channel, logged in self.index.items():
             entries = logged.tobytes()
             parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)), entries)
-            begins[channel], counts[channel] = place, len(logged) // 2
+            found.append((channel, place, len(logged) // 2))
             place += INDEX_HEAD.size + len(entries)
-        return b"".join(parts), begins, counts
+        return b"".join(parts), found
 
-    def _indexed_together(self) -> tuple[bytes, dict[int, int], dict[int, int]]:
+    def _indexed_together(self) -> tuple[bytes, list[tuple[int, int, int]]]:
         import numpy as np
 
         from analyzer.columns.index import index_records
@@ -112,21 +111,22 @@ class Chunk:
         for channel, logged in self.index.items():
             entries = np.array(logged).astype(np.int64).reshape(-1, 2)
             self.many.append((np.full(len(entries), channel, dtype=np.int64), entries[:, 0], entries[:, 1]))
-        channels, log_ns, places = map(np.concatenate, zip(*self.many, strict=True))
-        order = places.argsort(kind="stable") if self.index else slice(None)
-        return index_records(channels[order], log_ns[order], places[order])
+        columns = self.many[0] if len(self.many) == 1 else tuple(map(np.concatenate, zip(*self.many, strict=True)))
+        if self.index:
+            order = columns[-1].argsort(kind="stable")
+            columns = tuple(column[order] for column in columns)
+        return index_records(*columns)
 
 
 class Packed(NamedTuple):
     """A chunk as it stands in a file. `data`: its record and, behind it, the indexes of its messages.
 
-    `length`: bytes of the record; `places`: channel -> where in `data` its index begins; `counts`: channel -> messages.
+    `length`: bytes of the record; `indexes`: channel, where behind the record its index begins, and its messages.
     """
 
     data: bytes
     length: int
-    places: dict[int, int]
-    counts: dict[int, int]
+    indexes: list[tuple[int, int, int]]
     messages: int
     first_ns: int
     last_ns: int
@@ -149,10 +149,9 @@ def pack(chunk: Chunk) -> Packed:
             uncompressed_size=len(data),
         )
     )
-    indexes, begins, counts = chunk.indexed()
-    places = {channel: len(record) + begin for channel, begin in begins.items()}
+    records, indexes = chunk.indexed()
     times = chunk.first_ns, chunk.last_ns
-    return Packed(record + indexes, len(record), places, counts, chunk.messages, *times, len(data), len(compressed))
+    return Packed(record + records, len(record), indexes, chunk.messages, *times, len(data), len(compressed))
 
 
 class Run(NamedTuple):

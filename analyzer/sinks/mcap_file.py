@@ -16,6 +16,7 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from mcap.data_stream import ReadDataStream
@@ -42,11 +43,11 @@ if TYPE_CHECKING:
     from analyzer.columns.pairs import Plain
 
 #: Rows of blocks that are packed together: fewer cost more for each kind of frame, more need more memory.
-ROWS = 1 << 15
+ROWS = 1 << 16
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 #: channel and place of its message index, for each;
-_OFFSET = struct.Struct("<HQ")
+_OFFSET = "HQ"
 #: bytes of the message indexes, compression, size with and without it.
 _CHUNK_SIZES = struct.Struct("<QI4sQQ")
 _CHUNK_INDEX_REST = _CHUNK_INDEX.size - 9 + _CHUNK_SIZES.size
@@ -264,6 +265,9 @@ class McapFile:
         while start < stop:
             if self._plain is not plain:
                 self._end_part()
+                if self._rows + len(plain.lane) > ROWS:
+                    # Rather a block is packed whole.
+                    self._end_batch()
             left = ROWS - self._rows - (0 if self._plain is None else start - self._first_row)
             if left <= 0:
                 self._end_batch()
@@ -355,7 +359,11 @@ class McapFile:
             packed = chunks[0]
             start = self._position
             # Packed here: a chunk has an entry for each channel, and the library writes them number by number.
-            places = b"".join(_OFFSET.pack(channel, start + place) for channel, place in packed.places.items())
+            behind = start + packed.length
+            places = struct.pack(
+                f"<{_OFFSET * len(packed.indexes)}",
+                *chain.from_iterable((channel, behind + place) for channel, place, _ in packed.indexes),
+            )
             fixed = packed.first_ns, packed.last_ns, start, packed.length
             index = b"".join((
                 _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, _CHUNK_INDEX_REST + len(places), *fixed, len(places)), places,
@@ -366,7 +374,7 @@ class McapFile:
             del chunks[0]
             self._chunks += 1
             self._index.add(index)
-            for channel, count in packed.counts.items():
+            for channel, _, count in packed.indexes:
                 self._counts[channel] += count
             if packed.messages:
                 self._first_ns = self._first_ns if self._messages else packed.first_ns

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from analyzer import events
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, CanBlock
-from analyzer.columns.codec import ColumnCodec, Integers
+from analyzer.columns.codec import Integers, column_codec
+from analyzer.columns.groups import taken
 from analyzer.columns.rows import alike, physical_column, states
 from analyzer.decoder import physical
 from analyzer.layout import STATE_UNITS, Field, FieldKind
@@ -195,7 +196,7 @@ class ParquetTables:
             columns["_latency"] = pa.array(latencies / _SECOND, mask=latencies <= 0)
             columns["_request_sequence"] = pa.array(sequences - plain.behind[rows])
         layout = lane.form.layout
-        wire = ColumnCodec(layout).wire(block.data[rows, lane.start : lane.stop])
+        wire = column_codec(layout, lane.start).wire(taken(block.data, rows))
         for name, values in wire.items():
             shown = physical_column(values, layout.named[name])
             columns[name] = pa.array(shown).cast(table.schema.field(name).type)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 _GRAVITY = (Severity.INFO, Severity.WARNING, Severity.ERROR)
 #: Findings of each rule that are kept to be shown.
 FIRST_FEW = 3
-#: Bits of the number of a bucket of times.
-_BUCKET_BITS = 12
+#: Bits of a double behind its exponent and the first five behind its point.
+_BEHIND_SIX = 52 - 5
 #: Nodes that are counted apart of those that are no drives: there are as many identifiers as one likes.
 MOST_OTHERS = 2000
 #: Frames of a node without one fitting check that are no chance.
@@ -50,7 +50,7 @@ class Latencies:
         self._buckets[bucket] = self._buckets.get(bucket, 0) + 1
 
     def add_counted(self, bucket: int, count: int, greatest: int) -> None:
-        """Count times of one bucket. `greatest`: not below the greatest of them."""
+        """Count times of one bucket. `greatest`: of times that are counted; of the last bucket it is the greatest."""
         self.count += count
         self.greatest = max(self.greatest, greatest)
         self._buckets[bucket] = self._buckets.get(bucket, 0) + count
@@ -83,8 +83,10 @@ def _buckets_of(latencies_ns: Integers) -> Integers:
     """Return the bucket of each time, as for one time."""
     import numpy as np
 
-    more = np.maximum(np.frexp(latencies_ns.astype(np.float64))[1] - 6, 0).astype(np.int64)
-    buckets: Integers = np.where(more > 0, (more << 6) + (latencies_ns >> more), latencies_ns)
+    # Of a number with a floating point, the highest bits are its exponent and, behind a bit that is always 1, five more.
+    high = latencies_ns.astype(np.float64).view(np.int64) >> _BEHIND_SIX
+    more = (high >> 5) - (1023 + 5)
+    buckets: Integers = np.where(more > 0, (more << 6) + 32 + (high & 31), latencies_ns)
     return buckets
 
 
@@ -169,6 +171,8 @@ class Summary:
         self.frames += stop - start
         self.frame_bytes += int(block.sizes[start:stop].sum())
         self.last_ns = max(self.last_ns, int(block.t_ns[stop - 1]))
+        if self._taken and self._taken[-1].stop == start:
+            start = self._taken.pop().start
         self._taken.append(slice(start, stop))
 
     def about(self, dialects: Sequence[Dialect], bytes_in: int) -> dict[str, str]:
@@ -193,32 +197,33 @@ class Summary:
 
         from analyzer.columns.groups import ranks
 
-        rows = np.concatenate([np.arange(each.start, each.stop) for each in self._taken])
-        firsts = np.zeros(len(plain.lanes), dtype=np.int64)
-        firsts[plain.lane[rows[::-1]]] = rows[::-1]
-        counts = np.bincount(plain.lane[rows], minlength=len(plain.lanes))
+        numbers, latencies = (np.concatenate([each[rows] for rows in self._taken]) for each in (plain.lane, plain.latencies))
+        counts = np.bincount(numbers, minlength=len(plain.lanes))
         known: dict[int, Row] = {}
         for number in np.flatnonzero(counts).tolist():
             lane = plain.lanes[number]
             row = self._known.get(lane.topic)
             if row is None:
-                message = lane.message(plain.frame(int(firsts[number])))
+                message = lane.message(plain.frame(int((plain.lane == number).argmax())))
                 if message.frame.can is not None:
                     self._sound.add((plain.block.port, message.who))
                 row = self._row(Entry(message, 0, lane.topic))
             row.requests += int(counts[number]) * lane.is_request
             row.replies += int(counts[number]) * (not lane.is_request)
             known[number] = row
-        timed = rows[plain.latencies[rows] > 0]
-        timed = timed[np.argsort(plain.lane[timed], kind="stable")]
+        timed = np.flatnonzero(latencies > 0)
         if len(timed):
-            numbers, times = plain.lane[timed], plain.latencies[timed]
-            begins = np.flatnonzero(np.diff(numbers, prepend=-1))
-            greatest = dict(zip(numbers[begins].tolist(), np.maximum.reduceat(times, begins).tolist(), strict=True))
-            keys, places = ranks(numbers << _BUCKET_BITS | _buckets_of(times))
-            for key, count in zip(keys.tolist(), np.bincount(places).tolist(), strict=True):
-                number, bucket = key >> _BUCKET_BITS, key & ((1 << _BUCKET_BITS) - 1)
-                known[number].latencies.add_counted(bucket, count, greatest[number])
+            times = latencies.take(timed)
+            buckets, places = ranks(_buckets_of(times))
+            keys, places = ranks(numbers.take(timed) * len(buckets) + places)
+            # The greatest time of a lane is among those in its last bucket.
+            lasts = np.append(np.diff(keys // len(buckets)) > 0, True)
+            rows = np.flatnonzero(lasts.take(places))
+            greatest = np.zeros(len(keys), dtype=np.int64)
+            np.maximum.at(greatest, places[rows], times[rows])
+            for key, count, most in zip(keys.tolist(), np.bincount(places).tolist(), greatest.tolist(), strict=True):
+                number, place = divmod(key, len(buckets))
+                known[number].latencies.add_counted(int(buckets[place]), count, most)
         self._plain = None
         return self
 

@@ -26,7 +26,10 @@ _SECONDS = 9 + 1
 #: Two hex digits as one word -> the byte, or more than any.
 _NO_BYTE = 256
 _BYTES = np.full(1 << 16, _NO_BYTE, dtype=np.uint16)
+#: A hex digit likewise.
+_DIGITS = np.full(1 << 8, _NO_BYTE, dtype=np.uint16)
 for _high in b"0123456789ABCDEFabcdef":
+    _DIGITS[_high] = int(chr(_high), 16)
     for _low in b"0123456789ABCDEFabcdef":
         _BYTES[_low << 8 | _high] = int(chr(_high) + chr(_low), 16)
 _ZEROS = 0x3030303030303030
@@ -37,10 +40,10 @@ _MARKS = {None: 0, "R": 0, "r": 0, "T": 1, "t": 1}
 def pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
     """Yield the lines of a text in stretches: from which to which, on which bus, and their frames; None: read them singly.
 
-    `text` ends with a line end. The port of a block is empty.
+    `text` has no line end behind the last one. The port of a block is empty.
     """
     # A line is read by whole words: behind the last there must be room.
-    codes = np.frombuffer(text + bytes(8), dtype=np.uint8)
+    codes = np.frombuffer(b"".join((text, b"\n", bytes(8))), dtype=np.uint8)
     ends = np.flatnonzero(codes == ord("\n"))
     starts = np.concatenate(([0], ends[:-1] + 1))
     yield from _read(codes, starts, ends - starts).stretches()
@@ -70,18 +73,18 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: Fo
     fixed[:length] = 255
     for group in (1, 2, 4, 5):
         fixed[slice(*match.span(group))] = 0
-    words = (table.view(np.uint64) ^ table[:1].view(np.uint64)) & fixed.view(np.uint64)
     seconds, wrong = _number(table, *match.span(1))
     fraction, also_wrong = _number(table, *match.span(2))
-    # The first digit of an identifier has a blank before it, which a table of two would not know.
-    ident = np.full((len(rows), 4), ord("0"), dtype=np.uint8)
-    ident[:, 1:] = table[:, slice(*match.span(4))]
-    high, low = _BYTES[ident.view("<u2")].T
-    data = _BYTES[table[:, slice(*match.span(5))].view("<u2")] if size else np.zeros((len(rows), 0), dtype=np.uint16)
+    odd = wrong | also_wrong
+    for word, kept in zip(table.view(np.uint64).T, fixed.view(np.uint64), strict=True):
+        if kept:
+            odd |= (word ^ word[0]) & kept
+    first, _ = match.span(4)
+    high, low = _DIGITS.take(table[:, first]), _BYTES.take(table[:, first + 1 : first + 3].view("<u2")[:, 0])
+    good: Flags = (odd == 0) & ((high | low) < _NO_BYTE)
+    data = _BYTES.take(table[:, slice(*match.span(5))].view("<u2")) if size else np.zeros((len(rows), 0), dtype=np.uint16)
     # Usually nothing is wrong in any, which is found out faster.
-    odd = np.bitwise_or.reduce(words, axis=1) | wrong | also_wrong | ((high | low) & _NO_BYTE)
-    good: Flags = odd == 0
-    if (data >= _NO_BYTE).any():
+    if data.max(initial=0) >= _NO_BYTE:
         good &= (data < _NO_BYTE).all(axis=1)
     ids = high.astype(np.int64) << 8 | low
     good &= ids <= STANDARD_ID

@@ -69,6 +69,6 @@ def windows(codes: Bytes, starts: Integers, size: int) -> Bytes:
 
 def without_rest(data: Bytes, sizes: NDArray[np.integer]) -> Bytes:
     """Return data of 8 bytes a frame with zeros behind those that it has."""
-    kept = np.ascontiguousarray(data).view("<u8")[:, 0] & _KEPT[np.minimum(sizes, 8)]
+    kept = data.view("<u8")[:, 0] & _KEPT.take(sizes, mode="clip")
     result: Bytes = kept[:, None].view(np.uint8)
     return result

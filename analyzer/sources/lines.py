@@ -136,8 +136,7 @@ class Lines:
                 else:
                     dropped += len(block)
                 continue
-            held.append(block[:cut])
-            text = b"".join(held).removesuffix(b"\r")
+            text = b"".join((*held, memoryview(block)[:cut])).removesuffix(b"\r")
             rest = block[cut + len(end) :]
             held = [rest] if rest else []
             cut_off = dropped if held_size >= LINE_LIMIT else None
@@ -163,7 +162,7 @@ def _pieces(parse: Pieces, text: _Text) -> list[tuple[int, int, str, CanBlock | 
     data = text.data
     if not text.whole or text.dropped is not None or not data.isascii() or any(code in data for code in _UNPLAIN):
         return None
-    return list(parse(data + b"\n"))
+    return list(parse(data))
 
 
 def _text(data: bytes, encoding: str) -> str:

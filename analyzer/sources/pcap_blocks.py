@@ -52,7 +52,7 @@ def starts_of(buffer: bytes, codes: Bytes, at: int, size_of: Callable[[int], int
     """Return where the whole records begin, as far as their sizes can be true, and where the last of them ends.
 
     `codes`: the buffer, with room behind it. `size_of`: tells the size of the record at a place, 0: this is none to be taken.
-    `said`: the bytes of a record that say so.
+    `said`: the bytes of a record that say so, four or eight.
     """
     found: list[Integers] = []
     singly: list[int] = []
@@ -66,9 +66,8 @@ def starts_of(buffer: bytes, codes: Bytes, at: int, size_of: Callable[[int], int
             # Sizes changed just now: they may go on to.
             count = 1
         elif count > 1:
-            alike = codes[at + said.start : at + (count - 1) * size + said.stop]
-            words = np.lib.stride_tricks.sliding_window_view(alike, width)[::size]
-            same = (words == words[0]).all(axis=1)
+            words = np.ndarray(count, dtype=f"u{width}", buffer=codes, offset=at + said.start, strides=(size,))
+            same = words == words[0]
             count = count if same.all() else int(same.argmin())
         ahead = 2 * count + _AHEAD
         if count < _AHEAD // 4:
@@ -86,16 +85,15 @@ def _found(codes: Bytes, starts: Integers, order: str, unit: int) -> Found:
     found = Found.of(len(starts))
     found.names.append("")
     plain = take_frames(found, rows[:, _RECORD_SIZE:], head[:, 2], head[:, 3])
-    found.t_ns[:] = head[:, 0] * SECOND_NS + head[:, 1] * unit
-    found.bus[plain] = 0
+    found.t_ns = head[:, 0] * SECOND_NS + head[:, 1] * unit
+    found.bus = plain.astype(np.int64) - 1
     return found
 
 
 def take_frames(found: Found, can: Bytes, stored: Integers, original: Integers) -> Flags:
     """Take SocketCAN frames apart, of which so many bytes are stored. Say of each whether it is a plain data frame."""
-    ids = np.ascontiguousarray(can[:, :4]).view(">u4")[:, 0].astype(np.int64)
-    sizes = can[:, 4].astype(np.int64)
-    found.ids[:], found.sizes[:] = ids, sizes
+    ids = found.ids = can[:, :4].view(">u4")[:, 0].astype(np.int64)
+    sizes = found.sizes = can[:, 4].astype(np.int64)
     found.data = without_rest(can[:, _CAN_HEADER : _CAN_HEADER + 8], sizes)
     plain: Flags = (ids <= STANDARD_ID) & (sizes <= 8) & (can[:, 5] == 0)
     plain &= (stored >= _CAN_HEADER + sizes) & (stored >= original) & (stored != FD_SIZE)

@@ -25,12 +25,12 @@ def read(data: bytes, begin: int) -> MessageIndex:
 def test_records_are_read_by_the_library():
     chance = random.Random(1)
     entries = [(chance.choice((1, 3, 70, 40_000)), 10**18 + n, 40 * n) for n in range(200)]
-    data, begins, counts = index_records(*np.array(entries, dtype=np.int64).T)
-    assert list(begins) == sorted({channel for channel, _, _ in entries})
-    for channel, begin in begins.items():
+    data, indexes = index_records(*np.array(entries, dtype=np.int64).T)
+    assert [channel for channel, _, _ in indexes] == sorted({channel for channel, _, _ in entries})
+    for channel, begin, count in indexes:
         found = read(data, begin)
         assert (found.channel_id, found.records) == (channel, [entry[1:] for entry in entries if entry[0] == channel])
-        assert counts[channel] == len(found.records)
+        assert count == len(found.records)
 
 
 def alone(channel: int, *times: int) -> Chunk:
@@ -52,10 +52,10 @@ def test_messages_alone_and_together_are_indexed_in_their_order():
     chunk = alone(one, 5)
     assert chunk.fill(together, 0, 1 << 20) == 2
     chunk.join(alone(one, 8, 9))
-    data, begins, counts = chunk.indexed()
-    assert read(data, begins[one]).records == [(5, 0), (6, 33), (8, 103), (9, 136)]
-    assert read(data, begins[other]).records == [(7, 68)]
-    assert counts == {one: 4, other: 1}
+    data, indexes = chunk.indexed()
+    assert [(channel, count) for channel, _, count in indexes] == [(one, 4), (other, 1)]
+    assert read(data, indexes[0][1]).records == [(5, 0), (6, 33), (8, 103), (9, 136)]
+    assert read(data, indexes[1][1]).records == [(7, 68)]
     assert (chunk.first_ns, chunk.last_ns, chunk.messages, chunk.size) == (5, 9, 5, 169)
     # The message that fills a chunk is its last.
     assert [Chunk().fill(together, at, 35) for at in (0, 1)] == [1, 2]

@@ -32,7 +32,8 @@ def test_integers(values):
 
 
 def test_floats_are_as_python_writes_them():
-    assert written([b"<", text.floats(np.array(FLOATS)), b">"], len(FLOATS)) == [f"<{v!r}>" for v in FLOATS]
+    for values in (FLOATS, [0.1, -7.25], [12.0, -3.0, 0.0], [-0.0, 1.0], [1e15, -1e15], [float("nan"), 1.0], [1e-5, 2.5]):
+        assert written([b"<", *text.floats(np.array(values)), b">"], len(values)) == [f"<{v!r}>" for v in values]
 
 
 def test_pieces_of_many_widths_follow_each_other():
@@ -43,14 +44,14 @@ def test_pieces_of_many_widths_follow_each_other():
     words = ["", "a", "b" * 40, "c" * 200]
     places = [chance.randrange(4) for _ in range(rows)]
     there = [chance.random() < 0.5 for _ in range(rows)]
-    data = [chance.randbytes(5) for _ in range(rows)]
+    data = [chance.randbytes(8) for _ in range(rows)]
     pieces = [
-        b"{", text.naturals(np.array(numbers)), text.of_table(np.array(places), [w.encode() for w in words]),
-        text.only(np.array(there), b",part"), text.hexadecimal(np.frombuffer(b"".join(data), np.uint8).reshape(rows, 5)),
+        b"{", text.integers(np.array(numbers)), text.of_table(np.array(places), [w.encode() for w in words]),
+        text.only(np.array(there), b",part"), text.hexadecimal(np.frombuffer(b"".join(data), np.uint8).reshape(rows, 8), 5),
         text.fixed_digits(np.array(numbers) % 1000, 9), text.names(np.array(places), dict(enumerate(words))), b"}",
     ]  # fmt: skip
     expected = [
-        f"{{{n}{words[p]}{',part' if t else ''}{d.hex(' ').upper()}{n % 1000:09d}{words[p]}}}"
+        f"{{{n}{words[p]}{',part' if t else ''}{d[:5].hex(' ').upper()}{n % 1000:09d}{words[p]}}}"
         for n, p, t, d in zip(numbers, places, there, data, strict=True)
     ]
     assert written(pieces, rows) == expected
