@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from fractions import Fraction
 
+from msgspec.structs import replace
+
 from analyzer.catalogue import Command, Verb
 from analyzer.records import Frame, Message
-from conformance.drives.drive import Drive, Request, Values
+from conformance.drives.drive import Drive, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import homing_by, mks, tuned
-from conformance.drives.faults.places import Change, Row, Rows, faults, having, result, taken
+from conformance.drives.faults.places import NATIVE, Change, Row, Rows, faults, having, result, taken
 from conformance.drives.mks.core import Activity, Behaviour, MksCore
 from conformance.drives.mks.paths import Number
 
@@ -151,7 +153,45 @@ def _deaf_to_high_groups(drive: Drive, frame: Frame, message: Message, wanted: b
     return wanted and not (message.address == group != drive.address and group > 0x7F)
 
 
+# --- the end of a motion ----------------------------------------------------------------------------------------------
+
+
+def _last_words(change: Callable[[bytes], bytes]) -> Change:
+    """Change the bytes by which the end of a motion is told."""
+
+    def tune(drive: MksCore) -> None:
+        complete, ends = drive.complete, False
+
+        def told(request: Request, values: Values) -> None:
+            nonlocal ends
+            ends = True
+            complete(request, values)
+            ends = False
+
+        def say(_: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
+            return (replace(outgoing, data=change(outgoing.data)) if ends else outgoing,)
+
+        drive.complete = told  # type: ignore[method-assign]
+        drive.hooks.reply.append(say)
+
+    return tuned(tune, NATIVE)
+
+
 EFFECTS: Rows = {
+    "completion": (
+        Row(
+            "completion-cut",
+            "what tells the end of a motion lacks its last two bytes",
+            _last_words(lambda data: data[:-2]),
+            NATIVE,
+        ),
+        Row(
+            "completion-of-noise",
+            "the end of a motion is told by noise",
+            _last_words(lambda data: bytes(b ^ 0x55 for b in data)),
+            NATIVE,
+        ),
+    ),
     "within a range": (
         Row("division-from-50", "PEND divides the pulses from a period of 50 on", _division(lambda n: n if n >= 50 else 0)),
         Row("division-not-above-5000", "PEND divides no pulses by more than 5000", _division(lambda n: n if n <= 5000 else 0)),

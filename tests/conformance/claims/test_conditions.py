@@ -139,6 +139,8 @@ REFUTED_BY = {
     "zero-direction-turned": "read-back/set_zero_mode/restart",
     "zero-speed-fixed": "read-back/set_zero_mode/restart",
     "emergency-without-check": "framing/emergency_stop/other-length",
+    "completion-cut": "motion/set_respond/1-answers-again",
+    "completion-of-noise": "motion/set_respond/1-answers-again",
     "protected-keeps-torque": "motion/set_protection/lets-go",
     "protected-goes-on": "motion/release_protection/limp-either-way",
     "release-takes-up": "motion/release_protection/limp",
