@@ -300,6 +300,7 @@ class Trait(StrEnum):
 
     LETS_GO_AT_END_LIMIT = "lets_go_at_end_limit"
     DIRECTION_TURNS_BUS_MOTION = "direction_turns_bus_motion"
+    BACKS_OFF_BY_ANGLE = "backs_off_by_angle"
     SEEN_WITHOUT_CHECKSUM = "seen_without_checksum"
 
 

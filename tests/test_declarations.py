@@ -170,7 +170,7 @@ def test_traits() -> None:
     assert {d.name: set(d.traits) for d in ALL if d.traits} == {
         "mks-rs485": {Trait.LETS_GO_AT_END_LIMIT, Trait.SEEN_WITHOUT_CHECKSUM},
         "mks-modbus": {Trait.LETS_GO_AT_END_LIMIT},
-        "mks-can": {Trait.DIRECTION_TURNS_BUS_MOTION},
+        "mks-can": {Trait.DIRECTION_TURNS_BUS_MOTION, Trait.BACKS_OFF_BY_ANGLE},
     }
     assert {d.name: d.unlisted_codes for d in ALL if d.unlisted_codes} == {"lk-rs485": (0x12,)}
 

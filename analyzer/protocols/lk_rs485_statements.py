@@ -12,7 +12,6 @@ _REPLY_PARTS = ("head", "code", "address", "length", "once", "clean")
 _SETUP = "the setup program's limits can be neither read nor set on the bus"
 _LIGHT = "not visible on the bus: a light"
 _SCALE = "amperes need a meter: on the bus the number alone is seen"
-_UNKNOWN_UNIT = "observed by motion/write_parameter/*: no unit and no effect are printed"
 
 
 def _tables(section: str, command: str, code: str, request: int, reply: int) -> tuple[S, ...]:
@@ -638,10 +637,24 @@ STATEMENTS: tuple[S, ...] = (
         ("shape/read_parameter/of/speed_ramp", "read-back/parameter/speed_ramp/written"),
     ),
     S("appendix 1/loops", "Kp, ki and kd are gains of the loops.", unclaimed="what a gain does to a shaft is not printed"),
-    S("appendix 1/limits", "The limits limit torque, speed and angle.", unclaimed=_UNKNOWN_UNIT),
+    S(
+        "appendix 1/limits",
+        "The limits limit torque, speed and angle.",
+        (
+            "motion/write_parameter/speed-limit-*-each-way",
+            "motion/write_parameter/speed-limit-*at-once",
+            "motion/write_parameter/angle-limit-*-each-way",
+            "motion/write_parameter/torque-limit-*",
+        ),
+    ),
     S(
         "appendix 1/ramps",
         "The ramps are slopes of current and speed.",
-        unclaimed="observed by timing/write_parameter/*: no unit is printed",
+        (
+            "timing/write_parameter/one-ramp",
+            "timing/write_parameter/one-slope-*",
+            "timing/write_parameter/speed-ramp-*-each-way",
+            "timing/write_parameter/speed-ramp-at-once",
+        ),
     ),
 )

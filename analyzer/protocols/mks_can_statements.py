@@ -89,7 +89,12 @@ STATEMENTS: tuple[Statement, ...] = (
         "The angle is kept up to date, whether the motor is enabled or not.",
         "motion/read_position/while-disabled",
     ),
-    said("1.2/stall-protection", "A stalled motor is protected.", "motion/set_protection/lets-go"),
+    said(
+        "1.2/stall-protection",
+        "A stalled motor is protected.",
+        "motion/set_protection/lets-go*",
+        "motion/release_protection/limp*",
+    ),
     said("1.2/restore", "The drive can be put back to the state of its delivery.", "read-back/restore/settings"),
     said("1.2/emergency-stop", "The motor can be stopped at once.", "motion/emergency_stop/ends-*"),
     said(
@@ -161,7 +166,10 @@ STATEMENTS: tuple[Statement, ...] = (
     unseen("1.5/pulse-inputs", "A falling edge of STP is a step; 3.3 to 28 V, 400 kHz, 2.5 us.", _PULSES),
     unseen("1.5/pulse-kind", "A command sets whether pulses have a direction or two inputs.", _PULSES),
     said(
-        "1.5/en-releases", "Where En is at the level that disables, the motor is released.", "read-back/set_enable_level/effect"
+        "1.5/en-releases",
+        "Where En is at the level that disables, the motor is released.",
+        "read-back/set_enable_level/effect",
+        "read-back/set_enable_level/pin",
     ),
     unseen(
         "1.5/en-clears-alarm",
@@ -359,6 +367,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "0 is active at the low level, 1 at the high one, 2 is always.",
         "ranges/set_enable_level/enable_level/*",
         "read-back/set_enable_level/effect",
+        "read-back/set_enable_level/pin",
     ),
     said("3.2.5/default", "Active at the low level is the default.", "read-back/restore/settings"),
     unseen("3.2.5/100-ms", "Pulses count again 100 ms after the setting.", _PULSES),
@@ -527,6 +536,9 @@ STATEMENTS: tuple[Statement, ...] = (
         "3.4.1/level",
         "HmTrig is the level at which the end stop is closed: 0 low, 1 high.",
         "motion/home/trigger",
+        "motion/home/finds-switch-*",
+        "motion/home/from-closed-*",
+        "motion/set_home/end-limit-*",
         "read-back/set_home/home_trigger",
     ),
     said(

@@ -214,7 +214,12 @@ _WRITES = (
         "8.2.9",
         "set_enable_level",
         "85h sets the level of En: low, high, always.",
-        said("8.2.9/effect", "At that level the motor holds; with 2 it holds always.", "read-back/set_enable_level/effect"),
+        said(
+            "8.2.9/effect",
+            "At that level the motor holds; with 2 it holds always.",
+            "read-back/set_enable_level/effect",
+            "read-back/set_enable_level/pin",
+        ),
     ),
     *_write(
         "8.2.10",
@@ -232,7 +237,9 @@ _WRITES = (
         "8.2.12",
         "set_protection",
         "88h switches the rotor's protection off (0) or on (1).",
-        said("8.2.12/on", "With 1 a locked rotor is let go.", "motion/set_protection/lets-go"),
+        said(
+            "8.2.12/on", "With 1 a locked rotor is let go.", "motion/set_protection/lets-go*", "motion/release_protection/limp*"
+        ),
         said("8.2.12/off", "With 0 a locked rotor is not let go.", "motion/set_protection/off-holds-on"),
         said("8.2.12/released", "A command ends the protection.", "motion/release_protection/*"),
         unseen("8.2.12/key", "A key ends the protection.", KEYS),
@@ -304,7 +311,13 @@ _WRITES = (
         "set_home",
         "90h sets trigger level, direction, speed and end limit.",
         said("8.2.20/five-bytes", "It is written as three registers in five bytes.", "modbus/byte_count/odd"),
-        said("8.2.20/level", "The trigger level is 0 low or 1 high.", "motion/home/trigger", "read-back/set_home/home_trigger"),
+        said(
+            "8.2.20/level",
+            "The trigger level is 0 low or 1 high.",
+            "motion/home/trigger",
+            "motion/set_home/end-limit-*",
+            "read-back/set_home/home_trigger",
+        ),
         said(
             "8.2.20/way",
             "Homing turns clockwise with 0, the other way with 1.",

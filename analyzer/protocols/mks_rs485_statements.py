@@ -143,7 +143,12 @@ _SETTINGS = (
         "5.2.6",
         "set_enable_level",
         "85 sets the level of En: low, high, always.",
-        said("5.2.6/effect", "At that level the motor holds; with 2 it holds always.", "read-back/set_enable_level/effect"),
+        said(
+            "5.2.6/effect",
+            "At that level the motor holds; with 2 it holds always.",
+            "read-back/set_enable_level/effect",
+            "read-back/set_enable_level/pin",
+        ),
     ),
     *setting(
         "5.2.7",
@@ -161,7 +166,9 @@ _SETTINGS = (
         "5.2.9",
         "set_protection",
         "88 switches the rotor's protection off (0) or on (1).",
-        said("5.2.9/on", "With 1 a locked rotor is let go.", "motion/set_protection/lets-go"),
+        said(
+            "5.2.9/on", "With 1 a locked rotor is let go.", "motion/set_protection/lets-go*", "motion/release_protection/limp*"
+        ),
         said("5.2.9/off", "With 0 a locked rotor is not let go.", "motion/set_protection/off-holds-on"),
         said("5.2.9/released", "A command ends the protection.", "motion/release_protection/*"),
         unseen("5.2.9/key", "A key ends the protection.", KEYS),
@@ -267,7 +274,13 @@ _SETTINGS = (
         "5.3.1",
         "set_home",
         "90 sets trigger level, direction, speed and end limit.",
-        said("5.3.1/level", "The trigger level is 0 low or 1 high.", "motion/home/trigger", "read-back/set_home/home_trigger"),
+        said(
+            "5.3.1/level",
+            "The trigger level is 0 low or 1 high.",
+            "motion/home/trigger",
+            "motion/set_home/end-limit-*",
+            "read-back/set_home/home_trigger",
+        ),
         said(
             "5.3.1/way",
             "Homing turns clockwise with 0, the other way with 1.",

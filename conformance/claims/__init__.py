@@ -80,6 +80,7 @@ MODULES = (
     "told_state",
     "encoder_zero",
     "control_parameters",
+    "slopes",
     "responding",
     "set_zero",
     "homing",

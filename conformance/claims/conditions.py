@@ -18,6 +18,7 @@ from itertools import chain
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
+from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claims import bench, homing
 from conformance.claims.addressing_many import join
 from conformance.claims.protection import protect
@@ -147,7 +148,8 @@ def _release(probe: Probe) -> None:
 
 
 def _trip(probe: Probe, present: bool) -> None:
-    bench.lk_drive(probe).trip("motor_hot", present)
+    for field in ERROR_BITS:
+        bench.lk_drive(probe).trip(field.name, present)
     if not present:
         probe.do(Verb.CLEAR_ERRORS)
 
@@ -256,7 +258,7 @@ def _others(dialect: Dialect) -> Iterator[Condition]:
     if Verb.CLEAR_ERRORS in verbs:
         there, gone = partial(_trip, present=True), partial(_trip, present=False)
         needs = risks(Verb.CLEAR_ERRORS)
-        yield Condition("error", "while an error flag is set", there, gone, needs, emulated=True, stands=True)
+        yield Condition("error", "while error flags are set", there, gone, needs, emulated=True, stands=True)
 
 
 def every(dialect: Dialect) -> Iterator[Condition]:

@@ -30,23 +30,23 @@ from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
 
 _NUMBERS = {"torque_limit": 30, "speed_limit": 32, "angle_limit": 34, "speed_ramp": 38}
-_FIRMWARE = "lk-firmware-235"
+FIRMWARE = "lk-firmware-235"
 _of_parameter = partial(
     of_motion,
     each=commands(Verb.WRITE_PARAMETER),
     settings=("speed_limit", "angle_limit", "torque_limit", "speed_ramp"),
     rests_on=(Doubt.EFFECT,),
     own=lambda case: {Risk.SETTING},
-    quirks=may_meet(_FIRMWARE),
+    quirks=may_meet(FIRMWARE),
 )
 _of_run = partial(_of_parameter, risks=risks_by(Verb.RUN_SPEED))
 
 
-def _parameter(probe: Probe, name: str) -> int | None:
+def parameter(probe: Probe, name: str) -> int | None:
     """Return a parameter as the drive has it, None where the drive has none and the claim knows of such."""
     exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": _NUMBERS[name]})
-    if exchange.silent and _FIRMWARE in probe.claim.quirks:
-        probe.meets(_FIRMWARE)
+    if exchange.silent and FIRMWARE in probe.claim.quirks:
+        probe.meets(FIRMWARE)
         return None
     values = probe.reply(exchange).values
     if name not in values:
@@ -54,22 +54,29 @@ def _parameter(probe: Probe, name: str) -> int | None:
     return int(values[name])
 
 
-def _set(probe: Probe, name: str, value: int) -> Exchange:
+def set_parameter(probe: Probe, name: str, value: int) -> Exchange:
+    """Write a parameter."""
     return probe.do(Verb.WRITE_PARAMETER, {"parameter": _NUMBERS[name], name: value})
 
 
 # --- limits -----------------------------------------------------------------------------------------------------------
 
 
-#: A wide and a narrow speed limit as they are sent; the narrow one in rpm, and its tolerance.
-_WIDER, _LIMIT, _LIMIT_RPM, _LIMIT_NEAR = 18_000, 9_000, 15, 0.5
+#: Speed limits as they are sent, and in rpm the tolerance of each.
+_HIGHER, _WIDER, _LIMIT, _LIMIT_NEAR = 24_000, 18_000, 9_000, 0.5
+#: Which way, under which limit, and whether that is written when the motion is under way; a run asks for more than each.
+_SPEED_LIMITS = ((-1, _LIMIT, False), (1, _LIMIT, False), (-1, _LIMIT, True), (1, _HIGHER, False))
+#: Which way and under which angle limit, in degrees; a move asks for twice as much.
+_ANGLE_LIMITS = ((1, 60), (-1, 60), (-1, 400), (1, 400))
+#: How far a move goes under a speed limit: less than a turn, for some stay within one.
+_WAY = 345
 #: A speed reaches its limit within the first time, and is measured for the second.
 _HOLDS_NS, _SEEN_NS = 300 * MS, 300 * MS
 
 
 def limited_runs(probe: Probe, run: Command) -> tuple[_Limited, ...]:
     """Run either way under a speed limit, then with one that is written under way; nothing where there is no such limit."""
-    return _limited_speeds(probe, lambda way: motion.run_at(probe, way * 30))
+    return _limited_speeds(probe, lambda way: motion.run_at(probe, way * 60))
 
 
 @_of_run(refuted_by="a faster shaft")
@@ -112,47 +119,47 @@ class _Limited:
 
 def limited_speeds(probe: Probe, move: Command) -> tuple[_Limited, ...]:
     """Move either way under a speed limit, then with one that is written under way; nothing where there is no such limit."""
-    return _limited_speeds(probe, lambda way: motion.begin(probe, move, way * 180))
+    return _limited_speeds(probe, lambda way: motion.begin(probe, move, way * _WAY))
 
 
 def _limited_speeds(probe: Probe, begin: Callable[[int], object]) -> tuple[_Limited, ...]:
-    kept = _parameter(probe, "speed_limit")
+    kept = parameter(probe, "speed_limit")
     found = []
-    for way, under_way in ((-1, False), (1, False), (-1, True)) if kept is not None else ():
+    for way, limit, under_way in _SPEED_LIMITS if kept is not None else ():
         motion.ready_to_move(probe)
-        exchange = _set(probe, "speed_limit", _WIDER if under_way else _LIMIT)
+        exchange = set_parameter(probe, "speed_limit", _WIDER if under_way else limit)
         begin(way)
         probe.wait(_HOLDS_NS)
         if under_way:
-            exchange = _set(probe, "speed_limit", _LIMIT)
+            exchange = set_parameter(probe, "speed_limit", limit)
             probe.wait(_HOLDS_NS)
         rpm, uncertain = motion.mean_speed(probe, _SEEN_NS)
         motion.stand_still(probe)
-        _set(probe, "speed_limit", kept or 0)
-        found.append(_Limited(way, abs(rpm), _LIMIT_RPM, _LIMIT_NEAR + uncertain, exchange, under_way))
+        set_parameter(probe, "speed_limit", kept or 0)
+        found.append(_Limited(way, abs(rpm), limit / 600, _LIMIT_NEAR + uncertain, exchange, under_way))
     return tuple(found)
 
 
 def limited_places(probe: Probe, move: Command) -> tuple[_Limited, ...]:
-    """Move beyond an angle limit of 60 degrees on either side of zero; nothing where the drive has no such limit."""
-    kept = _parameter(probe, "angle_limit")
+    """Move beyond angle limits on either side of zero, within a turn and beyond; nothing where the drive has no such limit."""
+    kept = parameter(probe, "angle_limit")
     found = []
-    for way in (1, -1) if kept is not None else ():
+    for way, limit in _ANGLE_LIMITS if kept is not None else ():
         motion.ready_to_move(probe)
         probe.do("set_position", {"position": 0})
-        exchange = _set(probe, "angle_limit", 6_000)
-        motion.begin(probe, move, way * 120, start=0)
+        exchange = set_parameter(probe, "angle_limit", limit * 100)
+        motion.begin(probe, move, way * 2 * limit, start=0)
         probe.wait(2 * SECOND_NS)
         end = motion.stand_still(probe)
-        _set(probe, "angle_limit", kept or 0)
-        found.append(_Limited(way, end.value, way * 60, 1 + motion.same(probe), exchange))
+        set_parameter(probe, "angle_limit", kept or 0)
+        found.append(_Limited(way, end.value, way * limit, 1 + motion.same(probe), exchange))
     return tuple(found)
 
 
 def _limited(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ...]], move: Command) -> tuple[_Limited, ...]:
     found = probe.recorded(record, move)
     if not found:
-        probe.meets(_FIRMWARE)
+        probe.meets(FIRMWARE)
     return found
 
 
@@ -184,7 +191,7 @@ def _expect_each_way(probe: Probe, record: Callable[[Probe, Command], tuple[_Lim
     if found and len(beyond) == len(found):
         raise Observed(f"the {limit} does not hold for {move.name}")
     for one in beyond:
-        text = f"the {limit} that holds for {move.name} one way does not hold the other way"
+        text = f"a {limit} that holds for {move.name} does not hold the other way, or for another value"
         probe.expect(one.seen, near=one.limit, within=one.within, refutes=text, exchange=one.exchange)
 
 
@@ -247,16 +254,16 @@ def _angle_limit_each_way(probe: Probe, move: Command) -> None:
 @_of_parameter(refuted_by="motion", risks=lambda case: {*risks_by(Verb.RUN_SPEED)(case), Risk.TORQUE})
 def _torque_limit(probe: Probe) -> None:
     """With a torque limit of 0 nothing turns."""
-    kept = _parameter(probe, "torque_limit")
+    kept = parameter(probe, "torque_limit")
     if kept is not None:
         motion.ready_to_move(probe)
-        exchange = _set(probe, "torque_limit", 0)
+        exchange = set_parameter(probe, "torque_limit", 0)
         before = motion.position(probe)
         motion.run_at(probe, 30)
         probe.wait(SECOND_NS)
         went = abs(motion.position(probe).value - before.value)
         probe.do(Verb.STOP)
-        _set(probe, "torque_limit", kept)
+        set_parameter(probe, "torque_limit", kept)
         motion.stand_still(probe)
         text = "the shaft turns with a torque limit of 0"
         probe.expect(went, at_most=1, unit="degrees", refutes=text, exchange=exchange)
@@ -282,15 +289,15 @@ def _limited_motions(dialect: Dialect) -> Iterator[Case]:
     at_best=Certainty.LIKELY,
     settings=("torque_limit",),
     own=lambda case: {Risk.SETTING},
-    quirks=may_meet(_FIRMWARE),
+    quirks=may_meet(FIRMWARE),
 )
 def _torque_limit_of(probe: Probe, how: Command) -> None:
     """With a torque limit of 0, with which no run turns the shaft, {how} turns it neither."""
-    kept = _parameter(probe, "torque_limit")
+    kept = parameter(probe, "torque_limit")
     if kept is None:
         return
     motion.ready_to_move(probe)
-    exchange = _set(probe, "torque_limit", 0)
+    exchange = set_parameter(probe, "torque_limit", 0)
     went = []
     for command in (probe.command(Verb.RUN_SPEED), how):
         before = motion.position(probe)
@@ -298,7 +305,7 @@ def _torque_limit_of(probe: Probe, how: Command) -> None:
         probe.wait(300 * MS)
         went.append(abs(motion.position(probe).value - before.value))
         probe.do(Verb.STOP)
-    _set(probe, "torque_limit", kept)
+    set_parameter(probe, "torque_limit", kept)
     motion.stand_still(probe)
     most = 1 + motion.same(probe)
     if went[0] > most:
@@ -324,11 +331,11 @@ _LOW, _THERE_NS, _NEAR = FORCE // 2, 250 * MS, FORCE / 4
     at_best=Certainty.LIKELY,
     settings=("torque_limit",),
     own=lambda case: {Risk.SETTING},
-    quirks=may_meet(_FIRMWARE),
+    quirks=may_meet(FIRMWARE),
 )
 def _torque_limit_at_once(probe: Probe, how: Command) -> None:
     """A torque limit that holds for {how} from its begin holds as soon as it is written for one that is under way."""
-    kept = _parameter(probe, "torque_limit")
+    kept = parameter(probe, "torque_limit")
     if kept is None:
         return
     (name,) = motion.values_of(probe.dialect, how)
@@ -338,17 +345,17 @@ def _torque_limit_at_once(probe: Probe, how: Command) -> None:
         return probe.read(Verb.READ_STATE_2, name)
 
     motion.ready_to_move(probe)
-    _set(probe, "torque_limit", _LOW)
+    set_parameter(probe, "torque_limit", _LOW)
     probe.do(how, {name: FORCE})
     begun = strength()
     motion.stand_still(probe)
-    _set(probe, "torque_limit", kept)
+    set_parameter(probe, "torque_limit", kept)
     probe.do(how, {name: FORCE})
     free = strength()
-    exchange = _set(probe, "torque_limit", _LOW)
+    exchange = set_parameter(probe, "torque_limit", _LOW)
     seen = strength()
     motion.stand_still(probe)
-    _set(probe, "torque_limit", kept)
+    set_parameter(probe, "torque_limit", kept)
     if abs(begun - _LOW) > _NEAR or abs(free - FORCE) > _NEAR:
         raise Observed(f"with a torque limit of {_LOW} the torque is {begun:.0f}, and {free:.0f} without")
     text = f"a torque limit does not hold for {how.name} that is under way"
@@ -430,18 +437,18 @@ def _acceleration(probe: Probe, ramp: int, how: Command, way: int = 1) -> _Ramp:
     """
     ramp_ns = 18_000 * SECOND_NS // ramp
     motion.ready_to_move(probe)
-    _set(probe, "speed_ramp", ramp)
+    set_parameter(probe, "speed_ramp", ramp)
     here = motion.position(probe)
-    kept = _parameter(probe, "speed_limit") or 0
+    kept = parameter(probe, "speed_limit") or 0
     # A move has no speed of its own: the limit is its speed, which it keeps for more turns than it is looked at.
-    _set(probe, "speed_limit", 18_000)
+    set_parameter(probe, "speed_limit", 18_000)
     runs = motion.of(how).kind is MotionKind.RUN
     exchange = motion.ask(probe, how, way * 20 * 360, rpm=way * 30 if runs else 30, quiet_ns=0)
     probe.wait(ramp_ns * 3 // 2)
     first = motion.position(probe)
     speed, uncertain = _speed_of(probe, ramp_ns // 2)
     motion.stand_still(probe)
-    _set(probe, "speed_limit", kept)
+    set_parameter(probe, "speed_limit", kept)
     speed *= way
     if speed <= uncertain:
         raise Inconclusive(f"{how.name} does not turn the shaft")
@@ -469,11 +476,11 @@ def _speed_ramp(probe: Probe, run: Command) -> None:
 
 def ramped_each_way(probe: Probe, run: Command) -> tuple[_Ramp, ...]:
     """Return the accelerations by two ramps, the steeper one the other way; nothing where the drive has no such parameter."""
-    kept = _parameter(probe, "speed_ramp")
+    kept = parameter(probe, "speed_ramp")
     if kept is None:
         return ()
     found = tuple(_acceleration(probe, ramp, run, way) for ramp, way in ((18_000, 1), (_BACK_RAMP, -1)))
-    _set(probe, "speed_ramp", kept)
+    set_parameter(probe, "speed_ramp", kept)
     return found
 
 
@@ -484,7 +491,7 @@ _BACK_RAMP = 36_000
 def _ramps(probe: Probe, run: Command) -> tuple[_Ramp, ...] | None:
     found = probe.recorded(ramped_each_way, run)
     if not found:
-        probe.meets(_FIRMWARE)
+        probe.meets(FIRMWARE)
         return None
     return found
 
@@ -501,10 +508,10 @@ def _speed_ramp_each_way(probe: Probe, run: Command) -> None:
     if (found := _ramps(probe, run)) is None:
         return
     forward, back = found
-    if not forward.near(180, 180 * (1 - _SHORTER)):
+    if not forward.near(180, 180 * (1 - SHORTER)):
         raise Observed(f"the speed of {run.name} rises by another ramp than was set")
     text, wanted = f"the speed of {run.name} rises by another ramp the other way", _BACK_RAMP / 100
-    _expect_ramp(probe, back, wanted, wanted * (1 - _SHORTER), text)
+    _expect_ramp(probe, back, wanted, wanted * (1 - SHORTER), text)
 
 
 @_of_change(
@@ -515,16 +522,16 @@ def _speed_ramp_each_way(probe: Probe, run: Command) -> None:
 )
 def _ramp_at_once(probe: Probe) -> None:
     """A speed ramp that holds for a change of speed when it is written at rest holds too when the shaft turns then."""
-    kept = _parameter(probe, "speed_ramp")
+    kept = parameter(probe, "speed_ramp")
     if kept is None:
         return
     motion.ready_to_move(probe)
     for under_way in (False, True):
-        _set(probe, "speed_ramp", kept if under_way else _LATE_RAMP)
+        set_parameter(probe, "speed_ramp", kept if under_way else _LATE_RAMP)
         motion.run_at(probe, 10)
         probe.wait(_HOLDS_NS if under_way else _HOLDS_NS + 60 * SECOND_NS * 100 // _LATE_RAMP)
         if under_way:
-            _set(probe, "speed_ramp", _LATE_RAMP)
+            set_parameter(probe, "speed_ramp", _LATE_RAMP)
         first = _speed_of(probe, 200 * MS)
         before = motion.position(probe)
         exchange = motion.run_at(probe, 40)
@@ -532,7 +539,7 @@ def _ramp_at_once(probe: Probe) -> None:
         after = motion.position(probe)
         last = _speed_of(probe, 200 * MS)
         motion.stand_still(probe)
-        _set(probe, "speed_ramp", kept)
+        set_parameter(probe, "speed_ramp", kept)
         if abs(last[0] - first[0]) < 60:
             raise Inconclusive("the speed does not change to 40 rpm")
         seen, wanted = _changed(before, first, exchange, after, last), _LATE_RAMP / 100
@@ -547,7 +554,7 @@ _LATE_RAMP = 24_000
 #: The ramp by which speeds change, as sent and in deg/s2, and the speeds in rpm: faster, slower and back, on both sides of 0.
 _CHANGE_RAMP, _CHANGES = 36_000, (60, 30, -30, -60, -30, 30, 0)
 #: By how much a ramp may be shorter than that from rest, for friction helps a motor that slows down.
-_SHORTER = 0.67
+SHORTER = 0.67
 
 
 def _changed(before: Sample, first: tuple[float, float], exchange: Exchange, after: Sample, last: tuple[float, float]) -> _Ramp:
@@ -567,11 +574,11 @@ def _changed(before: Sample, first: tuple[float, float], exchange: Exchange, aft
 @_of_change(name="{command}/one-ramp", refuted_by="a change of speed by a steeper ramp", at_best=Certainty.LIKELY, rests_on=())
 def _one_ramp(probe: Probe) -> None:
     """A run speeds up, slows down and turns round by no steeper ramp than it begins by, both ways."""
-    kept = _parameter(probe, "speed_ramp")
+    kept = parameter(probe, "speed_ramp")
     if kept is None:
         return
     motion.ready_to_move(probe)
-    _set(probe, "speed_ramp", _CHANGE_RAMP)
+    set_parameter(probe, "speed_ramp", _CHANGE_RAMP)
     before, speed = motion.position(probe), (0.0, 0.0)
     found = []
     for rpm in _CHANGES:
@@ -585,14 +592,14 @@ def _one_ramp(probe: Probe) -> None:
         seen = _changed(before, speed, exchange, after, last)
         found.append((seen, f"{speed[0] / 6:+.0f} to {last[0] / 6:+.0f} rpm"))
         before, speed = motion.position(probe), last
-    _set(probe, "speed_ramp", kept)
+    set_parameter(probe, "speed_ramp", kept)
     motion.stand_still(probe)
     begins = found[0][0]
     if begins.low > 2 * _CHANGE_RAMP / 100:
         raise Observed("the speed ramp that was set does not hold")
     begins.need_sure()
     for seen, what in found[1:]:
-        most, text = begins.high / _SHORTER, f"from {what} the speed changes by a steeper ramp than from rest"
+        most, text = begins.high / SHORTER, f"from {what} the speed changes by a steeper ramp than from rest"
         holds, expected, key = seen.low <= most, f"at most {most:.4g} deg/s2", "a steeper ramp"
         probe.expect(str(seen), holds=holds, expected=expected, refutes=text, exchange=seen.exchange, key=key)
         seen.need_sure()

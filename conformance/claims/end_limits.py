@@ -1,7 +1,7 @@
 """End limits: with the limit on, a shaft does not run beyond a closed end stop, and motion away from it goes on.
 
 Tried on emulated drives, where end stops are where a claim mounts them: the left one is found by homing and is then zero,
-the right one stands two turns from it.
+the right one stands two turns from it. A pin without a switch that is at its level all the time shows a limit without hands.
 
 Rules kept here:
 - A changed limit holds only after homing, so every claim homes first.
@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Trait, Verb
 from conformance.claim import Inconclusive, NotRun
 from conformance.claims import bench, homing
 from conformance.claims.declare import Case, Cases, commands
@@ -33,6 +33,18 @@ _LEFT, _HALF = -3000, 8000
 _RIGHT_TURNS, _LONG_TURNS = 2, 4
 #: How fast motions meet one; the fast one beyond half of any drive's speed.
 _RPM, _FAST = 120, 1600
+#: Without a switch: how fast motions are asked for, how long they have to begin, and how long homing has to end.
+_SLOW, _STARTS_NS, _SOON_NS = 30, 200 * MS, 1500 * MS
+#: How far homing goes back from a pin that is at its level (counts).
+_BACK = 0x800
+#: What turns the shaft.
+_TURNING = (
+    Verb.RUN_SPEED,
+    Verb.MOVE_RELATIVE_PULSES,
+    Verb.MOVE_ABSOLUTE_PULSES,
+    Verb.MOVE_RELATIVE_AXIS,
+    Verb.MOVE_ABSOLUTE_AXIS,
+)
 _DEAF = "deaf-after-limit-stop"
 
 
@@ -63,15 +75,16 @@ def _of_limits(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Calla
 # --- between the end stops --------------------------------------------------------------------------------------------
 
 
-def _homed(probe: Probe, end_limit: int = 1, side: int = -1, mode: str = "") -> None:
+def _homed(probe: Probe, end_limit: int = 1, side: int = -1, mode: str = "", trigger: int = 0) -> None:
     """Find the left end stop and go back half a turn from it; the right one stands beyond.
 
-    `side`: the way in which left lies, 1 where counts rise.
+    `side`: the way in which left lies, 1 where counts rise. `trigger`: the level of a pin at its end stop.
     """
     motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
-    homing.set_home(probe, end_limit=end_limit, home_speed=60, **({"home_direction": 1} if side > 0 else {}))
-    bench.left_switch(probe, -side * _LEFT)
-    bench.right_switch(probe, -side * (_LEFT + _RIGHT_TURNS * probe.dialect.counts_per_turn))
+    ways = {"home_direction": 1} if side > 0 else {}
+    homing.set_home(probe, end_limit=end_limit, home_speed=60, home_trigger=trigger, **ways)
+    bench.left_switch(probe, -side * _LEFT, trigger)
+    bench.right_switch(probe, -side * (_LEFT + _RIGHT_TURNS * probe.dialect.counts_per_turn), trigger)
     homing.find_home(probe)
     probe.wait(500 * MS)
     # Homing may have let the shaft go.
@@ -125,15 +138,15 @@ def _send_left(probe: Probe, command: Command, rpm: int = _RPM) -> Exchange:
 
 @_of_limits("a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-stops-{run}")
 def _stops_at(probe: Probe, run: Command) -> None:
-    """With the end limit on, {run} towards the left stops at its end stop, in each bus mode, slow and fast."""
-    for row in covering.rows({"mode": run.modes or ("",), "rpm": (_RPM, _FAST)}):
+    """With the end limit on, {run} towards the left stops at its end stop, in each bus mode, slow and fast, at both levels."""
+    for row in covering.rows({"mode": run.modes or ("",), "rpm": (_RPM, _FAST), "trigger": (0, 1)}):
         mode = row["mode"]
-        _homed(probe, mode=mode)
+        _homed(probe, mode=mode, trigger=row["trigger"])
         exchange = _send_left(probe, run, row["rpm"])
         seen = probe.read(Verb.READ_POSITION, "position")
         if abs(seen) > probe.within("counts"):
             motion.stop(probe)
-        text = f"{run.name} does not stop at an end limit {mode and 'in ' + mode}"
+        text = f"{run.name} does not stop at an end limit of level {row['trigger']} {mode and 'in ' + mode}".rstrip()
         expected = "0, where the end stop is"
         probe.expect(seen, near=0, unit="counts", expected=expected, refutes=text, exchange=exchange)
 
@@ -170,18 +183,18 @@ def _with_right_limit(dialect: Dialect) -> Iterator[Case]:
 
 @_of_limits("a shaft that runs beyond it", each=_with_right_limit, name="{command}/end-limit-stops-{run}-right")
 def _stops_at_the_right(probe: Probe, run: Command) -> None:
-    """With the end limit on, {run} towards the right stops at the right end stop."""
+    """With the end limit on, {run} towards the right stops at the right end stop, at both levels."""
     motion.ready_to_move(probe)
     if Verb.SET_LIMIT_REMAP in probe.dialect.by_verb:
         probe.do(Verb.SET_LIMIT_REMAP, {"limit_remap": 1})
-    _homed(probe, mode=run.modes[0] if run.modes else "")
-    exchange = probe.ask(run, _values(probe, run, 1), timeout_ns=10 * SECOND_NS)
-    probe.reply(exchange)
-    probe.wait(3 * SECOND_NS)
-    seen, right = probe.read(Verb.READ_POSITION, "position"), _RIGHT_TURNS * probe.dialect.counts_per_turn
-    motion.stop(probe)
-    text, expected = f"{run.name} does not stop at the right end limit", f"{right}, where the right end stop is"
-    probe.expect(seen, near=right, unit="counts", expected=expected, refutes=text, exchange=exchange)
+    for trigger in (0, 1):
+        _homed(probe, mode=run.modes[0] if run.modes else "", trigger=trigger)
+        exchange = _ask_again(probe, run, _values(probe, run, 1))
+        probe.wait(3 * SECOND_NS)
+        seen, right = probe.read(Verb.READ_POSITION, "position"), _RIGHT_TURNS * probe.dialect.counts_per_turn
+        motion.stop(probe)
+        text, expected = f"{run.name} does not stop at the right end limit", f"{right}, where the right end stop is"
+        probe.expect(seen, near=right, unit="counts", expected=expected, refutes=text, exchange=exchange)
 
 
 def _ask_again(probe: Probe, command: Command, values: dict[str, int]) -> Exchange:
@@ -197,16 +210,17 @@ def _ask_again(probe: Probe, command: Command, values: dict[str, int]) -> Exchan
 
 @_of_limits("a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-holds-{run}", quirks=may_meet(_DEAF))
 def _holds_at(probe: Probe, run: Command) -> None:
-    """With the end limit on, {run} towards an end stop that is closed turns nothing."""
-    _homed(probe)
-    values = _values(probe, run, -1)
-    _send_left(probe, probe.command(Verb.MOVE_RELATIVE_AXIS))
-    before = motion.position(probe)
-    exchange = _ask_again(probe, run, values)
-    probe.wait(2 * SECOND_NS)
-    after = motion.position(probe)
-    motion.stop(probe)
-    expect_stays(before, after, exchange, f"{run.name} towards a closed end limit turns the shaft")
+    """With the end limit on, {run} towards an end stop that is closed turns nothing, at both levels."""
+    for trigger in (0, 1):
+        _homed(probe, trigger=trigger)
+        values = _values(probe, run, -1)
+        _send_left(probe, probe.command(Verb.MOVE_RELATIVE_AXIS))
+        before = motion.position(probe)
+        exchange = _ask_again(probe, run, values)
+        probe.wait(2 * SECOND_NS)
+        after = motion.position(probe)
+        motion.stop(probe)
+        expect_stays(before, after, exchange, f"{run.name} towards a closed end limit of level {trigger} turns the shaft")
 
 
 @_of_limits("another status", each=that_tell_their_end(_moves), name="{command}/end-limit-told-{run}")
@@ -240,6 +254,53 @@ def _not_told(probe: Probe, run: Command) -> None:
     probe.do(Verb.SET_RESPOND, {"respond": 1, "active": 1})
     text = f"{run.name} that an end limit stops is told although active is 0"
     probe.expect(statuses, equal=[1], refutes=text, exchange=exchange)
+
+
+# --- without a switch -------------------------------------------------------------------------------------------------
+
+
+def _backing_off(dialect: Dialect) -> Iterator[Case]:
+    """Yield the setting where homing from a closed end stop goes back by an angle: it ends at a pin that never changes."""
+    if Trait.BACKS_OFF_BY_ANGLE in dialect.traits:
+        yield from _settings(dialect)
+
+
+@of_motion(
+    each=_backing_off,
+    name="{command}/end-limit-by-level",
+    refuted_by="a shaft that turns on",
+    risks=risks_by(Verb.HOME, Verb.SET_NO_LIMIT_HOME, *_TURNING),
+    settings=homing.fields,
+    at_best=Certainty.LIKELY,
+    quirks=may_meet(_DEAF),
+)
+def _by_level(probe: Probe, command: Command) -> None:
+    """Where home_trigger is the level of a pin without a switch, homing ends at once, and nothing turns to the left then."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    homing.set_home(probe)
+    runs = [(run, _sense_of(probe, run)) for run in probe.dialect.motions(*motion.RUNS_AND_MOVES)]
+    if not any(_homes_at_once(probe, trigger) for trigger in (1, 0)):
+        raise Inconclusive("homing ends at once with neither level of home_trigger")
+    probe.do(Verb.ENABLE, {"enabled": 1})
+    for run, sense in runs:
+        before = motion.position(probe)
+        exchange = _ask_again(probe, run, _values(probe, run, -1, sense, _SLOW))
+        probe.wait(_STARTS_NS)
+        after = motion.position(probe)
+        motion.stand_still(probe)
+        text = f"{run.name} goes on to the left although the pin of the end limit is at home_trigger"
+        expect_stays(before, after, exchange, text, motion.same(probe))
+
+
+def _homes_at_once(probe: Probe, trigger: int) -> bool:
+    """Say whether homing ends soon with a level; stop it where it does not."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    homing.set_home(probe, end_limit=1, home_trigger=trigger, return_angle=_BACK)
+    exchange = probe.ask(Verb.HOME)
+    probe.reply(exchange)
+    if probe.refused(exchange):
+        raise Inconclusive("homing was refused")
+    return homing.ends_within(probe, _SOON_NS)
 
 
 # --- away from the limit, and without one -----------------------------------------------------------------------------

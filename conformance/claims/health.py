@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import pairwise
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.protocols.lk_rs485 import ERROR_BITS
@@ -17,6 +18,7 @@ from conformance.claims.known_reads import every_read
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import CALM, SECOND_NS
+from conformance.talk.acceptance import need_reliable_replies
 from conformance.talk.probe import Probe
 
 _state = partial(of_motion, each=commands(Verb.READ_STATE_1), still=True)
@@ -48,11 +50,19 @@ def _expect_flags(probe: Probe, wanted: set[str], when: str) -> None:
     risks=risks_by(Verb.CLEAR_ERRORS),
 )
 def _flag(probe: Probe, flag: str) -> None:
-    """Where {flag} is the matter, its flag is set, and no other."""
+    """Where {flag} is the matter, its flag is set, and no other; each read is answered as before."""
     drive = lk_drive(probe)
     _expect_flags(probe, set(), "at first")
+    reads = [(read, values) for read, values in every_read(probe.dialect) if probe.ask(read, values, quiet_ns=0).reply]
     drive.trip(flag)
     _expect_flags(probe, {flag}, f"with {flag}")
+    for read, values in reads:
+        exchange = probe.ask(read, values, quiet_ns=0)
+        if exchange.silent:
+            need_reliable_replies(probe)
+            exchange = probe.ask(read, values)
+        text = f"{read.name} is not answered with {flag}"
+        probe.expect("silence", holds=not exchange.silent, expected="a reply", refutes=text, exchange=exchange)
     drive.trip(flag, False)
     probe.do(Verb.CLEAR_ERRORS)
     _expect_flags(probe, set(), f"after {flag} was cleared")
@@ -78,36 +88,43 @@ def _stalls(probe: Probe, command: Command) -> None:
     _expect_flags(probe, set(), "of a motor that was let go")
 
 
-def _flag_without_cause(probe: Probe) -> None:
+#: All flags, by name.
+_EVERY = tuple(field.name for field in ERROR_BITS)
+
+
+def _set_without_cause(probe: Probe, *flags: str) -> None:
     drive = lk_drive(probe)
-    drive.trip("overcurrent")
-    drive.trip("overcurrent", False)
-    _expect_flags(probe, {"overcurrent"}, "before 9B")
+    for present in (True, False):
+        for flag in flags:
+            drive.trip(flag, present)
+    _expect_flags(probe, set(flags), "before 9B")
 
 
 @_clear(refuted_by="a flag that stays, or one that a read clears")
 def _clears(probe: Probe, command: Command) -> None:
-    """9B clears a flag whose cause is gone; no read clears it."""
-    _flag_without_cause(probe)
-    for read, values in every_read(probe.dialect):
-        probe.ask(read, values, quiet_ns=0)
-    _expect_flags(probe, {"overcurrent"}, "after each read, before 9B,")
-    probe.do(command)
-    _expect_flags(probe, set(), "after 9B, the cause being gone,")
+    """9B clears each flag whose cause is gone, one alone and all together; no read clears it."""
+    for flags in (*((name,) for name in _EVERY), _EVERY):
+        _set_without_cause(probe, *flags)
+        for read, values in every_read(probe.dialect):
+            probe.ask(read, values, quiet_ns=0)
+        _expect_flags(probe, set(flags), "after each read, before 9B,")
+        probe.do(command)
+        _expect_flags(probe, set(), f"after 9B, the cause of {' and '.join(flags)} being gone,")
 
 
 @_clear(refuted_by="the flags of before", at_best=Certainty.OPEN)
 def _tells_what_is_left(probe: Probe, command: Command) -> None:
     """9B is answered with the flags that it leaves: those whose cause lasts."""
-    _flag_without_cause(probe)
-    lk_drive(probe).trip("motor_hot")
-    for left in ({"motor_hot"}, set[str]()):
-        exchange = probe.do(command)
-        told = probe.reply(exchange).values
-        seen = {field.name for field in ERROR_BITS if told.get(field.name)}
-        text = "9B is answered with other flags than it leaves"
-        probe.expect(", ".join(sorted(seen)), equal=", ".join(left), refutes=text, exchange=exchange)
-        lk_drive(probe).trip("motor_hot", False)
+    for gone, lasting in pairwise((*_EVERY, _EVERY[0])):
+        _set_without_cause(probe, gone)
+        lk_drive(probe).trip(lasting)
+        for left in ({lasting}, set[str]()):
+            exchange = probe.do(command)
+            told = probe.reply(exchange).values
+            seen = {name for name in _EVERY if told.get(name)}
+            text = "9B is answered with other flags than it leaves"
+            probe.expect(", ".join(sorted(seen)), equal=", ".join(left), refutes=text, exchange=exchange)
+            lk_drive(probe).trip(lasting, False)
 
 
 def _conditions(dialect: Dialect) -> Iterator[Case]:
@@ -130,7 +147,7 @@ def _conditions(dialect: Dialect) -> Iterator[Case]:
 def _clears_then(probe: Probe, condition: conditions.Condition) -> None:
     motion.ready_to_move(probe)
     condition.enter(probe)
-    _flag_without_cause(probe)
+    _set_without_cause(probe, *_EVERY)
     probe.do(Verb.CLEAR_ERRORS)
     _expect_flags(probe, set(), f"after 9B {condition.when}")
     condition.leave(probe)
@@ -153,19 +170,33 @@ def _others(dialect: Dialect) -> Iterator[Case]:
 )
 def _alone(probe: Probe, command: Command, other: Command) -> None:
     """{other} clears no flag: that is what {command} is for."""
-    _flag_without_cause(probe)
+    _set_without_cause(probe, *_EVERY)
     probe.do(other)
-    _expect_flags(probe, {"overcurrent"}, f"after {other.name}")
+    _expect_flags(probe, set(_EVERY), f"after {other.name}")
     probe.do(command)
     motion.switch(probe, True)
 
 
 @_clear(refuted_by="a flag that is cleared")
 def _keeps(probe: Probe, command: Command) -> None:
-    """9B leaves a flag whose cause lasts."""
-    lk_drive(probe).trip("motor_hot")
-    probe.do(command)
-    _expect_flags(probe, {"motor_hot"}, "after 9B, the cause lasting,")
+    """9B leaves each flag whose cause lasts, also where others are cleared."""
+    drive, lasting = lk_drive(probe), set[str]()
+    for name in _EVERY:
+        drive.trip(name)
+        lasting.add(name)
+        probe.do(command)
+        _expect_flags(probe, lasting, f"after 9B, the cause of {name} lasting,")
+    for name in _EVERY:
+        drive.trip(name, False)
+        lasting.discard(name)
+        probe.do(command)
+        _expect_flags(probe, lasting, f"after 9B, the cause of {name} being gone and of others not,")
+    for name in _EVERY:
+        drive.trip(name)
+        probe.do(command)
+        _expect_flags(probe, {name}, f"after 9B, the cause of {name} lasting alone,")
+        drive.trip(name, False)
+        probe.do(command)
 
 
 # --- voltage, temperature, phases -------------------------------------------------------------------------------------

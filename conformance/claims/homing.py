@@ -35,7 +35,8 @@ _WITHOUT_WAY_BACK = (Verb.SET_HOME,)
 _WITH_WAY_BACK = (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME)
 
 
-def _fields(case: Case) -> tuple[str, ...]:
+def fields(case: Case) -> tuple[str, ...]:
+    """Return the settings of homing."""
     found = [c for v in _WITH_WAY_BACK if (c := case.dialect.by_verb.get(v)) is not None]
     return tuple(dict.fromkeys(n for c in found for f in c.request_forms for n in f.layout.named))
 
@@ -43,7 +44,7 @@ def _fields(case: Case) -> tuple[str, ...]:
 def _of_homing(
     refuted_by: str, *, each: Cases = _homings, sets: tuple[Verb, ...] = _WITHOUT_WAY_BACK, **facts: Any
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    facts = {"emulated": True, "risks": risks_by(*sets), "settings": _fields, **facts}
+    facts = {"emulated": True, "risks": risks_by(*sets), "settings": fields, **facts}
     return of_motion(each=each, refuted_by=refuted_by, **facts)
 
 
@@ -76,6 +77,16 @@ def find_home(probe: Probe, limit_ns: int = _LIMIT_NS) -> Exchange:
     if not telling:
         motion.wait_until(probe, lambda: _status_now(probe) != HOMING, every_ns=200 * MS, limit_ns=limit_ns)
     return exchange
+
+
+def ends_within(probe: Probe, limit_ns: int) -> bool:
+    """Say whether homing that was begun ends by itself so soon; stop it where it does not."""
+    motion.wait_until(probe, lambda: _status_now(probe) != HOMING, every_ns=50 * MS, limit_ns=limit_ns)
+    if _status_now(probe) != HOMING:
+        return True
+    _halt(probe)
+    motion.wait_standing(probe)
+    return False
 
 
 def _status_now(probe: Probe) -> int:
@@ -130,12 +141,13 @@ def _both_ways(dialect: Dialect) -> Iterator[Case]:
 
 @_of_homing("a shaft that goes the other way or stops elsewhere", each=_both_ways, name="{command}/finds-switch-{way}")
 def _finds_switch(probe: Probe, way: str) -> None:
-    """Homing with direction {way} turns the shaft {way} until the end stop closes, and it stands there, in each mode."""
+    """Homing with direction {way} turns the shaft {way} until its end stop, at either level and in each mode."""
     direction = _DIRECTIONS[way]
-    for row in covering.rows({"mode": motion.bus_modes(probe.dialect), "rpm": (60, 300)}):
-        bench.left_switch(probe, _WAYS[direction] * 10 * probe.dialect.counts_per_turn)
-        start = _prepared(probe, row["mode"], home_direction=direction, home_speed=row["rpm"])
-        bench.left_switch(probe, _WAYS[direction] * _SWITCH)
+    for row in covering.rows({"mode": motion.bus_modes(probe.dialect), "rpm": (60, 300), "trigger": (0, 1)}):
+        trigger = row["trigger"]
+        bench.left_switch(probe, _WAYS[direction] * 10 * probe.dialect.counts_per_turn, trigger)
+        start = _prepared(probe, row["mode"], home_direction=direction, home_speed=row["rpm"], home_trigger=trigger)
+        bench.left_switch(probe, _WAYS[direction] * _SWITCH, trigger)
         exchange = find_home(probe)
         probe.wait(500 * MS)
         text = f"homing at {row['rpm']} rpm in {row['mode']} does not end at the end stop"
@@ -150,22 +162,23 @@ def _finds_switch(probe: Probe, way: str) -> None:
     sets=_WITH_WAY_BACK,
 )
 def _from_closed(probe: Probe, command: Command, way: str) -> None:
-    """From a closed end stop the shaft first turns the other way, then comes back to it."""
+    """From a closed end stop the shaft first turns the other way, then comes back to it, at either level."""
     direction = _DIRECTIONS[way]
-    start = _prepared(probe, home_direction=direction, return_angle=0x2000)
-    bench.switch_here(probe, _WAYS[direction], 1000)
-    exchange = probe.ask(command, quiet_ns=0)
-    probe.reply(exchange)
-    probe.wait(50 * MS)
-    first = (bench.shaft(probe) - start) * _WAYS[direction]
-    probe.wait(5 * SECOND_NS)
-    if first >= 0:
-        _halt(probe)
-    text = "homing from a closed end stop does not leave it first"
-    got = f"{first:.0f} counts towards it"
-    probe.expect(got, holds=first < 0, expected="motion away from it", refutes=text, exchange=exchange)
-    text = "homing from a closed end stop does not end at it"
-    _expect_shaft(probe, exchange, text, near=start - _WAYS[direction] * 1000)
+    for trigger in (0, 1):
+        start = _prepared(probe, home_direction=direction, return_angle=0x2000, home_trigger=trigger)
+        bench.switch_here(probe, _WAYS[direction], 1000, trigger)
+        exchange = probe.ask(command, quiet_ns=0)
+        probe.reply(exchange)
+        probe.wait(50 * MS)
+        first = (bench.shaft(probe) - start) * _WAYS[direction]
+        probe.wait(5 * SECOND_NS)
+        if first >= 0:
+            _halt(probe)
+        text = "homing from a closed end stop does not leave it first"
+        got = f"{first:.0f} counts towards it"
+        probe.expect(got, holds=first < 0, expected="motion away from it", refutes=text, exchange=exchange)
+        text = "homing from a closed end stop does not end at it"
+        _expect_shaft(probe, exchange, text, near=start - _WAYS[direction] * 1000)
 
 
 @_of_homing("another number")
@@ -216,7 +229,7 @@ def _expect_going_on(probe: Probe, since: int, command: Command) -> None:
 
 
 def _at_speeds(dialect: Dialect) -> Iterator[Case]:
-    for rpm in (60, 120, 300, *((600,) if dialect.mode_speeds else ())):
+    for rpm in (60, 120, 300, *((600,) if dialect.mode_speeds else ()), 2000):
         yield from (Case(dialect, case.command, {"rpm": rpm}) for case in _homings(dialect))
 
 
@@ -392,3 +405,4 @@ def _held_after(probe: Probe, end_limit: int, held: bool) -> None:
         is_held = bool(probe.read(Verb.READ_ENABLED, "enabled"))
         text = f"with end_limit {end_limit} and home_direction {direction} the shaft is {names[not held]} after homing"
         probe.expect(names[is_held], equal=names[held], refutes=text, exchange=exchange)
+        bench.expect_hold(probe, held, f"with end_limit {end_limit} and home_direction {direction} after homing")

@@ -428,17 +428,39 @@ def _is_enable_pin(probe: Probe, command: Command) -> None:
 def _divides(probe: Probe, command: Command) -> None:
     """PEND flips once for every so many pulses either way, from its starting level, also after a restart; never below 100."""
     _give_ports_back(probe)
-    motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
-    for level, period, turns in ((0, 1600, 0.3), (1, 1600, -0.3), (1, 1600, 0.3), (0, 1600, -0.3), (0, 50, 0.3)):
+    move = probe.command(Verb.MOVE_RELATIVE_PULSES)
+    for level, period, way, subdivision in _DIVIDED:
+        motion.ready_to_move(probe, subdivision=subdivision % _FINEST)
         probe.do(Verb.SET_ZERO)
         probe.do(command, {"division_level": level, "division_period": period})
         for number in range(3):
-            if number == 1 and level and turns > 0:
+            if number == 1 and level and way > 0:
                 restart(probe)
-                motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_PULSES))
+                motion.ready_to_move(probe, subdivision=subdivision % _FINEST)
                 probe.do(Verb.SET_ZERO)
-            _move_by_pulses(probe, turns)
+            degrees = way * _PART * period * 360 / motion.units_per_turn(probe.dialect, move, subdivision)
+            rpm = min(_QUICK_RPM, _FINE_RPM)
+            motion.follow(probe, move, degrees, rpm=rpm, acceleration=QUICK, subdivision=subdivision)
             pulses = abs(probe.read(Verb.READ_PULSES, "pulses"))
-            wanted = level ^ (pulses // period & 1) if period >= 100 else 1
+            wanted = level ^ (pulses // period & 1) if period >= _LEAST_PERIOD else 1
             text = f"PEND with a period of {period} is not {wanted} after {pulses} pulses"
             probe.expect(probe.read(Verb.READ_IO, "pend"), equal=wanted, refutes=text)
+
+
+#: Starting levels and periods, the way, and the subdivision at which the pulses are counted; the part of a period of each move.
+_DIVIDED = (
+    (0, 99, 1, 16),
+    (0, 50, -1, 16),
+    (0, 100, 1, 16),
+    (1, 150, -1, 16),
+    (0, 400, -1, 16),
+    (1, 1600, 1, 16),
+    (0, 1600, -1, 16),
+    (1, 3200, -1, 16),
+    (0, 12_000, 1, 256),
+    (1, 40_000, -1, 256),
+    (0, 100_000, 1, 256),
+)
+_PART, _LEAST_PERIOD, _FINEST = 0.55, 100, 256
+#: A speed that can be sent at the finest subdivision too.
+_FINE_RPM = 240

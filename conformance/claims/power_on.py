@@ -240,6 +240,7 @@ def _locked(probe: Probe, command: Command, value: int) -> None:
     probe.wait(_START_NS)
     text = f"with axis_lock {value} the motor is in the other state at power-on"
     probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text)
+    bench.expect_hold(probe, bool(value), f"with axis_lock {value} at power-on")
 
 
 @of_motion(

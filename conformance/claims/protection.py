@@ -6,7 +6,7 @@ follow either: so the protection, what it refuses and the angle error show witho
 Rules kept here:
 - How far the shaft must lag behind is printed for CAN alone (89: 1.8 degrees a unit); elsewhere two turns are enough.
 - The answer to a move that ends so is not printed: that it is no success is judged, what it is observed.
-- A motor without current that lags behind is disabled before it gets current again, so that it does not leap.
+- A motor without current that lags behind gets current again when it is disabled, or told as protected: so it does not leap.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, Cases, commands, motions, needing
-from conformance.claims.motion_claim import of_motion, risks_by, that_tell_their_end
+from conformance.claims.motion_claim import expect_stays, of_motion, risks_by, that_tell_their_end
 from conformance.claims.refusals import expect_refused
 from conformance.motion import motion, ramp
 from conformance.motion.motion import MS, QUICK, SECOND_NS
@@ -69,6 +69,17 @@ def _expect(probe: Probe, exchange: Exchange, wanted: int, text: str) -> None:
     probe.expect(_is_protected(probe), equal=wanted, refutes=text, exchange=exchange)
 
 
+def _expect_let_go(probe: Probe, exchange: Exchange) -> None:
+    """Let a shaft go that is told as protected; refute unless the motor has let it go too."""
+    before = motion.position(probe)
+    bench.hold(probe, False)
+    probe.wait(SECOND_NS)
+    moved = motion.position(probe).value - before.value
+    text = "the motor goes on when the held shaft is let go"
+    probe.expect(moved, near=0, unit="degrees", refutes=text, exchange=exchange)
+    bench.expect_hold(probe, False, "while 3E reads protected")
+
+
 def _stall_outputs(dialect: Dialect) -> Iterator[Case]:
     """Yield the read of the ports with the port that reports a stall: ALM on CAN, OUT_1 of a 57D elsewhere."""
     for case in commands(Verb.READ_IO)(dialect):
@@ -104,12 +115,7 @@ def _lets_go(probe: Probe) -> None:
         _expect(probe, probe.traffic[-1], 0, "3E reads protected before the shaft was held")
         exchange = _held_move(probe, turns)
         _expect(probe, exchange, 1, "3E does not read protected after the shaft was held")
-        bench.hold(probe, False)
-        before = motion.position(probe)
-        probe.wait(SECOND_NS)
-        moved = motion.position(probe).value - before.value
-        text = "the motor goes on when the held shaft is let go"
-        probe.expect(moved, near=0, unit="degrees", refutes=text, exchange=exchange)
+        _expect_let_go(probe, exchange)
         probe.do(Verb.RELEASE_PROTECTION)
         probe.do(Verb.ENABLE, {"enabled": 1})
 
@@ -127,7 +133,7 @@ def _lets_go_turning(probe: Probe) -> None:
         bench.hold(probe)
         probe.wait(4 * SECOND_NS)
         _expect(probe, exchange, 1, "3E does not read protected after a shaft was held that turned")
-        bench.hold(probe, False)
+        _expect_let_go(probe, exchange)
         probe.do(Verb.RELEASE_PROTECTION)
         probe.do(Verb.ENABLE, {"enabled": 1})
 
@@ -163,10 +169,13 @@ def _leaves_enabled(probe: Probe, command: Command) -> None:
 def _releases(probe: Probe, command: Command) -> None:
     """3D ends the protection: 3E reads 0, and the motor moves again."""
     protect(probe)
+    before = motion.position(probe)
     exchange = probe.do(command)
     _expect(probe, exchange, 0, "3E reads protected after 3D")
     probe.do(Verb.ENABLE, {"enabled": 1})
-    before = motion.position(probe)
+    probe.wait(SECOND_NS)
+    before, rested = motion.position(probe), before
+    expect_stays(rested, before, exchange, "3D takes the motion up again that the protection ended", _MISSING)
     motion.run_at(probe, 60, QUICK)
     probe.wait(SECOND_NS)
     moved = motion.stand_still(probe).value - before.value
@@ -195,7 +204,18 @@ def _held(probe: Probe, command: Command) -> None:
 
 
 #: Tolerances as sent (1.8 degrees each), by how many degrees the shaft lags behind, and whether it is let go.
-_LAGS = ((50, 100, 1), (50, -80, 0), (200, 270, 0), (200, -380, 1), (400, 700, 0), (400, -740, 1))
+_LAGS = (
+    (50, 100, 1),
+    (50, -80, 0),
+    (20, 50, 1),
+    (20, -30, 0),
+    (200, 270, 0),
+    (200, -380, 1),
+    (400, 700, 0),
+    (400, -740, 1),
+    (1200, 2100, 0),
+    (1200, -2250, 1),
+)
 
 
 @_of_protection(
@@ -204,7 +224,7 @@ _LAGS = ((50, 100, 1), (50, -80, 0), (200, 270, 0), (200, -380, 1), (400, 700, 0
     settings=("protection", "stall_tolerance"),
 )
 def _angle(probe: Probe, command: Command) -> None:
-    """The shaft is let go when it lags behind by the tolerance: at 90 degrees for 50, at 720 for 400, either way."""
+    """The shaft is let go when it lags behind by the tolerance: at 36 degrees for 20, at 2160 for 1200, either way."""
     for sent, degrees, wanted in (*_LAGS, (0x7FFF, 2000, 0)):
         turns = degrees / 360
         _prepare(probe, 1)
@@ -279,6 +299,15 @@ def _expect_free(probe: Probe, exchange: Exchange, went: float) -> None:
     raise Inconclusive(f"the drive does not take a motor without current for a locked one; it went {went:+.0f} degrees")
 
 
+def _expect_left(probe: Probe, exchange: Exchange) -> None:
+    """Give a motor current again that is told as protected; refute where that turns the shaft: it was to be let go."""
+    before = motion.position(probe)
+    _current(probe, True)
+    probe.wait(_LEAPS_NS)
+    text = "a motor that is told as protected turns the shaft when it gets current again"
+    expect_stays(before, motion.position(probe), exchange, text, _MISSING)
+
+
 @_without_hands("a motion, an answer that says success, or 3E that reads otherwise", each=commands(Verb.RELEASE_PROTECTION))
 def _limp(probe: Probe, command: Command) -> None:
     """Once a motor without current is protected, 3E reads 1, every motion is refused, and 3D ends it."""
@@ -287,7 +316,7 @@ def _limp(probe: Probe, command: Command) -> None:
     exchange, went = _limp_move(probe, _TURNS * 360)
     if not _is_protected(probe):
         _expect_free(probe, exchange, went)
-    _current(probe, True)
+    _expect_left(probe, exchange)
     for each in probe.dialect.motions(*motion.RUNS_AND_MOVES):
         expect_refused(probe, each, "while protected")
         _expect(probe, probe.traffic[-1], 1, f"{each.name} ends the protection")
@@ -297,6 +326,11 @@ def _limp(probe: Probe, command: Command) -> None:
         received_text(exchange), holds=not probe.refused(exchange), expected="a release", refutes=text, exchange=exchange
     )
     _expect(probe, exchange, 0, "3E reads protected after 3D")
+    before = motion.position(probe)
+    probe.do(Verb.ENABLE, {"enabled": 1})
+    probe.wait(_LEAPS_NS)
+    text = "3D takes the motion up again that the protection ended"
+    expect_stays(before, motion.position(probe), exchange, text, _MISSING)
 
 
 @_without_hands("3E that reads 1", each=commands(Verb.SET_PROTECTION))
@@ -329,6 +363,8 @@ def _limp_either_way(probe: Probe) -> None:
         protected = _is_protected(probe)
         if not protected and not number:
             _expect_free(probe, exchange, went)
+        if protected:
+            _expect_left(probe, exchange)
         _end_limp(probe)
         probe.do(Verb.RELEASE_PROTECTION)
         text = "a motor without current is not protected in each direction, from rest and from a run"
@@ -389,3 +425,5 @@ def _limp_error(probe: Probe, command: Command) -> None:
 
 #: A current for models whose default is not known, in mA; degrees by which a shaft without current may tremble.
 _WEAK, _MISSING = 800, 2.0
+#: How long a motor that gets current again is watched.
+_LEAPS_NS = 500 * MS

@@ -279,6 +279,7 @@ def _enable_pin(probe: Probe, command: Command) -> None:
             text = f"enable_level {value} at the level {level} of En"
             wanted = int(value in (2, level))
             probe.expect(probe.read(Verb.READ_ENABLED), equal=wanted, refutes=text, exchange=exchange, key="enable_level pin")
+            bench.expect_hold(probe, bool(wanted), f"with {text}")
 
 
 @of_read_back(

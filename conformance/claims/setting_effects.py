@@ -323,21 +323,24 @@ def hears(probe: Probe, address: int) -> bool:
     return all(seen)
 
 
-GROUP, OTHER_GROUP = 0x50, 0x51
+#: Groups that are tried: each drive can have the first ones, a CAN drive all.
+GROUPS = (0x50, 0x51, 0x7F, 0xC8, 0x6A5)
+GROUP = GROUPS[0]
 
 
 def _group(probe: Probe) -> str:
-    heard = [f"{a:#x}" for a in (GROUP, OTHER_GROUP) if hears(probe, a)]
+    field = probe.command(Verb.SET_GROUP_ADDRESS).request_forms[0].layout.named["group_address"]
+    heard = [f"{a:#x}" for a in GROUPS if field.allows(a) and a != probe.address and hears(probe, a)]
     if len(heard) != 1:
         need_reliable_replies(probe)
         if not hears(probe, probe.address):
             raise Inconclusive("3A does not follow F3 at the drive's own address, so it shows nothing of a group's")
     probe.ask(Verb.ENABLE, {"enabled": 1})
-    return f"hears {' and '.join(heard) or 'neither'} of the groups {GROUP:#x} and {OTHER_GROUP:#x}"
+    return f"hears {' and '.join(heard) or 'none'} of the groups that are tried"
 
 
 def _expected_group(dialect: Dialect, values: Mapping[str, int]) -> str:
-    return f"hears {values['group_address']:#x} of the groups {GROUP:#x} and {OTHER_GROUP:#x}"
+    return f"hears {values['group_address']:#x} of the groups that are tried"
 
 
 _MOVE = (Verb.MOVE_RELATIVE_PULSES, {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": PULSES})
@@ -385,7 +388,7 @@ BY_VERB: Mapping[Verb, SettingEffect] = {
         moves=True,
         alone=True,
         sends=(_ON, _OFF),
-        values=({"group_address": GROUP}, {"group_address": OTHER_GROUP}),
+        values=tuple({"group_address": group} for group in GROUPS),
     ),
     Verb.ENABLE: SettingEffect(
         see=_enabled,

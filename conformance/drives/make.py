@@ -48,7 +48,9 @@ FAULTS = (
     "conformance.drives.faults.mks",
     "conformance.drives.faults.mks_conditions",
     "conformance.drives.faults.mks_sequences",
+    "conformance.drives.faults.mks_effects",
     "conformance.drives.faults.lk",
+    "conformance.drives.faults.lk_conditions",
 )
 QUIRKS = ("conformance.drives.mks.quirks", "conformance.drives.lk.quirks")
 #: Words of a specification that are no settings.

@@ -29,6 +29,8 @@ MS = 1_000_000
 PAUSE_NS = 15 * MS
 #: The pause where whole frames have come and nothing else: what is longer than its frame comes on without one.
 _WHOLE_PAUSE_NS = 2 * MS
+#: Bytes of the longest frame; what goes on beyond it is no frame.
+_LONGEST_FRAME = 64
 #: Requests whose replies are still known for theirs.
 _OPEN_REQUESTS = 256
 #: Spans of the bus that were sent here: what is decoded late may lie in an earlier one.
@@ -184,7 +186,10 @@ class Dialogue:
         return exchange
 
     def collect(self, exchange: Exchange, ended: Ended, timeout_ns: int, *, quiet_ns: int = 0, done_ns: int = 0) -> Exchange:
-        """Listen until an exchange has ended, and for the quiet behind it; at most for the time-out. Raises LineLost."""
+        """Listen until an exchange has ended, and for the quiet behind it; at most for the time-out. Raises LineLost.
+
+        A frame that has begun when the time is over is listened to until it ends.
+        """
         gate = self.gate
         deadline_ns = exchange.sent_ns + timeout_ns
         over = begun = False
@@ -196,19 +201,31 @@ class Dialogue:
                 over, deadline_ns = True, min(deadline_ns, gate.now_ns() + quiet_ns)
             elif done_ns and not begun and exchange.replies:
                 begun, deadline_ns = True, gate.now_ns() + done_ns
+        # A frame that has begun belongs to this exchange to its end, or to the pause that ends it.
+        until_ns = gate.now_ns() + _LONGEST_FRAME * gate.line.byte_ns + 2 * self._pause_ns
+        while self._half_way and gate.now_ns() < until_ns:
+            self.receive(until_ns)
         return self.finish()
 
     def receive(self, until_ns: int) -> Chunk | CanFrame | None:
         """Take what comes next into the exchange; None after a pause, or when the time is over. Raises LineLost."""
         left_ns = max(0, until_ns - self.gate.now_ns())
-        got = self.gate.receive(min(left_ns, self._longest_pause_ns) if self._pending else left_ns)
+        pause_ns = self._longest_pause_ns if self._pending else left_ns
+        got = self.gate.receive(min(left_ns, pause_ns))
         if got is not None:
             self._feed(got)
-        elif self._pending:
+            self._pending = True
+        elif self._pending and pause_ns <= left_ns:
             self._silence()
-        self._pending = got is not None
+            self._pending = False
         self._take()
         return got
+
+    @property
+    def _half_way(self) -> bool:
+        """Whether a frame has begun to come, and is not whole."""
+        framer = self._pipeline.ports[self._name].framer
+        return self._pending and framer is not None and not framer.between
 
     @property
     def _longest_pause_ns(self) -> int:

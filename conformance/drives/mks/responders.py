@@ -48,13 +48,13 @@ class MksResponder(Responder):
     """
 
     completes = True
-    backs_off_by_angle = False
     supply = (12.0, 24.0)
 
     def __init__(self, dialect: Dialect) -> None:
         super().__init__(dialect)
         self.turns_bus_motion = Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits
         self.lets_go_at_home = Trait.LETS_GO_AT_END_LIMIT in dialect.traits
+        self.backs_off_by_angle = Trait.BACKS_OFF_BY_ANGLE in dialect.traits
 
     def exception(self, message: Message) -> int | None:
         """Return the Modbus exception that answers a request, None where a command answers it."""
@@ -144,7 +144,6 @@ class ModbusResponder(MksResponder):
 class CanResponder(MksResponder):
     """The CAN frames of the E drives."""
 
-    backs_off_by_angle = True
     supply = (20.0, 60.0)
 
     def understands(self, message: Message) -> bool:

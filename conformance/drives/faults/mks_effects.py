@@ -1,0 +1,229 @@
+"""Faults of MKS drives that tell one thing and do another: a shaft let go that is held, a limit without its level.
+
+Rules kept here:
+- Each reply is the one of the manual; the shaft, a switch or a port does otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+
+from msgspec.structs import replace
+
+from analyzer.catalogue import Command, Verb
+from analyzer.records import Frame, Message
+from conformance.drives.drive import Drive, Outgoing, Request, Values
+from conformance.drives.faults.mks_behaviour import homing_by, mks, tuned
+from conformance.drives.faults.places import NATIVE, Change, Row, Rows, faults, having, result, taken
+from conformance.drives.mks.core import Activity, Behaviour, MksCore
+from conformance.drives.mks.paths import Number
+
+# --- a shaft that is let go -------------------------------------------------------------------------------------------
+
+
+def _keeping_torque(drive: MksCore) -> None:
+    """End what is under way, say that the drive is protected, and hold the shaft."""
+
+    def protect() -> None:
+        drive.memory.protected = True
+        drive.motor.settle(drive.now_ns)
+        drive.memory.run = None
+        drive.finish(None)
+
+    drive.protect = protect  # type: ignore[method-assign]
+
+
+def _going_on(drive: MksCore) -> None:
+    """Say that the drive is protected, and drive the shaft on; 3D and 88 end that."""
+
+    def protect() -> None:
+        drive.memory.protected = True
+        drive.heedless.add("protection")
+        drive.finish(None)
+
+    def noticed(behaviour: Behaviour) -> Behaviour:
+        def act(core: MksCore, request: Request) -> Values | None:
+            core.heedless.discard("protection")
+            return behaviour(core, request)
+
+        return act
+
+    drive.protect = protect  # type: ignore[method-assign]
+    for verb in (Verb.RELEASE_PROTECTION, Verb.SET_PROTECTION):
+        drive.behaviours[verb] = noticed(drive.behaviours[verb])
+
+
+def _taking_up(drive: MksCore) -> None:
+    """Turn on to where the shaft was going when 3D ends the protection."""
+    wanted: list[Number] = []
+    protect, release = drive.protect, drive.behaviours[Verb.RELEASE_PROTECTION]
+
+    def protect_later() -> None:
+        wanted[:] = [drive.motor.wanted(drive.motor.settled)]
+        protect()
+
+    def act(core: MksCore, request: Request) -> Values | None:
+        answer = release(core, request)
+        if wanted and core.ready:
+            core.motor.move(core.now_ns, wanted.pop(), 120, 0)
+        return answer
+
+    drive.protect = protect_later  # type: ignore[method-assign]
+    drive.behaviours[Verb.RELEASE_PROTECTION] = act
+
+
+def _gripping(of: Callable[[MksCore], bool]) -> Callable[[MksCore], None]:
+    """Return a change by which a drive that tells a motor as disabled holds its shaft, in a condition."""
+
+    def change(drive: MksCore) -> None:
+        grip = drive.grip
+
+        def held() -> None:
+            grip()
+            if not drive.enabled and of(drive):
+                drive.motor.hold(drive.now_ns)
+
+        drive.grip = held  # type: ignore[method-assign]
+
+    return change
+
+
+# --- end limits -------------------------------------------------------------------------------------------------------
+
+
+def _limits_by_low_pins(drive: MksCore) -> None:
+    """Take a low pin for the end stop whatever home_trigger says, but while homing."""
+    effective = drive.effective
+
+    def low(side: str) -> bool:
+        return effective(side) if drive.doing(Activity.HOME) else drive.side_wired(side) and drive.level(side) == 0
+
+    drive.effective = low  # type: ignore[method-assign]
+
+
+def _closed_start_by_low_pins(drive: MksCore) -> None:
+    """Take a low pin for the end stop where homing begins at it, whatever home_trigger says."""
+    effective, home = drive.effective, drive.behaviours[Verb.HOME]
+    begins = False
+
+    def act(core: MksCore, request: Request) -> Values | None:
+        nonlocal begins
+        begins = True
+        try:
+            return home(core, request)
+        finally:
+            begins = False
+
+    drive.effective = lambda side: drive.level(side) == 0 if begins else effective(side)  # type: ignore[method-assign]
+    drive.behaviours[Verb.HOME] = act
+
+
+# --- a threshold within a range ---------------------------------------------------------------------------------------
+
+
+def _division(change: Callable[[int], int]) -> Change:
+    """Divide the pulses by another period than was set; what is read back is what was set."""
+
+    def tell(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+        settings, core = drive.settings, mks(drive)
+        period = change(settings["division_period"])
+        if core.memory.pend_mask:
+            return values
+        level = (
+            settings["division_level"] ^ (abs(core.pulses) // period & 1) if period else int(core.motor.speed(core.now_ns) == 0)
+        )
+        return values | {"pend": level}
+
+    return Change(result(tell, Verb.READ_IO).install, having(Verb.SET_PULSE_DIVISION))
+
+
+def _tolerance(degrees: int, either: Callable[[Number, Number], Number]) -> Change:
+    """Let the shaft go at another lag than was set, on one side of some degrees."""
+
+    def change(drive: MksCore) -> None:
+        strays, limit = drive.motor.strays, Fraction(degrees * drive.motor.counts_per_turn, 360)
+        drive.motor.strays = lambda counts, after: strays(either(counts, limit), after)  # type: ignore[method-assign]
+
+    return tuned(change, having(Verb.SET_STALL_TOLERANCE))
+
+
+def _deaf_to_high_groups(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    group = drive.settings.get("group_address", 0)
+    return wanted and not (message.address == group != drive.address and group > 0x7F)
+
+
+# --- the end of a motion ----------------------------------------------------------------------------------------------
+
+
+def _last_words(change: Callable[[bytes], bytes]) -> Change:
+    """Change the bytes by which the end of a motion is told."""
+
+    def tune(drive: MksCore) -> None:
+        complete, ends = drive.complete, False
+
+        def told(request: Request, values: Values) -> None:
+            nonlocal ends
+            ends = True
+            complete(request, values)
+            ends = False
+
+        def say(_: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
+            return (replace(outgoing, data=change(outgoing.data)) if ends else outgoing,)
+
+        drive.complete = told  # type: ignore[method-assign]
+        drive.hooks.reply.append(say)
+
+    return tuned(tune, NATIVE)
+
+
+EFFECTS: Rows = {
+    "completion": (
+        Row(
+            "completion-cut",
+            "what tells the end of a motion lacks its last two bytes",
+            _last_words(lambda data: data[:-2]),
+            NATIVE,
+        ),
+        Row(
+            "completion-of-noise",
+            "the end of a motion is told by noise",
+            _last_words(lambda data: bytes(b ^ 0x55 for b in data)),
+            NATIVE,
+        ),
+    ),
+    "within a range": (
+        Row("division-from-50", "PEND divides the pulses from a period of 50 on", _division(lambda n: n if n >= 50 else 0)),
+        Row("division-not-above-5000", "PEND divides no pulses by more than 5000", _division(lambda n: n if n <= 5000 else 0)),
+        Row("division-of-16-bits", "PEND divides pulses by 16 bits of the period", _division(lambda n: n & 0xFFFF)),
+        Row(
+            "slow-homing-capped",
+            "homing turns at 1000 rpm at most",
+            homing_by(lambda settings: {"home_speed": min(settings["home_speed"], 1000)}),
+        ),
+        Row("small-tolerance-coarse", "stall tolerances below 72 degrees hold as that", _tolerance(72, max)),
+        Row("great-tolerance-capped", "stall tolerances above 1800 degrees hold as that", _tolerance(1800, min)),
+        Row("high-groups-deaf", "a group above 7Fh is not heard", taken(_deaf_to_high_groups), having(Verb.SET_GROUP_ADDRESS)),
+    ),
+    "limits": (
+        Row("limits-by-low-pins", "end limits hold where a pin is low, at any home_trigger", tuned(_limits_by_low_pins)),
+        Row(
+            "closed-start-by-low-pin",
+            "homing leaves an end stop first whose pin is low, at any home_trigger",
+            tuned(_closed_start_by_low_pins),
+        ),
+    ),
+    "let go": (
+        Row("protected-keeps-torque", "3E reads 1 and the motor holds the shaft", tuned(_keeping_torque)),
+        Row("protected-goes-on", "3E reads 1 and the motor turns the shaft on", tuned(_going_on)),
+        Row("release-takes-up", "3D takes up the motion that the protection ended", tuned(_taking_up)),
+        Row("disabled-keeps-torque", "3A reads 0 and the motor holds the shaft", tuned(_gripping(lambda drive: drive.by_bus))),
+        Row(
+            "en-pin-keeps-torque",
+            "3A reads 0 and the motor holds the shaft at the En pin's other level",
+            tuned(_gripping(lambda drive: not drive.by_bus)),
+        ),
+    ),
+}
+
+FAULTS = faults(EFFECTS)
