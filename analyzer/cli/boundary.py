@@ -227,7 +227,9 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
     except KeyboardInterrupt:
         print("servotap: interrupted; nothing more was written", file=sys.stderr)
         return 130
-    except Exception as error:
+    except BaseException as error:
+        if not isinstance(error, Exception) and type(error).__name__ != _PANIC:
+            raise
         refused = _refused(error)
         if refused:
             try:
@@ -240,12 +242,17 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
         return FAULT
 
 
+#: What a library in Rust raises for a fault of its own; it is none of Python's exceptions, and has no name to import.
+_PANIC = "PanicException"
 #: How Python tells that the system gives no more threads.
 _NO_THREAD = "can't start new thread"
 
 
-def _refused(error: Exception) -> str:
+def _refused(error: BaseException) -> str:
     """Return what the system refused; nothing where the error is none of the system."""
+    if type(error).__name__ == _PANIC:
+        code = re.search(r"Os \{ code: (\d+),", str(error))
+        return _refused(OSError(int(code[1]), os.strerror(int(code[1])))) if code is not None else ""
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and str(error) == _NO_THREAD):
         return f"the system has no more for this process: {str(error) or 'memory'}"
     if not isinstance(error, OSError):

@@ -10,6 +10,7 @@ import argparse
 import io
 import shutil
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -119,7 +120,10 @@ class _Plots:
         since = f" from {self._shown.iso(begin)}" if is_dated(begin) else ""
         draw(figure, panels, self._name, f"time [s]{since}" if self._timed else "frame (the capture has no times)")
         out = io.BytesIO()
-        figure.savefig(out, format=form, dpi=120)
+        with warnings.catch_warnings():
+            # A letter that no font has is drawn as a box.
+            warnings.filterwarnings("ignore", "Glyph .* missing")
+            figure.savefig(out, format=form, dpi=120)
         return out.getvalue()
 
     def _thinned(self, each: Series) -> tuple[Sequence[float], list[float]]:

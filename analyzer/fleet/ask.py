@@ -97,7 +97,7 @@ class Question:
 
     @contextlib.contextmanager
     def bounded(self, seconds: float) -> Iterator[None]:
-        """Bound the time and the memory of what is asked within. Raises UsageError where it takes more."""
+        """Bound the time and the memory of what is asked within, and end it. Raises UsageError where it takes more."""
         late = threading.Event()
 
         def end() -> None:
@@ -117,6 +117,9 @@ class Question:
             raise
         finally:
             timer.cancel()
+            # What still works for an answer that nobody takes would outlive this program, and bring it down.
+            while self._asked:
+                self._asked.pop().close()
 
     def dataset(self, table: str) -> pyarrow.dataset.Dataset:
         """Return a table as a dataset of Arrow, with what is in all tables alone. Raises UsageError for no table."""

@@ -149,9 +149,7 @@ class CanSocketPort:
         stamped = _wish(made, _SO_TIMESTAMPNS, 1)
         if not _wish(made, _SO_RXQ_OVFL, 1):
             notes.append("this kernel does not count the frames that it drops")
-        if not _wish(made, _SO_RCVBUFFORCE, BUFFER):
-            _wish(made, socket.SO_RCVBUF, BUFFER)
-        size = made.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        size = with_room(made)
         if size < 1 << 20:
             notes.append(
                 f"the kernel buffers {size >> 10} KiB, a full bus of about {size // 15_000} ms; "
@@ -291,6 +289,13 @@ def _overflows(made: socket.socket) -> int | None:
         return int(_MEMINFO.unpack(made.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))[-1])
     except (OSError, struct.error):
         return None
+
+
+def with_room(made: socket.socket, size: int = BUFFER) -> int:
+    """Let the kernel keep so much for a socket, or what the system allows of it; return how many bytes that is."""
+    if not _wish(made, _SO_RCVBUFFORCE, size):
+        _wish(made, socket.SO_RCVBUF, size)
+    return made.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
 
 def _wish(made: socket.socket, option: int, value: int, level: int = socket.SOL_SOCKET) -> bool:

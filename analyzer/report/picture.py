@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from analyzer.values import printable
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -40,16 +42,21 @@ def draw(figure: Figure, panels: Sequence[Panel], title: str, x: str = "time [s]
     axes: list[Axes] = [row[0] for row in rows]
     for axis, panel in zip(axes, panels, strict=True):
         for label, at, values in panel.lines:
-            # Where there are many points, their dots would hide the line. A dollar sign begins a formula otherwise.
+            # Where there are many points, their dots would hide the line.
             dots = "." if len(at) <= _DOTS else ""
-            axis.plot(at, values, marker=dots, markersize=4, linewidth=1, label=label.replace("$", r"\$"))
+            axis.plot(at, values, marker=dots, markersize=4, linewidth=1, label=_plain(label))
         units = [unit for unit in dict.fromkeys(panel.units) if unit]
-        axis.set_ylabel(f"{panel.name} [{', '.join(units)}]" if units else panel.name)
+        axis.set_ylabel(_plain(f"{panel.name} [{', '.join(units)}]" if units else panel.name))
         axis.yaxis.set_major_formatter(plain)
         axis.grid(visible=True, alpha=0.3)
         # A long list of lines would hide them.
         beside = {"loc": "center left", "bbox_to_anchor": (1, 0.5)} if len(panel.lines) > _LISTED_INSIDE else {"loc": "best"}
         axis.legend(fontsize="small", **beside)
-    axes[0].set_title(title.replace("$", r"\$"))
+    axes[0].set_title(_plain(title))
     axes[-1].set_xlabel(x)
     return axes
+
+
+def _plain(text: str) -> str:
+    """Return a text as Matplotlib shows it as it is: a dollar sign would begin a formula."""
+    return printable(text).replace("$", r"\$")

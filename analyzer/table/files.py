@@ -77,9 +77,60 @@ def write_xlsx(table: Table, lines: Iterable[list[Any]], stream: IO[bytes]) -> N
         raise UsageError(
             f"{len(table.columns)} columns, and Excel holds {EXCEL_COLUMNS}: choose some with --topics or --fields"
         )
+    writer, out = needed("xlsxwriter"), _Released(stream)
     # What it keeps of each sheet until the end goes away with the folder, however this ends.
     with tempfile.TemporaryDirectory(prefix=".", dir=table.recorded.folder) as folder:
-        _write_book(needed("xlsxwriter").Workbook(stream, {"constant_memory": True, "tmpdir": folder}), table, lines)
+        try:
+            _write_book(writer.Workbook(out, {"constant_memory": True, "tmpdir": folder}), table, lines)
+        except writer.exceptions.FileCreateError as error:
+            raise error.args[0] from None
+        finally:
+            out.release()
+
+
+class _Released:
+    """A file as an archive writes it. Once it is released it keeps nothing, and goes on counting.
+
+    XlsxWriter leaves its archive open where it fails, and that closes itself at any later time.
+    """
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream: IO[bytes] = stream
+
+    def release(self) -> None:
+        """Let the file go."""
+        self._stream = _Counting(self._stream.tell())
+
+    def write(self, data: bytes) -> int:
+        return self._stream.write(data)
+
+    def seek(self, place: int, whence: int = 0) -> int:
+        return self._stream.seek(place, whence)
+
+    def tell(self) -> int:
+        return self._stream.tell()
+
+    def flush(self) -> None:
+        self._stream.flush()
+
+
+class _Counting(io.BytesIO):
+    """A place in a file, without the file."""
+
+    def __init__(self, place: int) -> None:
+        super().__init__()
+        self._place = place
+
+    def write(self, data: Any) -> int:
+        self._place += len(data)
+        return len(data)
+
+    def seek(self, place: int, whence: int = 0) -> int:
+        self._place = place + (self._place if whence else 0)
+        return self._place
+
+    def tell(self) -> int:
+        return self._place
 
 
 def _write_book(book: Any, table: Table, lines: Iterable[list[Any]]) -> None:

@@ -11,6 +11,8 @@ Lines that python-can itself passes over (of an unknown letter) are not seen her
 from __future__ import annotations
 
 import contextlib
+import os
+import socket
 import sys
 import time
 from collections import deque
@@ -20,6 +22,7 @@ import can
 
 from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
+from analyzer.live.reader_can_socket import with_room
 from analyzer.records import CanFrame
 from analyzer.values import printable, quote
 
@@ -31,6 +34,20 @@ _RETURN_NS = 500_000_000
 _FAILURES = 20
 #: What is slept where an interface does not wait itself: looking again at once would take a whole core.
 _PAUSE_NS = 1_000_000
+#: Bytes that the kernel may keep of what comes: a tenth of a second of a full bus. More would only be old.
+_ROOM = 1 << 20
+
+
+def _give_room(bus: can.BusABC) -> None:
+    """Let the kernel keep what comes while this process is not on turn, where an interface is a socket."""
+    # Most interfaces have no file, or one that is no socket.
+    with contextlib.suppress(NotImplementedError, OSError):
+        number = os.dup(bus.fileno())
+        try:
+            with_room(same := socket.socket(fileno=number), _ROOM)
+            same.detach()
+        finally:
+            os.close(number)
 
 
 class CanPort:
@@ -48,6 +65,7 @@ class CanPort:
         # Each interface raises what its library raises.
         except Exception as error:
             raise UsageError(f"cannot open {self.name}: {type(error).__name__}: {error}") from None
+        _give_room(self._bus)
         self._own: deque[tuple[int, int, bytes]] = deque()
         self._hands_back = interface in HANDS_BACK or bool(options.get("receive_own_messages"))
         self._failures = 0

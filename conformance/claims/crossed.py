@@ -382,7 +382,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
 
 def _refused(probe: Probe, exchange: Exchange) -> bool:
     """Say whether a motion was refused, or not answered."""
-    return not motion.readable(exchange) or probe.refused(exchange)
+    return not exchange.is_read or probe.refused(exchange)
 
 
 def _ends(exchange: Exchange, lasts_ns: float, slack_ns: float) -> int:
@@ -423,10 +423,10 @@ def _rest(probe: Probe) -> tuple[Look, ...]:
 def look(probe: Probe, read: Command) -> Look:
     """Ask a read, and once more where it is not answered, and return what it told."""
     exchange = probe.ask(read, quiet_ns=0)
-    if not motion.readable(exchange):
+    if not exchange.is_read:
         exchange = probe.ask(read, quiet_ns=0)
     answer = exchange.reply
-    if answer is None or not motion.readable(exchange):
+    if answer is None or not exchange.is_read:
         return Look(read, None, (exchange.sent_ns, probe.gate.now_ns()), exchange)
     return Look(read, answer.values, (exchange.sent_ns, max(exchange.sent_ns, answer.first_ns)), exchange)
 

@@ -106,7 +106,7 @@ def _taken_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
         for edge in tried.edges:
             assert edge.exchange.command is not None  # it was asked for
             text = f"{edge.exchange.command.name} is not answered in one condition"
-            holds, expected = motion.readable(edge.exchange), f"an answer: {tried.row}"
+            holds, expected = edge.exchange.is_read, f"an answer: {tried.row}"
             probe.expect("no answer", holds=holds, expected=expected, refutes=text, exchange=edge.exchange, key=text)
 
 
@@ -120,7 +120,7 @@ def _tells_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     for tried in rows:
         for edge in (tried.begun, tried.again):
             answer = edge.exchange.reply if edge is not None else None
-            if edge is not None and answer is not None and motion.readable(edge.exchange):
+            if edge is not None and answer is not None and edge.exchange.is_read:
                 first, last = (one.values for one in edge.states)
                 if first is not None and last is not None:
                     what = f"{command.name} is answered with"

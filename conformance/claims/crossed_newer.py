@@ -147,7 +147,7 @@ def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
     near = _SLOWLY if row.acceleration == _SLOW else _NEAR
     degrees = 0 if row.zero else way * near
     exchange = _begin(probe, newer, degrees, way * row.rpm, 0 if row.zero else begins[newer.name], row.acceleration)
-    refused = not motion.readable(exchange) or probe.refused(exchange)
+    refused = not exchange.is_read or probe.refused(exchange)
     seen = end = on_ramp = None
     if not refused and not row.zero:
         probe.wait(exchange.sent_ns + _ON_RAMP_NS - probe.gate.now_ns())
@@ -200,7 +200,7 @@ def _takes_over(probe: Probe, command: Command) -> None:
         text = f"{command.name} does not take over from another motion"
         probe.expect(
             "a refusal or no answer",
-            holds=not tried.refused or not motion.readable(tried.newer),
+            holds=not tried.refused or not tried.newer.is_read,
             expected=f"motion: {tried.row}",
             refutes=text,
             exchange=tried.newer,
@@ -365,7 +365,7 @@ def _home_takes_over(probe: Probe, command: Command) -> None:
         exchange = probe.ask(command, quiet_ns=0)
         text, shown = f"{command.name} does not take over from another motion", f"over {older.name}, {'+' if way > 0 else '-'}"
         told: dict[str, Any] = {"refutes": text, "exchange": exchange, "key": text}
-        refused = not motion.readable(exchange) or probe.refused(exchange)
+        refused = not exchange.is_read or probe.refused(exchange)
         probe.wait(exchange.sent_ns + _RUNS_NS - probe.gate.now_ns())
         first = motion.position(probe)
         status = probe.read(Verb.READ_STATUS, "status") if Verb.READ_STATUS in probe.dialect.by_verb else homing.HOMING

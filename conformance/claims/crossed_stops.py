@@ -168,7 +168,7 @@ def _try(probe: Probe, row: Row) -> Tried:
         stop, values = probe.command(Verb.EMERGENCY_STOP), {}
     since = len(probe.traffic)
     exchange = probe.ask(stop, values, quiet_ns=0)
-    refused = not motion.readable(exchange) or probe.refused(exchange)
+    refused = not exchange.is_read or probe.refused(exchange)
     over_ns = exchange.sent_ns + int(ramp.ramp_ns(row.rpm, 0, max(row.stop, 0)) * (1 + ramp.SLOW_QUIRK))
     if motion.of(stop).tells_end and not refused and row.stop != _EMERGENCY:
         left_ns = over_ns - probe.gate.now_ns()
@@ -223,7 +223,7 @@ def _expect_stopped(probe: Probe, command: Command, run: Command, wanted: Callab
     for each in (each for each in tried if each.sense):
         text = f"{command.name} does not stop {run.name} as it should in one condition"
         told = " and ".join(map(str, each.told))
-        damaged = not motion.readable(each.stop)
+        damaged = not each.stop.is_read
         probe.expect(
             f"a refusal or no answer ({told})",
             holds=not each.refused or damaged,

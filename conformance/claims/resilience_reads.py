@@ -80,7 +80,7 @@ def _expect_run(probe: Probe, state: Condition) -> None:
 
 def _tells(probe: Probe, exchange: Exchange) -> bool:
     """Say whether a read was answered by what it reads: no other layout, and no refusal."""
-    return is_answered(exchange) and motion.readable(exchange) and not probe.refused(exchange)
+    return is_answered(exchange) and exchange.is_read and not probe.refused(exchange)
 
 
 def _expect_answer(probe: Probe, command: Command, values: Mapping[str, Any], state: Condition, before: Exchange) -> None:

@@ -208,7 +208,7 @@ def _silent_refusals(probe: Probe) -> None:
         ]
     _set(probe, 1, 1)
     motion.switch(probe, True)
-    pairs = [(one, other) for one, other in zip(*found.values(), strict=True) if motion.readable(one) and probe.refused(one)]
+    pairs = [(one, other) for one, other in zip(*found.values(), strict=True) if one.is_read and probe.refused(one)]
     if not pairs:
         raise Inconclusive("no motion is refused while the motor is off")
     for _, silent in pairs:

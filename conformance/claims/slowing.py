@@ -130,7 +130,7 @@ def _try(probe: Probe, row: Row, start: Sample) -> Tried:
         )
     else:
         exchange = probe.ask(newer, values, quiet_ns=0)
-    refused = not motion.readable(exchange) or probe.refused(exchange)
+    refused = not exchange.is_read or probe.refused(exchange)
     rpm = None
     if newer is command and runs:
         probe.wait(exchange.sent_ns + _RUNS_NS - probe.gate.now_ns())
@@ -190,7 +190,7 @@ def _while_slowing(probe: Probe, command: Command, older: str, comes: tuple[str,
     text = f"{command.name} is not carried out while a motion slows down"
     for tried in (tried for tried in every if tried.sense):
         exchange = tried.newer
-        taken = not tried.refused or not motion.readable(exchange)
+        taken = not tried.refused or not exchange.is_read
         probe.expect(
             "a refusal or no answer", holds=taken, expected=f"motion: {tried.row}", refutes=text, exchange=exchange, key=text
         )

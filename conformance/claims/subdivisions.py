@@ -124,7 +124,7 @@ def _try(probe: Probe, subdivision: int, command: Command, way: int, start: Samp
     sent = exchange.values[of.speed]
     real = float(sent) if subdivision in law.plain else sent * law.counted_at / subdivision
     slack_ns = abs(ramp.ramp_ns(0, sent, _STEEP) - ramp.ramp_ns(0, real, _STEEP)) + ramp.slack_ns(_STEEP)
-    refused = not motion.readable(exchange) or probe.refused(exchange)
+    refused = not exchange.is_read or probe.refused(exchange)
     probe.wait(exchange.sent_ns + _MIDWAY - probe.gate.now_ns())
     on = motion.position(probe)
     if runs:
@@ -147,7 +147,7 @@ def _try(probe: Probe, subdivision: int, command: Command, way: int, start: Samp
 def _expect(probe: Probe, tried: Tried, text: str, *, speed: bool = True, way: bool = True) -> None:
     command, exchange = tried.command, tried.exchange
     shown = f"{command.name} {'+' if tried.way > 0 else '-'} at {tried.subdivision} subdivisions"
-    taken = not tried.refused or not motion.readable(exchange)
+    taken = not tried.refused or not exchange.is_read
     probe.expect("a refusal or no answer", holds=taken, expected=f"motion: {shown}", refutes=text, exchange=exchange)
     if tried.refused:
         return
@@ -273,7 +273,7 @@ def _lowest_values(probe: Probe, command: Command) -> None:
             speed = way * rpm if runs else rpm
             exchange = motion.ask(probe, command, way * degrees, quiet_ns=0, rpm=speed, acceleration=acceleration)
             text = f"{command.name} at speed {rpm} and acceleration {acceleration} is refused or not answered"
-            taken = motion.readable(exchange) and not probe.refused(exchange)
+            taken = exchange.is_read and not probe.refused(exchange)
             probe.expect("a refusal or no answer", holds=taken, expected="motion", refutes=text, exchange=exchange)
             probe.wait(exchange.sent_ns + _MIDWAY_NS - probe.gate.now_ns())
             on = motion.position(probe)

@@ -46,6 +46,8 @@ examples:
   servotap emulate --list-faults
 """
 SECOND_NS = 1_000_000_000
+#: Frames on CAN that wait for the bus: more than controllers and their drivers keep, and never half a second of it.
+_ROOM = 100
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -147,7 +149,7 @@ def _emulate(specifications: Sequence[Specification], arguments: argparse.Namesp
     bus: SerialBus | CanBus
     wire_time = not arguments.no_wire_time
     if arguments.can is not None:
-        bus = CanBus(list(drives.values()), wire_time=wire_time, faults=faults)
+        bus = CanBus(list(drives.values()), wire_time=wire_time, room=_ROOM, faults=faults)
     else:
         bus = SerialBus(list(drives.values()), wire_time=wire_time, echo=arguments.echo, faults=faults)
     # The signals are taken over before anything is opened, so that all of it is closed again.
@@ -270,6 +272,8 @@ def _say_end(bus: Bus, faults: WireFaults | None, lost: int) -> None:
     told = []
     if bus.collisions:
         told.append(f"{bus.collisions} collisions")
+    if isinstance(bus, CanBus) and bus.overrun:
+        told.append(f"{bus.overrun} frames came faster than the bus carries them, and were lost")
     if lost:
         told.append(f"{lost} bytes or frames that no client took")
     if faults is not None:

@@ -12,6 +12,7 @@ Rules:
 3. Frames of two senders with one identifier that become ready together are a collision. A comment says so, and they are
    sent one after the other, as after an error frame.
 4. Extended, remote, error and FD frames go over the bus and reach no drive.
+5. No bus carries more than its rate. Of frames that come faster the host's controller keeps some (`room`) and loses the others.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ class CanBus(Bus):
     """Drives and one host on one CAN bus.
 
     `stuffing`: count the bits that stuffing adds. `arbitration` False: frames go in the order in which they are ready.
+    `room`: frames that may wait for the bus; the host's next ones are lost. None: all wait.
     """
 
     def __init__(
@@ -65,11 +67,15 @@ class CanBus(Bus):
         wire_time: bool = True,
         stuffing: bool = True,
         arbitration: bool = True,
+        room: int | None = None,
         faults: WireFaults | None = None,
     ) -> None:
         super().__init__(drives, name=name, speed=speed, wire_time=wire_time)
         self.stuffing = stuffing
         self.arbitration = arbitration
+        self.room = room
+        #: Frames of the host that found no room.
+        self.overrun = 0
         self.faults = faults
         self._inbox: deque[CanFrame] = deque()
         self._waiting: list[_Waiting] = []
@@ -86,6 +92,9 @@ class CanBus(Bus):
 
     def put(self, frame: CanFrame) -> None:
         """Send a frame of any kind from the host."""
+        if self.room is not None and len(self._waiting) >= self.room:
+            self.overrun += 1
+            return
         for wait_ns, data in self._damaged(frame.data):
             changed = CanFrame(None, self.name, frame.id, data, Role.REQUEST, frame.extended, frame.remote,
                                frame.error, frame.fd)  # fmt: skip

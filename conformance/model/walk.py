@@ -437,11 +437,11 @@ class Walk:
     def _asked(self, command: Command, values: Mapping[str, int] | None = None) -> tuple[Answer | None, Told | None]:
         exchange = self.probe.ask(command, values, quiet_ns=0)
         # A reply without its checksum may be a damaged one.
-        if not motion.readable(exchange) or (exchange.reply is not None and exchange.reply.bare):
+        if not exchange.is_read or (exchange.reply is not None and exchange.reply.bare):
             exchange = self.probe.ask(command, values, quiet_ns=0)
         assert exchange.sent is not None
         told = self.twin.hear(exchange.sent, self._twin_ns(exchange.sent_ns), reads=True)
-        return exchange.reply if motion.readable(exchange) else None, self._told(command, told)
+        return exchange.reply if exchange.is_read else None, self._told(command, told)
 
     def _told(self, command: Command, told: list[Told]) -> Told | None:
         self._expected += self._statuses(told)
@@ -473,7 +473,7 @@ class Walk:
         return all(name in fields and fields[name].unit in _PLACES for name in different)
 
     def _compare_reply(self, command: Command, exchange: Exchange, told: list[Told]) -> None:
-        reply, wanted = exchange.reply if motion.readable(exchange) else None, self._told(command, told)
+        reply, wanted = exchange.reply if exchange.is_read else None, self._told(command, told)
         if (reply is None) != (wanted is None):
             if exchange.junk or (exchange.reply is not None and reply is None):
                 raise Inconclusive(f"the reply to {command.name} cannot be read")

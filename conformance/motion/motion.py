@@ -242,14 +242,15 @@ def _reading(dialect: Dialect, quantity: str, verbs: Iterable[Verb]) -> _Reading
 
 
 def _measure(probe: Probe, reading: _Reading, patience_ns: int | None = None) -> Sample:
-    exchange = probe.ask(reading.command, quiet_ns=0, timeout_ns=patience_ns)
+    until = Until.REPLY if patience_ns is None else Until.READ
+    exchange = probe.ask(reading.command, until=until, quiet_ns=0, timeout_ns=patience_ns)
     for _ in range(_AGAIN):
-        if readable(exchange):
+        if exchange.is_read:
             break
         # What a motion says at its end can collide with a request or its reply.
         probe.wait(_LOOK_NS // 2)
-        exchange = probe.ask(reading.command, quiet_ns=0, timeout_ns=patience_ns)
-    answer = probe.reply(exchange)
+        exchange = probe.ask(reading.command, until=until, quiet_ns=0, timeout_ns=patience_ns)
+    answer = probe.reply(exchange, once_more=patience_ns is None)
     names = [f.name for f in reading.fields]
     if answer.command is not None and answer.command.name != reading.command.name:
         raise Inconclusive(f"{reading.command.name} was not answered, only {answer.command.name}")
@@ -258,14 +259,6 @@ def _measure(probe: Probe, reading: _Reading, patience_ns: int | None = None) ->
     between_ns = max(0, answer.first_ns - exchange.sent_ns)
     value, unit = reading.value(answer.values), _UNITS.get(reading.quantity, "")
     return Sample(exchange.sent_ns + between_ns / 2, between_ns / 2, value, reading.step, probe.noise.of(unit, value))
-
-
-def readable(exchange: Exchange) -> bool:
-    """Say whether a reply to a request is there and whole, and not only what an earlier command said at its end."""
-    answer = exchange.reply
-    if answer is None or answer.command is None or exchange.command is None or answer.command.name != exchange.command.name:
-        return False
-    return answer.message.form is not None and answer.message.frame.checksum_ok
 
 
 def position(probe: Probe, patience_ns: int | None = None) -> Sample:

@@ -21,10 +21,11 @@ from dataclasses import replace
 from statistics import mean
 from typing import NamedTuple
 
-from analyzer.catalogue import Command, Dialect, MotionKind, Risk
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Role
 from analyzer.dialects import drive_name
 from analyzer.encoder import assemble
 from analyzer.errors import ServotapError, UsageError
+from analyzer.values import counted
 from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive, NotStopped
 from conformance.gate.gate import Gate, Refused
@@ -51,6 +52,8 @@ _POWER_SECONDS = 20
 _AGAIN_NS = 1_000_000_000
 #: How long a reply is waited for on a line where others send: it is lost more often than late.
 _BUSY_NS = 150_000_000
+#: Exchanges that tell whether others send now.
+_RECENT = 8
 #: Bytes that others send in a second where their traffic is worth a word.
 _FLOOD = 50
 #: Between stops whose replies are not looked at: a stop and its reply have so many bytes, and a drive takes so long.
@@ -137,7 +140,24 @@ def others_send(traffic: Sequence[Exchange]) -> list[str]:
     """Return in words how much came in these exchanges that answers nothing; nothing where it is little."""
     frames = [m.frame for e in traffic for m in (*(a.message for a in e.others), *e.foreign)]
     count = sum(len(frame.data) for frame in frames) + sum(len(j.data) for e in traffic for j in e.junk)
-    return flood(count, sum(e.until_ns - e.sent_ns for e in traffic))
+    return [*flood(count, sum(e.until_ns - e.sent_ns for e in traffic)), *_moved_by_others(traffic)]
+
+
+def _moved_by_others(traffic: Sequence[Exchange]) -> list[str]:
+    """Return in words what others sent in these exchanges that sets a shaft in motion."""
+    orders = [
+        answer
+        for exchange in traffic
+        for answer in exchange.others
+        if answer.message.role is Role.REQUEST and answer.message.frame.checksum_ok and answer.command is not None
+        and answer.command.motion is not None and answer.command.motion.kind is not MotionKind.STOP
+    ]  # fmt: skip
+    if not orders:
+        return []
+    last = orders[-1]
+    assert last.command is not None  # chosen by it
+    what = f"{counted(len(orders), 'frame')}, the last {last.command.name}: {last.data.hex(' ').upper()}"
+    return [f"others tell address {last.message.address} to move: {what}"]
 
 
 def flood(count: int, duration_ns: int) -> list[str]:
@@ -194,7 +214,8 @@ def prove_standing(
             for command in again:
                 ask(probe, command)
             asked_ns = probe.gate.now_ns()
-            probe.wait(_LOOK_NS)
+            # Where others send, what waits unread would be taken for the next answer.
+            (probe.wait if patience_ns is None else probe.pass_over)(_LOOK_NS)
             continue
         before = row[-1:]
         if abs(speed) >= slowest:
@@ -222,7 +243,7 @@ def prove_standing(
 
 
 def _patience_ns(probe: Probe) -> int | None:
-    return _BUSY_NS if others_send(probe.traffic) else None
+    return _BUSY_NS if others_send(probe.traffic[-_RECENT:]) else None
 
 
 def _stays(spot: Sequence[tuple[int, float]]) -> bool:

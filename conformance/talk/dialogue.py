@@ -21,7 +21,7 @@ from analyzer.pipeline import Entry, Options, Pipeline
 from analyzer.port import usual_setup
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk, Message
 from conformance.gate.gate import Gate, Item
-from conformance.talk.exchange import Answer, Completion, Exchange, sent_record
+from conformance.talk.exchange import Answer, Exchange, sent_record
 from conformance.talk.no_checksum import BareReplies
 
 MS = 1_000_000
@@ -38,20 +38,23 @@ _OWN_SPANS = 4
 
 
 class Until(Enum):
-    """How long is listened: to the first reply, to one that ends the command, or to the end of the time-out."""
+    """How long is listened: to the first reply, to a whole one to what was asked, to one that ends it, or to the time-out."""
 
     REPLY = "reply"
+    READ = "read"
     DONE = "done"
     TIMEOUT = "timeout"
 
 
-#: Says whether what is waited for has come.
-Ended = Callable[[Exchange], bool]
+#: Says whether what is waited for has come, with the answers that came since it was asked last: others may send without an end.
+Ended = Callable[[Exchange, Sequence[Answer]], bool]
 
-_PAIRED: Mapping[Until, Ended] = {
-    Until.REPLY: lambda exchange: bool(exchange.replies),
-    Until.DONE: lambda exchange: exchange.completion in (Completion.DONE, Completion.FAILED),
-    Until.TIMEOUT: lambda exchange: False,
+#: Each wait and its end, where a reply must pair with a request.
+PAIRED: Mapping[Until, Ended] = {
+    Until.REPLY: lambda exchange, new: any(a.paired for a in new),
+    Until.READ: lambda exchange, new: any(exchange.asked_for(a) and a.is_whole for a in new),
+    Until.DONE: lambda exchange, new: any(a.paired and a.meaning in ("failed", "final") for a in new),
+    Until.TIMEOUT: lambda exchange, new: False,
 }
 
 
@@ -152,11 +155,11 @@ class Dialogue:
         `done_ns`: how long to listen once the command has begun, in place of the time-out. `quiet_ns`: how long to listen for
         more behind what was waited for. Raises Refused, LineLost.
         """
-        return self.collect(self.send(item), _PAIRED[until], timeout_ns, done_ns=done_ns, quiet_ns=quiet_ns)
+        return self.collect(self.send(item), PAIRED[until], timeout_ns, done_ns=done_ns, quiet_ns=quiet_ns)
 
     def listen(self, duration_ns: int) -> Exchange:
         """Send nothing and listen. Raises LineLost."""
-        return self.collect(self.begin(Exchange(None, self.gate.now_ns())), _PAIRED[Until.TIMEOUT], duration_ns)
+        return self.collect(self.begin(Exchange(None, self.gate.now_ns())), PAIRED[Until.TIMEOUT], duration_ns)
 
     # --- its parts ------------------------------------------------------------------------------------------------
 
@@ -193,13 +196,15 @@ class Dialogue:
         gate = self.gate
         deadline_ns = exchange.sent_ns + timeout_ns
         over = begun = False
+        seen = 0
         while gate.now_ns() < deadline_ns:
             self.receive(deadline_ns)
             if over:
                 continue
-            if ended(exchange):
+            new, seen = exchange.answers[seen:], len(exchange.answers)
+            if ended(exchange, new):
                 over, deadline_ns = True, min(deadline_ns, gate.now_ns() + quiet_ns)
-            elif done_ns and not begun and exchange.replies:
+            elif done_ns and not begun and any(a.paired for a in new):
                 begun, deadline_ns = True, gate.now_ns() + done_ns
         # A frame that has begun belongs to this exchange to its end, or to the pause that ends it.
         until_ns = gate.now_ns() + _LONGEST_FRAME * gate.line.byte_ns + 2 * self._pause_ns

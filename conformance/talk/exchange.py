@@ -81,6 +81,11 @@ class Answer:
         return self.entry.message.frame.first_ns
 
     @property
+    def is_whole(self) -> bool:
+        """Whether it can be read: its layout and its checksum fit."""
+        return self.message.form is not None and self.message.frame.checksum_ok and self.message.role is not Role.REQUEST
+
+    @property
     def meaning(self) -> str:
         """What it means for its command: interim, final or failed."""
         message = self.entry.message
@@ -128,14 +133,25 @@ class Exchange:
     def reply(self) -> Answer | None:
         """The first answer of the asked command (or the first of all, where none was asked), or None."""
         replies = [a for a in self.answers if a.message.role is not Role.REQUEST]
-        # What an earlier command says at its end may come first.
-        for answer in replies:
-            if self.command is not None and answer.command is not None and answer.command.name == self.command.name:
-                return answer
+        # What an earlier command says at its end may come first, and what others send with its code and a wrong checksum.
+        asked = [a for a in replies if self.asked_for(a)]
+        for answer in (*(a for a in asked if a.message.frame.checksum_ok), *asked):
+            return answer
         for answer in replies:
             if self.command is None or answer.command is not None:
                 return answer
         return self.answers[0] if self.answers else None
+
+    def asked_for(self, answer: Answer) -> bool:
+        """Say whether an answer is one to the asked command, and not what an earlier one said at its end."""
+        asked = self.command
+        return asked is not None and answer.command is not None and answer.command.name == asked.name
+
+    @property
+    def is_read(self) -> bool:
+        """Whether a whole reply to the asked command is there."""
+        answer = self.reply
+        return answer is not None and self.asked_for(answer) and answer.is_whole
 
     @property
     def replies(self) -> list[Answer]:

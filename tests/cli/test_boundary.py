@@ -164,6 +164,19 @@ def test_what_the_system_refuses_is_no_fault(error, said, capsys):
     assert capsys.readouterr().err == f"servotap: {said}\n"
 
 
+class PanicException(BaseException):
+    """As the libraries in Rust raise it."""
+
+
+def test_a_panic_of_a_library_is_a_fault_or_what_the_system_refuses(faults, capsys):
+    told = 'failed to create UnixStream: Os { code: 24, kind: Uncategorized, message: "Too many open files" }'
+    assert bounded(fails(PanicException(told)), []) == 2
+    assert "the system has no more for this process: Too many open files" in capsys.readouterr().err
+    assert bounded(fails(PanicException("index out of bounds")), []) == 70
+    assert "a fault of servotap: PanicException: index out of bounds" in capsys.readouterr().err
+    assert len(faults()) == 1
+
+
 def test_an_error_of_the_system_without_a_place_is_a_fault(faults):
     assert bounded(fails(OSError(errno.EBADF, "Bad file descriptor")), []) == 70
     assert len(faults()) == 1

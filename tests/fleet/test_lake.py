@@ -613,3 +613,20 @@ def test_the_docs_ask_for_the_slowest_drives(captures, tmp_path):
     answer = Question(made).sql(_QUESTIONS[0]).fetchall()
     assert {row[0] for row in answer} == {"m0", "m1"}
     assert len(_QUESTIONS) == 5
+
+
+def test_nothing_works_on_for_an_answer_that_is_given_up(tmp_path):
+    """It would outlive the program, and bring it down: a disk is full, and the answer is not written."""
+    duckdb = pytest.importorskip("duckdb")
+    question = Question(lake(tmp_path / "lake"))
+    answers = []
+
+    def gives_up():
+        with question.bounded(60):
+            answers.append(question.sql("select repeat('abcdefg', 100000) from range(200)"))
+            raise OSError("full")
+
+    with pytest.raises(OSError, match="full"):
+        gives_up()
+    with pytest.raises(duckdb.Error):
+        answers[0].fetchall()

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import io
+import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
+import matplotlib.figure
 import matplotlib.image
 import numpy as np
 import pytest
 
 from analyzer.cli import main
 from analyzer.cli.plot import _drives
+from analyzer.report.picture import Panel, draw
 from analyzer.report.series import series
 from analyzer.sources import open_source
 from tests.test_readme import ROOT
@@ -92,6 +98,30 @@ def test_a_picture_is_written_once(log, tmp_path, ending, capsys):
         assert len(np.unique(matplotlib.image.imread(out).reshape(-1, 4), axis=0)) > 20
     assert main(["plot", str(log), "speed", "-o", str(out)]) == 2
     assert "exists; --force replaces it" in capsys.readouterr().err
+
+
+def test_text_that_no_font_or_formula_takes_is_drawn_as_it_is(tmp_path, capsys, recwarn):
+    capture = tmp_path / "$\\frac{$ \x1b[31m \u4e2d\ue000.log"
+    capture.write_bytes((ROOT / "captures" / "mks_rs485.log").read_bytes())
+    assert main(["plot", str(capture), "speed", "-o", str(tmp_path / "x.svg")]) == 0
+    assert capsys.readouterr().err == ""
+    assert not recwarn.list
+    figure = matplotlib.figure.Figure()
+    (axes,) = draw(figure, [Panel("$x", ["$\\frac{$"], [("$a$", [0.0], [1.0])])], "$$")
+    figure.savefig(io.BytesIO())
+    assert axes.get_ylabel() == r"\$x [\$\frac{\$]"
+
+
+@pytest.mark.parametrize("words", [["plot", "PIPE", "speed"], ["report", "PIPE", "-o", "x.html"]], ids=lambda words: words[0])
+def test_a_pipe_is_read_once(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("PIPE")
+    data = (ROOT / "captures" / "mks_rs485.log").read_bytes()
+    with ThreadPoolExecutor(1) as pool:
+        wrote = pool.submit(Path("PIPE").write_bytes, data)
+        assert main(words) == 0
+        assert wrote.result() == len(data)
+    assert capsys.readouterr().out
 
 
 def test_a_capture_without_times_is_plotted_by_its_frames(capsys):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import errno
+import gc
 import io
 import json
+import os
 import random
 import re
 import signal
@@ -27,6 +29,7 @@ from analyzer import dialects
 from analyzer.cli import main
 from analyzer.encoder import build
 from analyzer.sources.times import Clock, ShownTime
+from analyzer.table import files
 from analyzer.table.columns import HEAD, TAIL, units_of_dialects
 from analyzer.table.tables import Long, parse_rate
 
@@ -184,6 +187,30 @@ def test_excel(tmp_path, capsys):
         assert cells["checksum_ok"] is (text["checksum_ok"] == "true")
     about = {row[0]: row[1:] for row in book["columns"].iter_rows(values_only=True)}
     assert about["speed [rpm]"][0] == "rpm"
+
+
+def test_a_full_disk_is_told_of_excel_too(tmp_path, capsys, monkeypatch):
+    """XlsxWriter leaves its archive open then, which closes itself later on a file that is gone."""
+    late = []
+    monkeypatch.setattr(sys, "unraisablehook", late.append)
+    for full_at in (0, 3000):
+        monkeypatch.setattr(files, "_Released", type("Full", (Full,), {"room": full_at}))
+        assert main(["export", str(CAPTURES / "mks_can.asc"), "-o", str(tmp_path / "a.xlsx")]) == 2
+        assert "No space left on device; the incomplete file was removed" in capsys.readouterr().err
+        gc.collect()
+    assert late == []
+    assert not list(tmp_path.iterdir())
+
+
+class Full(files._Released):
+    """A file on a disk that has room for so many bytes."""
+
+    room = 0
+
+    def write(self, data):
+        if not isinstance(self._stream, files._Counting) and self.tell() + len(data) > self.room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return super().write(data)
 
 
 def test_a_sheet_that_is_full_goes_on_in_the_next(tmp_path, capsys, monkeypatch):

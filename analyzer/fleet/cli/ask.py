@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -63,8 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
     elif target is None:
         with question.bounded(arguments.seconds):
             answer = question.sql(query)
-            rows = answer.limit(arguments.rows + 1).to_arrow_table().to_pylist()
-        _show(answer.columns, [[_text(value) for value in row.values()] for row in rows[: arguments.rows]])
+            names, rows = answer.columns, answer.limit(arguments.rows + 1).to_arrow_table().to_pylist()
+        _show(names, [[_text(value) for value in row.values()] for row in rows[: arguments.rows]])
         if len(rows) > arguments.rows:
             print(f"the first {arguments.rows} rows are shown: --rows N shows more, -o FILE.csv writes all", file=sys.stderr)
     else:
@@ -79,7 +80,7 @@ def _write(question: Question, query: str, target: Path) -> None:
         # A cell of CSV holds no list, structure or interval: it holds their text.
         answer = answer.project(", ".join(_cell(*each) for each in zip(answer.columns, answer.types, strict=True)))
     reader: Any = answer.to_arrow_reader(1 << 16)
-    with whole(target) as stream:
+    with contextlib.closing(reader), whole(target) as stream:
         if target.suffix == ".csv":
             writer = needed("pyarrow.csv").CSVWriter(stream, reader.schema)
         else:

@@ -157,3 +157,15 @@ def test_a_completion_comes_by_itself() -> None:
     assert first.t_ns is not None
     assert second.t_ns is not None
     assert second.t_ns - first.t_ns == pytest.approx(MOVE_NS, abs=200_000)
+
+
+def test_what_comes_faster_than_the_bus_carries_is_lost_and_not_carried_later() -> None:
+    one = drive(1)
+    bus = CanBus([one], speed=500_000, room=10)
+    for _ in range(1000):
+        bus.send(1, read(1))
+    assert len(frames(bus)) == 11, "the one that was on the wire, and those that had room"
+    assert bus.overrun == 989
+    bus.send(1, read(1))
+    assert len(frames(bus)) == 1
+    assert bus.overrun == 989

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from analyzer.catalogue import MotionKind, Risk, Role
 from analyzer.encoder import build
-from analyzer.records import Chunk
+from analyzer.records import CanFrame, Chunk
 from conformance import claims as registry
 from conformance.bus.emulated import EmulatedLine
 from conformance.claim import NotStopped
@@ -189,3 +189,52 @@ def test_where_nothing_can_be_read_the_stops_are_sent_again_and_again_and_why_is
     assert "others send on this bus (" in failure
     assert drive.motor.speed(drive.now_ns) == 0, "the shaft stands all the same"
     assert sent.count(build(rig.dialect, "emergency_stop", 1)) > 3
+
+
+_CAN = "mks-can@1,work_mode=bus_closed"
+
+
+def _others_on_can(probe: Probe, monkeypatch: pytest.MonkeyPatch, rate: int, frames: list[bytes], *, heard: bool) -> list[int]:
+    """Let others send frames with the drive's identifier, so many a second; `heard`: by the drive, too. Return their times."""
+    line = probe.gate.line
+    assert isinstance(line, EmulatedLine)
+    receive, came = line.receive, [line.now_ns()]
+
+    def crowded(timeout_ns):
+        left_ns = came[-1] + 1_000_000_000 // rate - line.now_ns()
+        if left_ns > timeout_ns:
+            return receive(timeout_ns)
+        if left_ns > 0 and (got := receive(left_ns)) is not None:
+            return got
+        came.append(line.now_ns())
+        data = frames[len(came) % len(frames)]
+        if heard:
+            line.bus.put(CanFrame(None, "bus", 1, data))
+        return CanFrame(line.now_ns(), "bus", 1, data, Role.REPLY)
+
+    monkeypatch.setattr(line, "receive", crowded)
+    return came
+
+
+def test_a_flood_with_the_drives_own_identifier_hides_no_stop(monkeypatch):
+    """More than any CAN bus carries; some of it begins like the answers that are waited for."""
+    rig, probe, _ = _turning(_CAN)
+    chance = random.Random(2)
+    frames = [bytes((chance.choice((0x31, 0x32, 0xF6, 0xF7, chance.randrange(256))), *chance.randbytes(4))) for _ in range(997)]
+    frames = [each for each in frames if (1 + sum(each[:-1])) & 0xFF != each[-1]]
+    came = _others_on_can(probe, monkeypatch, 20_000, frames, heard=False)
+    assert stopping.stop(probe.gate, rig.dialect, 1).failure == ""
+    assert probe.drive is not None
+    assert probe.drive.motor.speed(probe.drive.now_ns) == 0
+    assert len(came) > 2_000
+
+
+def test_that_another_host_sets_the_shaft_in_motion_again_is_told(monkeypatch):
+    rig, probe, _ = _turning(_CAN)
+    run = build(rig.dialect, "run_speed", 1, {"direction": 0, "speed": 60, "acceleration": 0})
+    _others_on_can(probe, monkeypatch, 20, [run], heard=True)
+    failure = stopping.stop(probe.gate, rig.dialect, 1).failure
+    assert "others tell address 1 to move: " in failure
+    assert f"the last run_speed: {run.hex(' ').upper()}" in failure
+    assert probe.drive is not None
+    assert probe.drive.motor.speed(probe.drive.now_ns) != 0, "which is true: its last order was to run"

@@ -108,7 +108,7 @@ def test_a_late_reply_is_known_in_the_next_exchange():
 def test_what_the_analyzer_is_not_shown_has_no_replies():
     talk = dialogue()
     exchange = talk.send(READ, shown=False)
-    talk.collect(exchange, lambda found: bool(found.answers), 500 * MS)
+    talk.collect(exchange, lambda found, new: bool(new), 500 * MS)
     assert [a.paired for a in exchange.answers] == [False]
     assert exchange.requests == []
 
