@@ -95,12 +95,20 @@ def test_a_capture_without_times_counts_frames(tmp_path):
     assert {each["axis"] for each in charts(page)} == {"frames"}
 
 
-@pytest.mark.parametrize(("data", "says"), [(b"", "is empty"), (bytes(range(1, 250)) * 9, "cause")])
-def test_a_capture_with_nothing_to_decode_is_a_page_that_says_so(tmp_path, data, says, capsys):
+def test_a_capture_with_nothing_to_decode_is_a_page_that_says_so(tmp_path):
     path = tmp_path / "x.bin"
+    path.write_bytes(bytes(range(1, 250)) * 9)
+    assert main(["report", str(path)]) == 0
+    assert "cause" in told((tmp_path / "x.bin.html").read_text())
+
+
+@pytest.mark.parametrize("data", [b"", b"PK\x03\x04broken"])
+def test_of_a_capture_that_cannot_be_read_there_is_no_page(tmp_path, data, capsys):
+    path = tmp_path / "x.sr"
     path.write_bytes(data)
-    assert main(["report", str(path)]) == (0 if data else 2)
-    assert says in told((tmp_path / "x.bin.html").read_text())
+    assert main(["report", str(path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert [each.name for each in tmp_path.iterdir()] == ["x.sr"]
 
 
 def test_a_comment_without_a_time_does_not_move_the_beginning(tmp_path):
