@@ -14,6 +14,7 @@ from mcap.writer import Writer
 from analyzer.cli import main
 from analyzer.report.page import LARGEST
 from tests.browser import chromium, needs_chromium
+from tests.collect import crc
 from tests.conformance.report.test_page import EVIL, told
 from tests.test_readme import ROOT
 
@@ -70,6 +71,14 @@ def test_a_page_says_what_was_captured_and_what_is_wrong(tmp_path):
     assert values(drawn["frames"]["data"][1])[:4] == [8, 12, 0, 5]
     assert drawn["speed"]["data"][1]["low"] == 320
     assert "http" not in re.sub(r"<script>/\*.*?</script>", "", page, flags=re.DOTALL)
+
+
+def test_neither_a_damaged_address_nor_another_slave_is_a_drive_that_answers(tmp_path):
+    rows = ["> " + crc("01 04 00 32 00 01"), "< " + crc("01 04 02 01 40")] * 3
+    rows += ["> " + crc("05 04 00 00 00 02"), "< " + crc("05 04 04 00 2A 00 07"), "> " + crc("01 04 00 32 00 01")]
+    rows += ["< 02" + crc("01 04 02 01 40")[2:]]
+    (tmp_path / "x.txt").write_text("\n".join(rows) + "\n")
+    assert "drives that answer 1 mks-modbus" in told(made(tmp_path / "x.txt", tmp_path / "x.html"))
 
 
 def test_a_log_and_its_capture_give_the_same_page(tmp_path, capsys):
