@@ -293,3 +293,27 @@ def test_a_browser_draws_it_without_complaint(tmp_path, scheme):
     ground, line = {"light": ((255, 255, 255), (0x0A, 0x7F, 0x7F)), "dark": ((13, 17, 23), (0x39, 0xC5, 0xBB))}[scheme]
     assert (abs(seen - ground).max(axis=2) < 3).mean() > 0.5
     assert (abs(seen - line).max(axis=2) < 30).sum() > 300
+
+
+#: What a page does when a mouse moves over its plots, at a share of their width.
+HOVER = """<script>
+setTimeout(() => {
+  const over = document.querySelector(".drive .u-over"), box = over.getBoundingClientRect();
+  for (const name of ["mouseenter", "mousemove"])
+    over.dispatchEvent(new MouseEvent(name, { clientX: box.left + SHARE * box.width, clientY: box.top + 60, bubbles: true }));
+}, 1500);
+</script>"""
+
+
+@needs_chromium
+def test_values_and_marks_are_told_under_the_cursor(tmp_path):
+    page = tmp_path / "x.html"
+    made(CAPTURES / "mks_rs485.log", page)
+    page.write_text(page.read_text().replace("</body>", HOVER.replace("SHARE", "0.53") + "</body>"))
+    dom = chromium(page, tmp_path / "home", "--dump-dom")
+    assert re.search(r'class="told">.*?<span>09:00:05\.300  move_relative_pulses direction=cw speed=320 rpm', dom)
+    legends = [re.sub(r"<[^>]+>", " ", each) for each in re.findall(r'<table class="u-legend.*?</table>', dom, re.DOTALL)]
+    shown = " | ".join(" ".join(each.split()) for each in legends)
+    # All plots of a capture tell the values of one time.
+    assert "time 09:00:05.000 frames 5 1/s" in shown
+    assert "time 09:00:01.143 speed 320 rpm" in shown
