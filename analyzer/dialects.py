@@ -158,6 +158,11 @@ def by_name(model: str = "") -> dict[str, Dialect]:
     return {d.name: d for d in for_model(every(), model or None)}
 
 
+def readable_by_name(devices: Sequence[Dialect], model: str = "") -> dict[str, Dialect]:
+    """Return every dialect that may come up in traffic, by its name. `devices`: those of files; `model`: as the user says."""
+    return {d.name: d for d in (*devices, *by_name(model).values(), *of_no_drive())}
+
+
 # --- commands -----------------------------------------------------------------------------------------------------------
 
 

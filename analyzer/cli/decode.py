@@ -292,7 +292,7 @@ def _metadata(
     if source.sha256:
         values["source_sha256"] = source.sha256
     for file in reading.device_files:
-        values[f"device_file_{file.name}"] = f"{file.kind}, SHA-256 {file.sha256}"
+        values |= file.about
     if reading.model:
         values["model"] = reading.model
     values |= reading.time_range.about()

@@ -87,6 +87,17 @@ def add_model_argument(parser: argparse.ArgumentParser, **more: Any) -> None:
     parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS", **more)
 
 
+def add_device_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options for files that describe other devices of a bus."""
+    parser.add_argument(
+        "--dbc", action="append", default=[], metavar="FILE", help="messages of other CAN nodes; may be repeated"
+    )
+    parser.add_argument(
+        "--modbus-map", action="append", default=[], metavar="FILE.csv",
+        help="registers of other Modbus slaves; may be repeated",
+    )  # fmt: skip
+
+
 def add_ids_argument(parser: argparse.ArgumentParser) -> None:
     """Add the option --ids."""
     parser.add_argument(

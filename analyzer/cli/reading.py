@@ -14,7 +14,15 @@ import msgspec
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
-from analyzer.cli.option_types import add_ids_argument, add_model_argument, address, ids_of, milliseconds, positive
+from analyzer.cli.option_types import (
+    add_device_arguments,
+    add_ids_argument,
+    add_model_argument,
+    address,
+    ids_of,
+    milliseconds,
+    positive,
+)
 from analyzer.cli.time_range import TimeRange, add_time_range_arguments
 from analyzer.detect import Choice, choose
 from analyzer.devices import load
@@ -50,16 +58,7 @@ LATE_MS = 1000.0
 def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that reads captures."""
     parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or one of: see catalogue; D,D")
-    parser.add_argument(
-        "--dbc", action="append", default=[], metavar="FILE", help="messages of other CAN nodes; may be repeated"
-    )
-    parser.add_argument(
-        "--modbus-map",
-        action="append",
-        default=[],
-        metavar="FILE.csv",
-        help="registers of other Modbus slaves; may be repeated",
-    )
+    add_device_arguments(parser)
     add_model_argument(parser)
     parser.add_argument("--baud", type=positive, metavar="N", help="line speed: for timestamps, bus load, logic analyzers")
     parser.add_argument(
@@ -143,7 +142,7 @@ class OpenCapture:
 
     def _by_name(self) -> dict[str, Dialect]:
         """Return every dialect that may come up, by its name."""
-        return dialects_by_name(self._devices, self.model)
+        return registry.readable_by_name(self._devices, self.model)
 
     # --- the choice of dialects -----------------------------------------------------------------------------------
 
@@ -209,7 +208,10 @@ class OpenCapture:
         spoken = [self._known[name] for name in names if name in self._known and self._known[name].bus == kind]
         if len(spoken) < len(names):
             others = ", ".join(quote(name) for name in names if name not in {d.name for d in spoken})
-            self.source.note(f"{bus} is said to speak {others}, which no {kind} bus does that is known here: passed over")
+            self.source.note(
+                f"{bus} is said to speak {others}, which no {kind} bus does that is known here: passed over. "
+                "Its file, if it has one, is given with --dbc or --modbus-map"
+            )
         return spoken
 
     def _all_chosen(self) -> Choice:
@@ -283,11 +285,6 @@ class OpenCapture:
             return self.source.time_source
         unit = "bit rate" if self.dialects[0].bus == "can" else "baud rate"
         return f"{ESTIMATED} from the {unit}: the capture has none"
-
-
-def dialects_by_name(devices: Sequence[Dialect], model: str) -> dict[str, Dialect]:
-    """Return every dialect that may come up in a capture, by its name. `devices`: those of files; `model`: as the user says."""
-    return {d.name: d for d in (*devices, *registry.by_name(model).values(), *registry.of_no_drive())}
 
 
 class _Said:

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 from analyzer import dialects as registry
 from analyzer.cli.option_types import (
     Ids,
+    add_device_arguments,
     add_ids_argument,
     add_model_argument,
     address,
@@ -81,18 +82,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_recording_arguments(parser)
 
 
-class _Later(argparse.Action):
-    """Refuses a file of other devices: a recording keeps their frames as they came."""
-
-    def __call__(
-        self, parser: argparse.ArgumentParser, namespace: object, values: object, option_string: str | None = None
-    ) -> None:
-        parser.error(
-            f"{option_string}: a recording keeps the frames of other devices as they came; give it when the log is read, "
-            f"as in servotap show week.mcap {option_string} {values}"
-        )
-
-
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of every command that records."""
     parser.add_argument(
@@ -105,9 +94,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         help="a group address: several drives listen, none answers; may be repeated",
     )  # fmt: skip
     add_ids_argument(parser)
-    parser.add_argument(
-        "--dbc", "--modbus-map", action=_Later, metavar="FILE", help="not here: give it when the log is read (servotap show)"
-    )
+    add_device_arguments(parser)
     parser.add_argument("--late", type=milliseconds, default=1000.0, metavar="MS", help="late replies: after MS (default 1000)")
     parser.add_argument("--duration", metavar="TIME", help="stop after 10s, 5min, 2h")
     parser.add_argument("--rotate", metavar="SIZE|TIME", help="a new file every 100MB or 10min, or both: 100MB,10min")
@@ -317,9 +304,13 @@ def configure(
 
     `named`: what the profile says of them; it counts where the options say nothing.
     """
+    from analyzer.devices import described, read
     from analyzer.live.clock import now
     from analyzer.live.config import RecordingConfig
 
+    devices = read(arguments.dbc, arguments.modbus_map)
+    notes = list(notes)
+    described(devices, notes.append)
     dialects = dialects_of(arguments, endpoints, named)
     model = arguments.model or ",".join(dict.fromkeys(d.entry.model for each in named for d in each.drives if d.entry.model))
     if model:
@@ -348,6 +339,7 @@ def configure(
         foxglove=arguments.foxglove,
         command=storable(shlex.join(["servotap", *sys.argv[1:]])),
         notes=tuple(notes),
+        devices=tuple(devices),
     )
 
 

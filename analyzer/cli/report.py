@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the page; return 0, 2 if a file could not be read."""
+    """Write the page; return 0, 2 if a file could not be read. Raises UnreadableError where there is none other."""
     target = _target(arguments)
     logs: list[Log | Unread] = []
     status = 0
@@ -55,8 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             logs.append(_log(path, arguments))
         except UnreadableError as error:
-            # What is there and holds nothing is worth a page, which says so.
-            if len(arguments.files) == 1 and not Path(path).is_file():
+            # A page without any capture is worth nothing.
+            if len(arguments.files) == 1:
                 raise
             print(f"servotap report: {printable(str(error))}", file=sys.stderr)
             logs.append(Unread(storable(Path(path).name), str(error)))

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from analyzer.catalogue import Dialect
 from analyzer.devices.text import MOST_BYTES, Text
 from analyzer.errors import UnreadableError, UsageError
@@ -27,26 +29,47 @@ class DeviceFile:
     sha256: str
     dialects: tuple[Dialect, ...]
 
+    @property
+    def about(self) -> dict[str, str]:
+        """What the metadata of a log say of it."""
+        return {f"device_file_{self.name}": f"{self.kind}, SHA-256 {self.sha256}"}
+
+
+class DeviceText(msgspec.Struct, frozen=True):
+    """A file of devices as it was read. `is_map`: it lists registers of Modbus slaves, else CAN messages."""
+
+    path: str
+    data: bytes
+    is_map: bool = False
+
 
 def load(dbc: Sequence[str], modbus_map: Sequence[str], note: Callable[[str], None]) -> list[DeviceFile]:
-    """Return what some files describe. `note`: takes what a reader should know of them.
+    """Return what some files describe. `note`: takes what a reader should know of them. Raises as `read` and `described`."""
+    return described(read(dbc, modbus_map), note)
 
-    Raises UnreadableError with the place in the file for one that cannot be read or contradicts itself, and UsageError where
-    two files describe the same.
+
+def read(dbc: Sequence[str], modbus_map: Sequence[str]) -> list[DeviceText]:
+    """Return some files of devices. Raises UnreadableError for one that cannot be read."""
+    return [_read(path) for path in dbc] + [_read(path, is_map=True) for path in modbus_map]
+
+
+def described(texts: Sequence[DeviceText], note: Callable[[str], None]) -> list[DeviceFile]:
+    """Return what files describe that were read.
+
+    Raises UnreadableError with the place in the file for one that contradicts itself, and UsageError where two files describe
+    the same.
     """
     found: list[DeviceFile] = []
-    if dbc:
-        from analyzer.devices.dbc import messages
+    for each in texts:
+        text, name = Text(each.path, each.data), _name(each.path, found)
+        if each.is_map:
+            from analyzer.devices.modbus_map import slaves
 
-        for path in dbc:
-            text, name = _read(path), _name(path, found)
-            found.append(_file(text, "CAN messages", (messages(text, name, note),)))
-    if modbus_map:
-        from analyzer.devices.modbus_map import slaves
-
-        for path in modbus_map:
-            text, name = _read(path), _name(path, found)
             found.append(_file(text, "Modbus registers", slaves(text, name, note)))
+        else:
+            from analyzer.devices.dbc import messages
+
+            found.append(_file(text, "CAN messages", (messages(text, name, note),)))
     _check_apart(found)
     return found
 
@@ -61,13 +84,14 @@ def _name(path: str, before: Sequence[DeviceFile]) -> str:
     return next(name for n in range(1, len(taken) + 2) if (name := stem if n == 1 else f"{stem}_{n}") not in taken)
 
 
-def _read(path: str) -> Text:
+def _read(path: str, *, is_map: bool = False) -> DeviceText:
     try:
         with Path(path).open("rb") as stream:
             data = stream.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:
         raise UnreadableError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
-    return Text(path, data)
+    Text(path, data)  # which raises for what is no text
+    return DeviceText(path, data, is_map)
 
 
 def _check_apart(files: Sequence[DeviceFile]) -> None:

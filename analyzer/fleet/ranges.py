@@ -27,7 +27,8 @@ from typing import Any
 
 import zstandard
 
-from analyzer.cli.reading import OpenCapture, dialects_by_name, open_reading
+from analyzer import dialects as registry
+from analyzer.cli.reading import OpenCapture, open_reading
 from analyzer.columns.block import ByteBlock, CanBlock
 from analyzer.devices import load
 from analyzer.errors import ServotapError, UnreadableError
@@ -208,7 +209,7 @@ def take_range(task: Range, to: Destination, options: argparse.Namespace) -> Tak
         raise UnreadableError(f"{lake.path(name)} is damaged")
     names, model, digest, before, rest = pickle.loads(zstandard.ZstdDecompressor().decompress(data))
     devices = [d for file in load(options.dbc, options.modbus_map, lambda text: None) for d in file.dialects]
-    known = dialects_by_name(devices, model)
+    known = registry.readable_by_name(devices, model)
     table = Table([known[each] for each in names])
     if table.digest != digest:
         raise UnreadableError(f"{lake.path(name)} is of another version of Servotap: all workers need the same")

@@ -30,9 +30,12 @@ CHECK_NS = 1_000_000_000
 
 
 class Bus:
-    """One bus; two ports of one name are the two directions of one bus. `known`: every dialect by name."""
+    """One bus; two ports of one name are the two directions of one bus.
 
-    def __init__(self, ports: Sequence[PortConfig], known: Mapping[str, Dialect]) -> None:
+    `known`: every dialect by name; `devices`: those of them that files describe.
+    """
+
+    def __init__(self, ports: Sequence[PortConfig], known: Mapping[str, Dialect], devices: Sequence[Dialect] = ()) -> None:
         first = ports[0]
         self.ports = list(ports)
         self.name = first.bus
@@ -46,9 +49,11 @@ class Bus:
         #: Something came since the last pause.
         self.sounded = False
         self.heard = ReceivedMarks()
-        self.dialects = tuple(known[name] for name in first.dialects if name in known and known[name].bus == first.kind)
+        given = [known[name] for name in first.dialects if name in known and known[name].bus == first.kind]
+        own = [device for device in devices if device.bus == first.kind and device not in given]
+        self.dialects = (*own, *given) if given else ()
         self.reason = "as given" if self.dialects else ""
-        self.detection = None if self.dialects else Detection(first.kind, list(known.values()))
+        self.detection = None if self.dialects else Detection(first.kind, list(known.values()), own)
         #: Who is a drive, None: the frames tell.
         self.ids = first.ids
         self.notes: list[str] = []
@@ -131,12 +136,12 @@ class Bus:
         return {prefix + name: value for name, value in values.items() if value}
 
 
-def buses_of(config: RecordingConfig, known: Mapping[str, Dialect]) -> dict[str, Bus]:
-    """Return the buses of a recording by name."""
+def buses_of(config: RecordingConfig, known: Mapping[str, Dialect], devices: Sequence[Dialect]) -> dict[str, Bus]:
+    """Return the buses of a recording by name. `known`, `devices`: as `Bus` takes them."""
     grouped: dict[str, list[PortConfig]] = {}
     for port in config.ports:
         grouped.setdefault(port.bus, []).append(port)
-    return {name: Bus(ports, known) for name, ports in grouped.items()}
+    return {name: Bus(ports, known, devices) for name, ports in grouped.items()}
 
 
 class HeldRecords:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from analyzer.devices import DeviceText
 from analyzer.errors import UnreadableError
 from analyzer.live.spool import FORMAT
 
@@ -47,7 +48,8 @@ class RecordingConfig(msgspec.Struct, frozen=True, kw_only=True):
     `log`: the first (or only) log. `anchor_monotonic_ns`, `anchor_utc_ns`: one moment on both clocks; a record of
     monotonic time t stands in the log at `anchor_utc_ns + t - anchor_monotonic_ns`. `rotate_bytes`, `rotate_ns`, `keep`,
     `max_total`: 0 means none. `max_spool`: bytes that the spools may have, 0 for any. `mode`: permissions of the log, if
-    it replaces another. `foxglove`: HOST:PORT or empty. `spools`: their format; `crc`: of all else.
+    it replaces another. `foxglove`: HOST:PORT or empty. `devices`: files that describe other devices, so that
+    nothing else is needed to decode again. `spools`: their format; `crc`: of all else.
     """
 
     log: str
@@ -67,6 +69,7 @@ class RecordingConfig(msgspec.Struct, frozen=True, kw_only=True):
     foxglove: str = ""
     command: str = ""
     notes: tuple[str, ...] = ()
+    devices: tuple[DeviceText, ...] = ()
     spools: int = 1
     crc: int = 0
 

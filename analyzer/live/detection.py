@@ -37,10 +37,16 @@ BELIEVED_SHARE = 0.5
 
 
 class Detection:
-    """The dialects of one bus. `candidates`: all there are; `kind`: `serial` or `can`."""
+    """The dialects of one bus.
 
-    def __init__(self, kind: str, candidates: Sequence[Dialect]) -> None:
-        self._candidates = [d for d in candidates if d.bus == kind]
+    `kind`: `serial` or `can`. `candidates`: all dialects there are. `given`: those of other devices, which are on the bus.
+    """
+
+    def __init__(self, kind: str, candidates: Sequence[Dialect], given: Sequence[Dialect] = ()) -> None:
+        self._candidates = [d for d in candidates if d.bus == kind and d not in given]
+        self._given = [d for d in given if d.bus == kind]
+        #: Those of drives: if nothing tells, all of them are tried.
+        self._drives = [d for d in self._candidates if d.of_drives]
         #: What it is; empty until it was decided.
         self.dialects: tuple[Dialect, ...] = ()
         #: All are being tried, for none was believed.
@@ -73,11 +79,11 @@ class Detection:
     def first(self, t_ns: int, *, final: bool = False) -> Choice | None:
         """Return what the bus is if that is certain, or if no more can be waited at `t_ns`; `final`: nothing more comes."""
         waited = final or t_ns - self._first_ns >= HOLD_NS or self._size >= HOLD_BYTES
-        if not waited and self._size < self._look_at and len(self._candidates) > 1:
+        if not waited and self._size < self._look_at and len(self._drives) > 1:
             return None
         self._look_at = max(2 * self._look_at, self._size + 1)
-        choice = choose(self._candidates, list(self._sample))
-        if not waited and len(self._candidates) > 1 and not _is_sure(choice):
+        choice = choose(self._candidates, list(self._sample), self._given)
+        if not waited and len(self._drives) > 1 and not _is_sure(choice):
             return None
         self._decide(choice, t_ns)
         # What was held back comes once more, now to be decoded.
@@ -87,7 +93,7 @@ class Detection:
 
     def recheck(self, t_ns: int) -> Choice | None:
         """Return what the bus is if that has changed; called about once a second."""
-        if t_ns - self._looked_ns < self._pause_ns or len(self._candidates) < 2:
+        if t_ns - self._looked_ns < self._pause_ns or len(self._drives) < 2:
             return None
         traffic, junk = self._bytes - self._bytes_seen, self._junk - self._junk_seen
         if traffic < JUNK_LEAST:
@@ -98,7 +104,7 @@ class Detection:
             self._pause_ns = FIRST_PAUSE_NS
             return None
         self._pause_ns = min(2 * self._pause_ns, LAST_PAUSE_NS)
-        choice = choose(self._candidates, list(self._sample))
+        choice = choose(self._candidates, list(self._sample), self._given)
         if self.guessing:
             if not choice.evidence or choice.evidence[0].share < BELIEVED_SHARE:
                 return None
@@ -115,7 +121,7 @@ class Detection:
     def _decide(self, choice: Choice, t_ns: int) -> None:
         self.dialects = choice.dialects
         believed = not choice.evidence or choice.evidence[0].share >= BELIEVED_SHARE
-        self.guessing = not believed and len(choice.dialects) == len(self._candidates) > 1
+        self.guessing = not believed and len(choice.dialects) - len(self._given) == len(self._drives) > 1
         self._looked_ns = t_ns
 
     def resume(self, dialects: Sequence[Dialect], guessing: bool) -> None:

@@ -23,6 +23,7 @@ from analyzer import dialects as registry
 from analyzer import events
 from analyzer.catalogue import Role
 from analyzer.detect import Choice
+from analyzer.devices import described
 from analyzer.errors import UnreadableError
 from analyzer.framer import SILENCE_NS
 from analyzer.live import checkpoint
@@ -81,10 +82,13 @@ class Recording:
         self.config = config
         self.parts = parts
         self._watched = watched
-        known = registry.by_name(config.model)
+        #: Files that describe other devices; what a reader should know of them stands in the notes already.
+        self.device_files = described(config.devices, lambda text: None)
+        devices = [dialect for file in self.device_files for dialect in file.dialects]
+        known = registry.readable_by_name(devices, config.model)
         self.known = known
         self.table = Table(list(known.values()))
-        self.buses = buses_of(config, known)
+        self.buses = buses_of(config, known, devices)
         self.follows: dict[str, Follow] = {CONTROL: Follow(None, None)}
         for port in config.ports:
             self.follows[port.stem] = Follow(self.buses[port.bus], port)
@@ -116,7 +120,8 @@ class Recording:
         self.log = RecordingLog(file, speeds=speeds)
         sinks: tuple[Sink, ...] = (self.log, self.counts, *watch)
         options = Options(late_ns=config.late_ns, groups=frozenset(config.groups))
-        self.pipeline = Pipeline(list(known.values()), sinks, options, on_setup=Setups(known))
+        drives = [dialect for dialect in known.values() if dialect.of_drives]
+        self.pipeline = Pipeline(drives, sinks, options, on_setup=Setups(known))
         if start is None:
             self._open_part()
             return
@@ -161,6 +166,8 @@ class Recording:
         values["dialect_reason"] = "; ".join(f"{bus.name}: {bus.reason}" for bus in self.buses.values() if bus.reason)
         for bus in self.buses.values():
             values |= bus.about()
+        for file in self.device_files:
+            values |= file.about
         notes = [f"{bus.name}: {note}" for bus in self.buses.values() for note in bus.notes]
         notes += list(self.config.notes)
         if self.moved:

@@ -196,7 +196,7 @@ class _Section:
         for each in traffic.breaches.values():
             found[each.severity] += each.count
         worst = next((s for s in (Severity.ERROR, Severity.WARNING) if found[s]), None)
-        drives = [drive for drive in self.drives if drive.replies and drive.is_drive]
+        drives = [drive for drive in self.drives if drive.answers]
         tiles = [("frames", f"{traffic.frames:,}", f"on {_counted(len(traffic.buses), 'bus', 'buses')}", "")]
         if self.axis.timed and traffic.frames:
             span = (traffic.last_ns - traffic.first_ns) / SECOND

@@ -76,6 +76,7 @@ class _Frame(msgspec.Struct, gc=False):
     raw: str = msgspec.field(name="_raw", default="")
     latency: float = msgspec.field(name="_latency", default=math.nan)
     request: _Whole = msgspec.field(name="_request_sequence", default=-1)
+    sound: bool = msgspec.field(name="_checksum_ok", default=True)
     address: _Whole = -1
     who: str = ""
     length: _Whole = 0
@@ -192,8 +193,9 @@ class Marks:
 class Drive:
     """An address of a bus: a drive, or another device that a file describes.
 
-    `address`: as topics have it; `who`: as people read it; `bytes`: in its frames, of both sides. `states`: values over time,
-    with their `units`: of a drive the quantities of its state, of another device its fields.
+    `address`: as topics have it; `who`: as people read it; `bytes`: in its frames, of both sides. `answers`: sound replies to
+    commands of drives. `states`: values over time, with their `units`: of a drive the quantities of its state, of another
+    device its fields.
     """
 
     bus: str
@@ -202,6 +204,7 @@ class Drive:
     dialects: dict[str, None] = field(default_factory=dict)
     requests: int = 0
     replies: int = 0
+    answers: int = 0
     messages: int = 0
     unknown: int = 0
     bytes: int = 0
@@ -214,11 +217,6 @@ class Drive:
     def frames(self) -> int:
         """How many frames it sent or was sent."""
         return self.requests + self.replies + self.messages + self.unknown
-
-    @property
-    def is_drive(self) -> bool:
-        """Whether a dialect of drives is spoken with it."""
-        return any(map(_is_of_drives, self.dialects))
 
     @property
     def order(self) -> tuple[str, int, str]:
@@ -298,7 +296,7 @@ class _Topic:
         self.take = take
         self.units = units
         self.mark = _mark_of(self.dialect, self.command) if self.is_request else ""
-        self.is_of_device = self.is_message or not (self.is_request or _is_of_drives(self.dialect))
+        self.is_of_device = self.is_message or not (self.is_request or _of_drives(self.dialect))
         self.highest = -1
         self.empty()
 
@@ -310,9 +308,9 @@ class _Topic:
 
 
 @cache
-def _is_of_drives(dialect: str) -> bool:
-    """Say whether drives speak a dialect. Those of device files are not registered."""
-    return any(each.name == dialect and each.of_drives for each in dialects.every())
+def _of_drives(dialect: str) -> frozenset[str]:
+    """Return the commands in the manual of a dialect of drives, none of any other: those of device files are not registered."""
+    return frozenset(name for each in dialects.every() if each.name == dialect for name in each.by_name)
 
 
 def _mark_of(dialect: str, name: str) -> str:
@@ -555,6 +553,8 @@ class Traffic:
             return
         drive.replies += count
         talk.replies += count
+        if topic.command in _of_drives(topic.dialect):
+            drive.answers += sum(row.sound for row in rows)
         # Of several replies to a request the first one counts: the others tell how long a motion took.
         asked = np.array([row.request for row in rows], np.int64)
         before = np.maximum.accumulate(np.concatenate(([topic.highest], asked[:-1])))

@@ -176,13 +176,22 @@ def test_a_wrong_option_is_told_in_one_line_with_the_near_one(capsys):
     assert err.count("\n") == 1
 
 
-def test_a_recording_says_where_files_of_other_devices_are_given(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["record", "can:virtual:x", "--dbc", "battery.dbc"])
-    assert ended.value.code == 2
+@pytest.mark.parametrize(
+    ("option", "text", "said"),
+    [
+        ("--dbc", "nothing\n", "wrong.txt:1:"),
+        ("--modbus-map", "unit,address,name,type\n5,0,a,u99\n", "wrong.txt:2: type: expected u16"),
+        ("--modbus-map", None, "wrong.txt: No such file"),
+    ],
+)
+def test_a_recording_does_not_begin_with_a_wrong_file_of_devices(option, text, said, tmp_path, capsys):
+    if text is not None:
+        (tmp_path / "wrong.txt").write_text(text)
+    assert main(["record", "can:virtual:x", option, str(tmp_path / "wrong.txt"), "-o", str(tmp_path / "x.mcap")]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert "give it when the log is read, as in servotap show week.mcap --dbc battery.dbc" in err
+    assert said in err
+    assert not (tmp_path / "x.mcap").exists()
 
 
 def test_two_captures_of_one_name_have_a_log_each(tmp_path, capsys):

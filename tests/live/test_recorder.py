@@ -12,10 +12,14 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from analyzer.cli import main
+from analyzer.devices import read as read_files
 from analyzer.live.config import CONTROL
 from analyzer.live.spool import CanFlag
 from tests.collect import crc, sum8
 from tests.live.spooled import START, UTC, Spools, content, decoded_of, metadata, port, raw_of, read, traffic
+from tests.test_readme import ROOT
+
+DEVICES = ROOT / "captures" / "devices"
 
 LEFT = port("1-left", "left", byte_ns=260_416, speed=38400)
 
@@ -332,3 +336,52 @@ def test_the_supervisor_died(tmp_path):
     assert not spools.folder.exists()
     assert "died" in metadata(spools.log)["ended"]
     assert raw_of([spools.log], "left") == spools.sent["left"]
+
+
+# --- other devices --------------------------------------------------------------------------------------------------
+
+
+def meter_traffic(spools, stem, count):
+    for n in range(count):
+        spools.data(stem, 100 * n, crc("05 04 00 00 00 02"))
+        spools.data(stem, 100 * n + 9, crc("05 04 04 08 FC 00 00"))
+        spools.data(stem, 100 * n + 50, crc("01 04 00 32 00 01"))
+        spools.data(stem, 100 * n + 59, crc("01 04 02 01 40"))
+
+
+@pytest.mark.parametrize("dialects", [(), ("mks-modbus",)])
+def test_files_of_other_devices_decode_what_is_recorded(dialects, tmp_path):
+    files = tuple(read_files([str(DEVICES / "battery.dbc")], [str(DEVICES / "meter.csv")]))
+    ports = port("1-left", "left", dialects=dialects), port("2-arm", "arm", "can", ("mks-can",))
+    spools = Spools(tmp_path, *ports, devices=files)
+    meter_traffic(spools, "1-left", 20)
+    spools.can("2-arm", 5, "123#E001F4FF01004100")
+    spools.can("2-arm", 6, "001#3233")
+    spools.end(5000)
+    # Recovering needs the folder alone.
+    spools.record_and_be_killed(30, 7)
+    spools.record()
+    rows = read(spools.log)
+    (battery,) = [value for topic, _, value in rows if topic == "/arm/291/battery_status/message"]
+    assert battery["voltage"] == 48
+    meter = [value for topic, _, value in rows if topic == "/left/5/read_input_registers/reply"]
+    assert [value["voltage"] for value in meter] == [230] * 20
+    assert sum(topic == "/left/1/read_speed/reply" for topic, _, _ in rows) == 20
+    assert not [value for topic, _, value in rows if topic == "/findings" and value["name"] == "unknown_command"]
+    about = metadata(spools.log)
+    assert "SHA-256" in about["device_file_meter.csv"]
+    assert about["bus.left.dialect"] == "meter,mks-modbus"
+
+
+@pytest.mark.parametrize("dialects", [(), ("modbus",)])
+def test_a_slave_of_any_make_is_recorded(dialects, tmp_path):
+    spools = Spools(tmp_path, port("1-left", "left", dialects=dialects))
+    for n in range(20):
+        spools.data("1-left", 100 * n, crc("05 04 00 00 00 02"))
+        spools.data("1-left", 100 * n + 9, crc("05 04 04 08 FC 00 00"))
+    spools.end(5000)
+    spools.record()
+    found = [value for topic, _, value in read(spools.log) if topic == "/left/5/read_input_registers/reply"]
+    assert [value["values"] for value in found] == [[0x08FC, 0]] * 20
+    assert metadata(spools.log)["bus.left.dialect"] == "modbus"
+    assert content(decoded_again(spools.log)) == content(spools.log)

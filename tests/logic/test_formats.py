@@ -98,6 +98,25 @@ def test_vectors_and_comments_of_a_dump(tmp_path: Path) -> None:
     assert any(note.startswith("bus[0]: UART 115200") for note in source.notes)
 
 
+@pytest.mark.parametrize(
+    ("declared", "bit", "name"),
+    [("8 ! bus [7:0]", "b100 !", "bus[2]"), ("8 ! bus [15:8]", "b100 !", "bus[10]"), ("8 ! bus [0:7]", "b100 !", "bus[5]"),
+     ("1 ! \\a[3]+/b", "1!", "\\a[3]+/b"), ("4 ! \\a/b [3:0]", "bU10W !", "\\a/b[2]"), ("1 ! rx", "h!", "rx")],
+)  # fmt: skip
+def test_styles_of_simulators(declared: str, bit: str, name: str, tmp_path: Path) -> None:
+    path = waves.write_vcd(tmp_path / "x.vcd", [LINE], RATE, "10 ps")
+    low = bit.replace("1", "0") if "1" in bit else "l!"
+    head, _, body = path.read_text().replace("1 ! RX", declared).partition("$enddefinitions $end\n")
+    head = head.replace("$scope", "$scope module top $end\n$scope", 1).replace("$upscope $end", "$upscope $end $upscope $end")
+    rows = body.replace("1!", bit).replace("0!", low).splitlines()
+    # A level within one step of time, and a pause of the dump.
+    rows[3] += f" {bit} {low} {bit} {low} {rows[3].split(' ', 1)[1]}"
+    path.write_text(f"{head}$enddefinitions $end\n#0 $dumpvars x! $end\n" + "\n".join(rows) + "\n$dumpoff x! $end\n")
+    source, records = read_all(path)
+    assert [record.data[0] for record in records if isinstance(record, Chunk)] == [value for _, value in SENT]
+    assert any(note.startswith(f"{name}: UART 115200") for note in source.notes)
+
+
 def test_gaps_between_chunks(tmp_path: Path) -> None:
     data = waves.write_saleae_binary(tmp_path / "x.bin", LINE, RATE, 1).read_bytes()
     chunk, end = data[24:], struct.unpack_from("<d", data, 44)[0]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import shutil
 import struct
 import subprocess
 from collections.abc import Iterator
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +128,49 @@ def test_the_captures_of_the_project(name: str, words: list[str], script: Path, 
     assert len(ours) == len(theirs) > 10
     for mine, other in zip(ours, theirs, strict=True):
         compare(mine, other)
+
+
+#: What Wireshark 3.6 has of what the engine uses, read in its sources (epan/wslua), and the library of Lua 5.2.
+OF_3_6 = {
+    "functions": {
+        "DissectorTable.get", "Field.new", "Listener.new", "Pref.string", "ProtoExpert.new", "ProtoField.bool",
+        "ProtoField.bytes", "ProtoField.double", "ProtoField.framenum", "ProtoField.new", "ProtoField.string",
+        "ProtoField.uint16",
+    },
+    "constants": {
+        "base.DEC", "base.NONE", "expert.group.CHECKSUM", "expert.group.MALFORMED", "expert.group.PROTOCOL",
+        "expert.group.RESPONSE_CODE", "expert.group.UNDECODED", "expert.severity.ERROR", "expert.severity.NOTE",
+        "expert.severity.WARN", "frametype.REQUEST", "frametype.RESPONSE", "ftypes.BYTES", "ftypes.DOUBLE", "ftypes.INT32",
+        "ftypes.INT64", "ftypes.UINT32", "ftypes.UINT64",
+    },
+    "methods": {
+        "add", "add_for_decode_as", "add_le", "add_proto_expert_info", "append_text", "bytes", "get_index", "int64", "le_int64",
+        "le_uint64", "len", "offset", "register_heuristic", "set", "set_generated", "tonumber", "uint64",
+    },
+    "attributes": {
+        "pinfo.cols.info", "pinfo.cols.protocol", "pinfo.number", "pinfo.rel_ts", "proto.dissector", "proto.experts",
+        "proto.fields", "proto.init", "proto.prefs.dialect",
+    },
+    "library": {
+        "math.floor", "math.max", "math.min", "string.format", "table.concat", "table.insert", "table.remove", "table.sort",
+    },
+}  # fmt: skip
+USES = {
+    "functions": r"\b[A-Z]\w+\.\w+(?=\()",
+    "constants": r"\b(?:ftypes|base|frametype|expert\.(?:group|severity))\.[A-Z]\w*",
+    "methods": r"(?<=:)\w+(?=\()",
+    "attributes": r"\b(?:pinfo|proto|tvb)\.\w+(?:\.\w+)*",
+    "library": r"\b(?:string|table|math|os|io|utf8|debug|coroutine)\.\w+",
+}
+
+
+@pytest.mark.parametrize("kind", OF_3_6)
+def test_the_dissector_uses_only_what_wireshark_3_6_has(kind: str) -> None:
+    engine = (files("analyzer.reference") / "wireshark.lua").read_text()
+    code = re.sub(r'"[^"\n]*"|--[^\n]*', '""', engine)
+    assert set(re.findall(USES[kind], code)) == OF_3_6[kind]
+    # Operators and words that Lua 5.2 does not have.
+    assert not re.search(r"//|<<|>>|~[^=]|[&|]|\bgoto\b|<const>", code)
 
 
 # --- generated ----------------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from mcap.writer import Writer
 from analyzer.cli import main
 from analyzer.report.page import LARGEST
 from tests.browser import chromium, needs_chromium
+from tests.collect import crc
 from tests.conformance.report.test_page import EVIL, told
 from tests.test_readme import ROOT
 
@@ -72,6 +73,14 @@ def test_a_page_says_what_was_captured_and_what_is_wrong(tmp_path):
     assert "http" not in re.sub(r"<script>/\*.*?</script>", "", page, flags=re.DOTALL)
 
 
+def test_neither_a_damaged_address_nor_another_slave_is_a_drive_that_answers(tmp_path):
+    rows = ["> " + crc("01 04 00 32 00 01"), "< " + crc("01 04 02 01 40")] * 3
+    rows += ["> " + crc("05 04 00 00 00 02"), "< " + crc("05 04 04 00 2A 00 07"), "> " + crc("01 04 00 32 00 01")]
+    rows += ["< 02" + crc("01 04 02 01 40")[2:]]
+    (tmp_path / "x.txt").write_text("\n".join(rows) + "\n")
+    assert "drives that answer 1 mks-modbus" in told(made(tmp_path / "x.txt", tmp_path / "x.html"))
+
+
 def test_a_log_and_its_capture_give_the_same_page(tmp_path, capsys):
     one = made(CAPTURES / "mks_rs485.log", tmp_path / "a.html")
     assert main(["decode", str(CAPTURES / "mks_rs485.log"), "-o", str(tmp_path / "mks_rs485.log.mcap")]) == 0
@@ -95,12 +104,20 @@ def test_a_capture_without_times_counts_frames(tmp_path):
     assert {each["axis"] for each in charts(page)} == {"frames"}
 
 
-@pytest.mark.parametrize(("data", "says"), [(b"", "is empty"), (bytes(range(1, 250)) * 9, "cause")])
-def test_a_capture_with_nothing_to_decode_is_a_page_that_says_so(tmp_path, data, says, capsys):
+def test_a_capture_with_nothing_to_decode_is_a_page_that_says_so(tmp_path):
     path = tmp_path / "x.bin"
+    path.write_bytes(bytes(range(1, 250)) * 9)
+    assert main(["report", str(path)]) == 0
+    assert "cause" in told((tmp_path / "x.bin.html").read_text())
+
+
+@pytest.mark.parametrize("data", [b"", b"PK\x03\x04broken"])
+def test_of_a_capture_that_cannot_be_read_there_is_no_page(tmp_path, data, capsys):
+    path = tmp_path / "x.sr"
     path.write_bytes(data)
-    assert main(["report", str(path)]) == (0 if data else 2)
-    assert says in told((tmp_path / "x.bin.html").read_text())
+    assert main(["report", str(path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert [each.name for each in tmp_path.iterdir()] == ["x.sr"]
 
 
 def test_a_comment_without_a_time_does_not_move_the_beginning(tmp_path):
@@ -276,3 +293,27 @@ def test_a_browser_draws_it_without_complaint(tmp_path, scheme):
     ground, line = {"light": ((255, 255, 255), (0x0A, 0x7F, 0x7F)), "dark": ((13, 17, 23), (0x39, 0xC5, 0xBB))}[scheme]
     assert (abs(seen - ground).max(axis=2) < 3).mean() > 0.5
     assert (abs(seen - line).max(axis=2) < 30).sum() > 300
+
+
+#: What a page does when a mouse moves over its plots, at a share of their width.
+HOVER = """<script>
+setTimeout(() => {
+  const over = document.querySelector(".drive .u-over"), box = over.getBoundingClientRect();
+  for (const name of ["mouseenter", "mousemove"])
+    over.dispatchEvent(new MouseEvent(name, { clientX: box.left + SHARE * box.width, clientY: box.top + 60, bubbles: true }));
+}, 1500);
+</script>"""
+
+
+@needs_chromium
+def test_values_and_marks_are_told_under_the_cursor(tmp_path):
+    page = tmp_path / "x.html"
+    made(CAPTURES / "mks_rs485.log", page)
+    page.write_text(page.read_text().replace("</body>", HOVER.replace("SHARE", "0.53") + "</body>"))
+    dom = chromium(page, tmp_path / "home", "--dump-dom")
+    assert re.search(r'class="told">.*?<span>09:00:05\.300  move_relative_pulses direction=cw speed=320 rpm', dom)
+    legends = [re.sub(r"<[^>]+>", " ", each) for each in re.findall(r'<table class="u-legend.*?</table>', dom, re.DOTALL)]
+    shown = " | ".join(" ".join(each.split()) for each in legends)
+    # All plots of a capture tell the values of one time.
+    assert "time 09:00:05.000 frames 5 1/s" in shown
+    assert "time 09:00:01.143 speed 320 rpm" in shown

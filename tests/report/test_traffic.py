@@ -72,7 +72,7 @@ def test_a_drive_on_can_goes_by_its_identifier(tmp_path):
 def test_values_of_other_devices_are_kept_with_their_units(tmp_path):
     devices = ROOT / "captures" / "devices"
     battery = traffic_of(devices / "battery.log", tmp_path, "--dbc", str(devices / "battery.dbc")).drives["can0", "291"]
-    assert (battery.is_drive, battery.messages, battery.replies) == (False, 2, 0)
+    assert (battery.answers, battery.messages, battery.replies) == (0, 2, 0)
     values = {name: (track.columns()[2].tolist(), battery.units[name]) for name, track in battery.states.items()}
     # Of the multiplexed signals each frame has its own; a mode is no curve.
     assert values == {
@@ -82,5 +82,5 @@ def test_values_of_other_devices_are_kept_with_their_units(tmp_path):
     traffic = traffic_of(devices / "meter.log", tmp_path, "--modbus-map", str(devices / "meter.csv"))
     meter = traffic.drives["serial", "5"]
     assert {name: meter.units[name] for name in meter.states} == {"voltage": "V", "power": "W", "energy": "kWh", "relay": ""}
-    assert not meter.is_drive
-    assert traffic.drives["serial", "1"].is_drive
+    assert (meter.answers, meter.replies > 0) == (0, True)
+    assert traffic.drives["serial", "1"].answers

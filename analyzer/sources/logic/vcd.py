@@ -6,8 +6,10 @@
     #0 1! 0"                          at a time: channel ! is 1, channel " is 0
     #8680 0! b0101 # r1.5 $           vectors; reals are passed over
 
-Rules: x and z leave a channel as it was, with a note. Times only rise. A word that is none of these is damage, and the capture
-is refused with its line; only its last word may break off. What it does not know: how often the line was sampled.
+Rules: x and z leave a channel as it was, with a note; so do u, w and - of VHDL, whose l and h are 0 and 1. What a channel is
+only within one step of time was never on the wire. Bits bear the numbers of their declaration. Times only rise. A word that is
+none of these is damage, and the capture is refused with its line; only its last word may break off. What it does not know: how
+often the line was sampled.
 """
 
 from __future__ import annotations
@@ -18,12 +20,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from analyzer.columns.codec import Integers
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk, Event
 from analyzer.sources.logic.traffic import records
 from analyzer.sources.logic.waveform import CHANNEL_LIMIT, Stretch, Waveform
 from analyzer.sources.source import LATEST_NS, Source, quote
 
+_RANGE = re.compile(r"(.*?)(?:\s*\[(\d{1,9}):(\d{1,9})\])?", re.DOTALL)
 _SCALE = re.compile(r"(1|10|100)\s*(s|ms|us|ns|ps|fs)")
 #: Femtoseconds of each unit, and of one nanosecond.
 _UNITS = {"s": 10**15, "ms": 10**12, "us": 10**9, "ns": 10**6, "ps": 10**3, "fs": 1}
@@ -31,7 +35,9 @@ _NS = 10**6
 #: Bytes of the header, and of one word in the body.
 _HEADER_LIMIT, _WORD_LIMIT = 1 << 22, 1 << 16
 _IGNORED = (b"$dumpvars", b"$dumpall", b"$dumpon", b"$dumpoff", b"$end")
-_UNKNOWN = b"xXzZ"
+_UNKNOWN = b"xXzZuUwW-"
+#: Levels of all letters; those of `_UNKNOWN` have none.
+_LEVELS = {"0": 0, "1": 1, "l": 0, "h": 1}
 
 
 def read(source: Source) -> Iterator[Chunk | CanFrame | Event]:
@@ -106,8 +112,9 @@ def _add(source: Source, header: _Header, words: list[str], line: int) -> None:
         if len(header.names) + bits > CHANNEL_LIMIT:
             raise UnreadableError(f"{source.name}: line {line}: expected at most {CHANNEL_LIMIT} channels of one bit, got more")
         header.codes[code] = (len(header.names), bits)
-        stem = re.sub(r"\s*\[\d+:\d+\]$", "", name)
-        header.names += [(name, 0)] if bits == 1 else [(f"{stem}[{bit}]", bit) for bit in range(bits)]
+        stem, first, last = _RANGE.fullmatch(name).groups()  # type: ignore[union-attr]
+        lowest, step = (int(last), 1 if int(first) >= int(last) else -1) if last else (0, 1)
+        header.names += [(name, 0)] if bits == 1 else [(f"{stem}[{lowest + step * bit}]", bit) for bit in range(bits)]
 
 
 class _Body:
@@ -165,7 +172,7 @@ class _Body:
             self._pending = word
         elif word[0] in _UNKNOWN and word[1:] in self._codes:
             self._source.note("x and z leave a channel as it was")
-        elif word[:1] in (b"0", b"1") and word[1:] in self._codes:
+        elif word[:1].lower() in (b"0", b"1", b"l", b"h") and word[1:] in self._codes:
             return self._vector(b"b" + word[:1], word[1:])
         else:
             return word in _IGNORED
@@ -178,20 +185,19 @@ class _Body:
         if value[:1] not in (b"b", b"B") or first < 0:
             return True
         digits = value[1:].decode("ascii", "replace").lower()
-        if set(digits) - set("01xz") or len(digits) > bits:
+        if set(digits) - set("01xzuwlh-") or len(digits) > bits:
             return False
-        digits = digits.rjust(bits, "0" if digits[0] in "01" else digits[0])
-        words = [b"%s" % digit.encode() for digit in reversed(digits)]
-        for bit, digit in enumerate(words):
-            channel = first + bit
-            if digit not in (b"0", b"1"):
+        digits = digits.rjust(bits, "0" if digits[0] in _LEVELS else digits[0])
+        for channel, digit in enumerate(reversed(digits), first):
+            level = _LEVELS.get(digit, -1)
+            if level < 0:
                 self._source.note("x and z leave a channel as it was")
-            elif self.levels[channel] != int(digit):
+            elif self.levels[channel] != level:
                 if self.levels[channel] >= 0:
                     self.edges[channel].append(self.t_ns)
                 else:
-                    self.first[channel] = int(digit)
-                self.levels[channel] = int(digit)
+                    self.first[channel] = level
+                self.levels[channel] = level
         return True
 
 
@@ -214,7 +220,7 @@ def _stretches(source: Source, wave: Waveform, header: _Header) -> Iterator[Stre
         if wrong >= 0:
             source.problem(f"the last word breaks off: {quote(words[wrong].decode('utf-8', 'replace'))}", line=line)
         line += data.count(b"\n")
-        edges = [np.array(found, dtype=np.int64) for found in body.edges]
+        edges = [_settled(np.array(found, dtype=np.int64)) for found in body.edges]
         for found in body.edges:
             found.clear()
         # A channel that says nothing before its first change is taken as what it was not.
@@ -222,6 +228,15 @@ def _stretches(source: Source, wave: Waveform, header: _Header) -> Iterator[Stre
         yield Stretch(edges, max(body.t_ns, 0))
         if not block:
             return
+
+
+def _settled(edges: Integers) -> Integers:
+    """Return edges without those that take each other back at one time."""
+    if not len(edges) or bool((edges[1:] > edges[:-1]).all()):
+        return edges
+    times, counts = np.unique(edges, return_counts=True)
+    single: Integers = times[counts % 2 == 1]
+    return single
 
 
 def _wrong(source: Source, data: bytes, words: list[bytes], place: int, line: int) -> UnreadableError:
