@@ -132,6 +132,12 @@ def test_a_lake_stays_partitioned_as_it_is(captures, tmp_path, capsys):
     assert "is partitioned by date, and stays so" in capsys.readouterr().err
 
 
+def test_many_small_files_are_told_where_a_lake_could_have_fewer(captures, tmp_path, monkeypatch):
+    monkeypatch.setattr("analyzer.fleet.ingest._MANY", 10)
+    assert "--partition-by date" in ingest(lake(tmp_path / "lake"), captures).notes[0]
+    assert ingest(Lake(Place(str(tmp_path / "by date")), make=True, partitions=("date",)), captures).notes == []
+
+
 def test_few_captures_are_work_for_all_and_many_stand_together():
     def shared(count, size, machines):
         found = [Found(f"/{n}", f"{n}", size, "") for n in range(count)]
