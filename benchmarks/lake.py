@@ -177,7 +177,7 @@ def small_captures(folder: Path, count: int, a_day: int, partitions: tuple[str, 
         alone = cpu(lambda found=found: [decoded_alone(work.found.key, options()) for work in found])
         made: list = []
         to = lake.destination
-        taking = cpu(lambda found=found, to=to, made=made: made.extend(do(each, to, options()) for each in tasks(found)))
+        taking = cpu(lambda found=found, to=to, made=made: made.extend(do(each, to, options()) for each in tasks(found, 1)))
         committing = cpu(lambda lake=lake, made=made: lake.commit(made))
         more = (taking + committing - alone) / size * 1000
         files = sum(len(each.added) for each in made)

@@ -141,9 +141,10 @@ def test_many_small_files_are_told_where_a_lake_could_have_fewer(captures, tmp_p
 def test_few_captures_are_work_for_all_and_many_stand_together():
     def shared(count, size, machines):
         found = [Found(f"/{n}", f"{n}", size, "") for n in range(count)]
-        return [len(task) for task in tasks([Work(Place("memory://x"), f, f"m{n % machines}") for n, f in enumerate(found)])]
+        return [len(task) for task in tasks([Work(Place("memory://x"), f, f"m{n % machines}") for n, f in enumerate(found)], 4)]
 
     assert shared(10, 6 << 20, 10) == [1] * 10
+    assert shared(24, 1 << 20, 24) == [2] * 12
     assert shared(1000, 4000, 500) == [200] * 5
     # A machine is not divided where it can be avoided.
     assert set(shared(360, 4000, 3)) == {120}
@@ -161,7 +162,7 @@ def test_what_was_made_of_captures_is_none(tmp_path):
 
 def taken(made, captures):
     found = works([Place(str(captures))], made, Pattern("{machine}/{date}/*"), False, Outcome())
-    return [take(task, made.destination, options()) for task in tasks(found)]
+    return [take(task, made.destination, options()) for task in tasks(found, 1)]
 
 
 def test_two_ingests_at_once_bring_each_content_once(captures, clean, tmp_path):
