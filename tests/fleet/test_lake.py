@@ -247,6 +247,8 @@ def test_a_capture_that_grows_while_it_is_read_is_not_taken(tmp_path, monkeypatc
 
 def test_long_captures_have_files_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setattr("analyzer.fleet.rows.HELD", 50)
+    monkeypatch.setattr("analyzer.fleet.files.GROUP", 20)
+    monkeypatch.setattr("analyzer.fleet.files.FILE_BYTES", 3000)
     monkeypatch.setattr("analyzer.sinks.parquet.HELD", 50)
     folder = hall(tmp_path / "in", 3)
     made, plain = lake(tmp_path / "lake"), lake(tmp_path / "plain")
@@ -254,6 +256,10 @@ def test_long_captures_have_files_of_their_own(tmp_path, monkeypatch):
     monkeypatch.undo()
     ingest(plain, folder)
     assert rows(made) == rows(plain)
+    # What is full is written at once, and the next rows have another file.
+    assert len(list((tmp_path / "lake" / "states").rglob("*.parquet"))) > len(
+        list((tmp_path / "plain" / "states").rglob("*.parquet"))
+    )
 
 
 def test_a_new_column_is_added_and_another_unit_is_another_version(tmp_path):
