@@ -5,8 +5,8 @@
 Captures are made: candump logs of four drives that are polled, with values that the manual allows. Long ones are ingested by
 one and by two workers of Dask, as they are and in ranges, and decoded by `servotap decode --to parquet --jobs 1`. Where the
 machine has other work, the clock says nothing: CPU seconds of the busiest process then say what two workers would take. Small
-ones are taken here, without Dask: CPU seconds of decoding alone, of taking them into files of a lake, of committing. For the
-question, rows of `states` are generated as drives of 100 machines would give them.
+ones are taken here, without Dask: CPU seconds of decoding alone, of taking them into files of a lake, of committing; 0 leaves
+a part out. For the question, rows of `states` are generated as drives of 100 machines would give them.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from analyzer.cli.signals import Interrupt  # noqa: E402
 from analyzer.fleet import ingest as ingesting  # noqa: E402
 from analyzer.fleet import ranges as splitting  # noqa: E402
 from analyzer.fleet.ask import Question  # noqa: E402
+from analyzer.fleet.files import PARTITIONS  # noqa: E402
 from analyzer.fleet.ingest import Ingest, Outcome, Pattern, tasks, workers, works  # noqa: E402
 from analyzer.fleet.lake import Lake  # noqa: E402
 from analyzer.fleet.place import Place  # noqa: E402
@@ -163,23 +164,26 @@ def long_captures(folder: Path, files: int, count: int) -> None:
         print(f"| ingest{what}, 2 workers | {frames:,} frames | {two} | {told} |")
 
 
-def small_captures(folder: Path, count: int) -> None:
-    """Print what small captures cost, in steps of ten times as many."""
-    source = folder / "small"
-    for number in range(count):
-        capture(source / f"m{number % 20}" / f"2026-03-{1 + number // 20 % 28:02d}" / f"{number}.log", SMALL, number)
-    size = 10
+def small_captures(folder: Path, count: int, a_day: int, partitions: tuple[str, ...], first: int) -> None:
+    """Print what small captures cost, in steps of ten times as many. `a_day`: of them for each of 200 machines."""
+    source = folder / f"small{a_day}"
+    for number in range(0 if source.exists() else count):
+        day, machine = divmod(number // a_day, 200)
+        capture(source / f"m{machine}" / f"2026-{1 + day // 28:02d}-{1 + day % 28:02d}" / f"{number}.log", SMALL, number)
+    size = first
     while size <= count:
-        lake = Lake(Place(str(folder / f"small{size}")), make=True)
+        lake = Lake(Place(str(folder / f"lake{a_day}{len(partitions)}-{size}")), make=True, partitions=partitions)
         found = works([Place(str(source))], lake, Pattern("{machine}/{date}/*"), False, Outcome())[:size]
         alone = cpu(lambda found=found: [decoded_alone(work.found.key, options()) for work in found])
         made: list = []
         to = lake.destination
-        taking = cpu(lambda found=found, to=to, made=made: made.extend(do(each, to, options()) for each in tasks(found)))
+        taking = cpu(lambda found=found, to=to, made=made: made.extend(do(each, to, options()) for each in tasks(found, 1)))
         committing = cpu(lambda lake=lake, made=made: lake.commit(made))
         more = (taking + committing - alone) / size * 1000
-        told = f"decoding {alone:.2f}, files {taking - alone:.2f}, commit {committing:.2f} CPU s"
-        print(f"| small captures | {size:,} | {told} | {more:.2f} ms more than decoding each |")
+        files = sum(len(each.added) for each in made)
+        told = f"decoding {alone:.2f}, files {taking - alone:.2f}, commit {committing:.2f} CPU s, {files:,} files"
+        what = f"small captures, {a_day} a machine and day, by {' and '.join(partitions)}"
+        print(f"| {what} | {size:,} | {told} | {more:.2f} ms more than decoding each |", flush=True)
         size *= 10
 
 
@@ -242,9 +246,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         print("| work | size | cost | ratio |\n| --- | --- | --- | --- |")
         print(f"load before: {os.getloadavg()[0]:.1f}", file=sys.stderr)
-        long_captures(Path(folder), arguments.files, arguments.frames)
-        small_captures(Path(folder), arguments.small)
-        questions(Path(folder), arguments.rows)
+        if arguments.files:
+            long_captures(Path(folder), arguments.files, arguments.frames)
+        if arguments.small:
+            small_captures(Path(folder), arguments.small, 20, PARTITIONS, 10)
+            small_captures(Path(folder), arguments.small, 2, PARTITIONS, arguments.small)
+            small_captures(Path(folder), arguments.small, 2, ("date",), 10)
+        if arguments.rows:
+            questions(Path(folder), arguments.rows)
 
 
 if __name__ == "__main__":

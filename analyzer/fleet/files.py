@@ -6,7 +6,7 @@ The tables are those of `decode --to parquet`, with the columns that a lake need
 numbers and no dictionaries, so `time` is exact to a microsecond, `time_ns` to a nanosecond. A time that is none of the epoch
 is in `time_ns` alone. `transactions` are replies with their outcomes, and requests without a reply.
 
-A small file costs as much as thousands of rows: half a millisecond of work, a request to its store, 5 kB of names and types.
+A small file costs as much as thousands of rows: half a millisecond of work, a request to its store, 4 kB of names and types.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -203,17 +204,15 @@ class Files:
             rows = rows.append_column(pa.field("machine", pa.string()), machines.take(pa.array(ranks)))
         schema = rows.schema.serialize().to_pybytes()
         values = [tuple(getattr(owner, name) for name in self.to.partitions) for owner in owners]
-        first = 0
-        for stop in range(1, len(captures) + 1):
-            if stop < len(captures) and values[stop] == values[first]:
-                continue
+        for partition, numbers in groupby(range(len(captures)), key=values.__getitem__):
+            first, *others = numbers
+            stop = first + len(others) + 1
             start, end = np.searchsorted(ranks, [first, stop])
-            key = (table, schema, values[first])
+            key = (table, schema, partition)
             if key not in self._open:
-                self._open[key] = DataFile(table, rows.schema, dict(zip(self.to.partitions, values[first], strict=True)))
+                self._open[key] = DataFile(table, rows.schema, dict(zip(self.to.partitions, partition, strict=True)))
             if not self._open[key].write(rows.slice(start, end - start), captures[first:stop]):
                 self._added.append(self._open.pop(key).finish(self.to.place))
-            first = stop
 
 
 def transactions_schema() -> pyarrow.Schema:

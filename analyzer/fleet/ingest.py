@@ -38,9 +38,10 @@ from analyzer.live.spool import spool_folder
 from analyzer.table.extras import needed
 from analyzer.values import printable, quote
 
-#: A task has at most so many bytes, or one capture; and so many captures. All workers have some of few captures, too.
+#: A task has at most so many bytes, or one capture; and so many captures.
 TASK_BYTES, TASK_FILES = 64 << 20, 200
-LEAST_TASKS, LEAST_BYTES = 32, 1 << 20
+#: Tasks that each worker has at least, where they have so many bytes: fewer tasks make fewer files.
+TASKS_EACH, LEAST_BYTES = 3, 1 << 20
 #: A batch is committed after so many bytes or seconds.
 BATCH_BYTES, BATCH_SECONDS = 1 << 30, 60.0
 #: Data files of which an ingest says that they are too many, and bytes of one that is small.
@@ -176,9 +177,12 @@ def _captures(source: Place, files: Sequence[Found], lake: Place) -> Iterator[Fo
             yield each
 
 
-def tasks(found: Sequence[Work]) -> list[Task]:
-    """Share captures out: those of one day and machine stand together, the greatest tasks come first, huge ones are split."""
-    most = min(TASK_BYTES, max(LEAST_BYTES, sum(work.found.size for work in found) // LEAST_TASKS))
+def tasks(found: Sequence[Work], number: int) -> list[Task]:
+    """Share captures out to a number of workers.
+
+    Those of one day and machine stand together, the greatest tasks come first, huge ones are split.
+    """
+    most = min(TASK_BYTES, max(LEAST_BYTES, sum(work.found.size for work in found) // (TASKS_EACH * number)))
     in_order = sorted(found, key=lambda each: (str(each.date), each.machine, each.found.name))
     of_machines = groupby(in_order, key=lambda each: (each.date, each.machine))
     parts = [part for _, works in of_machines for part in _packed([[work] for work in works], most)]
@@ -268,10 +272,10 @@ class Ingest:
     def run(self, client: Any, found: Sequence[Work]) -> None:
         """Take captures. What was taken when a signal ends this is committed."""
         running: dict[Any, Task] = {}
-        left = tasks(found)[::-1]
-        most = 2 * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+        number = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+        left = tasks(found, number)[::-1]
         while left or running:
-            while left and len(running) < most:
+            while left and len(running) < 2 * number:
                 task = left.pop()
                 running[client.submit(do, task, self.lake.destination, self._options, pure=False)] = task
             scans = [task for task in running.values() if isinstance(task, Scan)]

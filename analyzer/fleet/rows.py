@@ -62,13 +62,14 @@ class Work:
     def row(self, **values: Any) -> dict[str, Any]:
         """Return a row of the table `captures`."""
         found = self.found
-        own: dict[str, Any] = {
-            "capture": self.unseen,
-            "source": self.source.url,
-            "name": found.name,
+        own: dict[str, Any] = {"capture": self.unseen, "source": self.source.url, "name": found.name}
+        own |= {
             "machine": self.machine or None,
+            "size": found.size,
+            "mark": found.mark,
+            "version": __version__,
+            "ingested_at": datetime.now(UTC),
         }
-        own |= {"size": found.size, "mark": found.mark, "version": __version__, "ingested_at": datetime.now(UTC)}
         return own | values
 
 
@@ -86,10 +87,9 @@ class Taken:
 class _Held:
     """A table of a capture: rows that wait until the capture is through."""
 
-    def __init__(self, capture: Capture, name: str, schema: pyarrow.Schema) -> None:
+    def __init__(self, capture: Capture, name: str) -> None:
         self._capture = capture
         self.name = name
-        self.schema = schema
         self.pieces: list[pyarrow.Table] = []
 
     def write(self, rows: pyarrow.Table) -> None:
@@ -117,7 +117,7 @@ class Capture:
 
     def target(self, name: str, schema: pyarrow.Schema) -> _Held:
         """Return what takes a table."""
-        held = _Held(self, name, schema)
+        held = _Held(self, name)
         self.held.append(held)
         return held
 
@@ -144,22 +144,19 @@ class Capture:
 
     def release(self, files: Files) -> None:
         """Give what is held to files."""
-        self._spans()
         owner = Owner(self.day.isoformat(), self.work.machine or None)
         for held in self.held:
             for piece in held.pieces if held.name != "metadata" else ():
+                self._spans(piece["time"])
                 files.add(held.name, piece, self.sha256, owner)
             held.pieces = []
         self._rows = 0
 
-    def _spans(self) -> None:
-        compute = needed("pyarrow.compute")
-        for held in self.held:
-            for piece in held.pieces if "time" in held.schema.names else ():
-                span = compute.min_max(piece["time"].cast("int64")).as_py()
-                if span["min"] is not None:
-                    self.first_ns = span["min"] if self.first_ns is None else min(self.first_ns, span["min"])
-                    self.last_ns = span["max"] if self.last_ns is None else max(self.last_ns, span["max"])
+    def _spans(self, times: pyarrow.ChunkedArray) -> None:
+        span = needed("pyarrow.compute").min_max(times.cast("int64")).as_py()
+        if span["min"] is not None:
+            self.first_ns = span["min"] if self.first_ns is None else min(self.first_ns, span["min"])
+            self.last_ns = span["max"] if self.last_ns is None else max(self.last_ns, span["max"])
 
 
 def _first_ns(item: Item) -> int | None:

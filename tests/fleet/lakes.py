@@ -64,7 +64,7 @@ def ingest(lake: Lake, *folders: Path | Place, retry: bool = False, pattern: str
     said = None if pattern is None else Pattern(pattern)
     found = works([each if isinstance(each, Place) else Place(str(each)) for each in folders], lake, said, retry, outcome)
     work = Ingest(lake, options(), outcome, Interrupt())
-    left = tasks(found)
+    left = tasks(found, 1)
     while left:
         task = left.pop(0)
         left += work.ended(task, Finished(do, task, lake.destination, options()))

@@ -132,12 +132,19 @@ def test_a_lake_stays_partitioned_as_it_is(captures, tmp_path, capsys):
     assert "is partitioned by date, and stays so" in capsys.readouterr().err
 
 
+def test_many_small_files_are_told_where_a_lake_could_have_fewer(captures, tmp_path, monkeypatch):
+    monkeypatch.setattr("analyzer.fleet.ingest._MANY", 10)
+    assert "--partition-by date" in ingest(lake(tmp_path / "lake"), captures).notes[0]
+    assert ingest(Lake(Place(str(tmp_path / "by date")), make=True, partitions=("date",)), captures).notes == []
+
+
 def test_few_captures_are_work_for_all_and_many_stand_together():
     def shared(count, size, machines):
         found = [Found(f"/{n}", f"{n}", size, "") for n in range(count)]
-        return [len(task) for task in tasks([Work(Place("memory://x"), f, f"m{n % machines}") for n, f in enumerate(found)])]
+        return [len(task) for task in tasks([Work(Place("memory://x"), f, f"m{n % machines}") for n, f in enumerate(found)], 4)]
 
     assert shared(10, 6 << 20, 10) == [1] * 10
+    assert shared(24, 1 << 20, 24) == [2] * 12
     assert shared(1000, 4000, 500) == [200] * 5
     # A machine is not divided where it can be avoided.
     assert set(shared(360, 4000, 3)) == {120}
@@ -155,7 +162,7 @@ def test_what_was_made_of_captures_is_none(tmp_path):
 
 def taken(made, captures):
     found = works([Place(str(captures))], made, Pattern("{machine}/{date}/*"), False, Outcome())
-    return [take(task, made.destination, options()) for task in tasks(found)]
+    return [take(task, made.destination, options()) for task in tasks(found, 1)]
 
 
 def test_two_ingests_at_once_bring_each_content_once(captures, clean, tmp_path):
@@ -240,6 +247,8 @@ def test_a_capture_that_grows_while_it_is_read_is_not_taken(tmp_path, monkeypatc
 
 def test_long_captures_have_files_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setattr("analyzer.fleet.rows.HELD", 50)
+    monkeypatch.setattr("analyzer.fleet.files.GROUP", 20)
+    monkeypatch.setattr("analyzer.fleet.files.FILE_BYTES", 3000)
     monkeypatch.setattr("analyzer.sinks.parquet.HELD", 50)
     folder = hall(tmp_path / "in", 3)
     made, plain = lake(tmp_path / "lake"), lake(tmp_path / "plain")
@@ -247,6 +256,10 @@ def test_long_captures_have_files_of_their_own(tmp_path, monkeypatch):
     monkeypatch.undo()
     ingest(plain, folder)
     assert rows(made) == rows(plain)
+    # What is full is written at once, and the next rows have another file.
+    assert len(list((tmp_path / "lake" / "states").rglob("*.parquet"))) > len(
+        list((tmp_path / "plain" / "states").rglob("*.parquet"))
+    )
 
 
 def test_a_new_column_is_added_and_another_unit_is_another_version(tmp_path):

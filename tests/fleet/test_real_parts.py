@@ -163,6 +163,37 @@ def test_a_process_that_is_killed_costs_time_alone(victim, huge, cluster, captur
         assert made.place.glob("ranges/*") == []
 
 
+def test_ctrl_c_commits_what_was_taken_and_ends(captures, clean, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(ingesting, "TASK_FILES", 1)
+    ended, sizes = Ingest.ended, []
+
+    def interrupted(self, task, future):
+        more = ended(self, task, future)
+        sizes.append(len(self._waiting))
+        if len(sizes) == 2:
+            signal.raise_signal(signal.SIGINT)
+        return more
+
+    made = str(tmp_path / "lake")
+    words = ["ingest", str(captures), "--to", made, "--machine", "{machine}/{date}/*", "--workers", "1", "--json"]
+    with monkeypatch.context() as once:
+        once.setattr(Ingest, "ended", interrupted)
+        assert main(words) == 130
+    told = json.loads(capsys.readouterr().out)
+    assert 0 < told["new"] < 6
+    assert len(rows(Lake(Place(made)))["captures"]) == told["new"] + len(told["unread"])
+    main(words)
+    assert json.loads(capsys.readouterr().out)["new"] == 6 - told["new"]
+    assert rows(Lake(Place(made))) == clean
+
+
+def test_dasks_dashboard_is_named_where_bokeh_is(captures, tmp_path, capsys, monkeypatch):
+    for there in (True, False):
+        monkeypatch.setattr(ingesting, "find_spec", lambda name, there=there: there)
+        main(["ingest", str(captures / "m0"), "--to", str(tmp_path / str(there)), "--workers", "1"])
+        assert ("Dask's dashboard: http://127.0.0.1:" in capsys.readouterr().err) == there
+
+
 def test_the_commands(captures, tmp_path, capsys):
     made = str(tmp_path / "lake")
     asked = ["ingest", str(captures), "--to", made, "--machine", "{machine}/{date}/*", "--workers", "1", "--json"]
