@@ -87,6 +87,14 @@ def add_model_argument(parser: argparse.ArgumentParser, **more: Any) -> None:
     parser.add_argument("--model", metavar="M", help="limits and units of a model: 42D 57D 28D 35D 42E 57E MF MG MH MS", **more)
 
 
+def add_group_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the option --group."""
+    parser.add_argument(
+        "--group", action="append", type=address, default=[], metavar="ADDRESS",
+        help="a group address: several drives listen, none answers; may be repeated",
+    )  # fmt: skip
+
+
 def add_ids_argument(parser: argparse.ArgumentParser) -> None:
     """Add the option --ids."""
     parser.add_argument(

@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING
 from analyzer import dialects as registry
 from analyzer.cli.option_types import (
     Ids,
+    add_group_argument,
     add_ids_argument,
     add_model_argument,
-    address,
     duration_ns,
     ids_of,
     is_size,
@@ -100,10 +100,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or the dialects on the buses: D,D")
     add_model_argument(parser, default="")
-    parser.add_argument(
-        "--group", action="append", type=address, default=[], metavar="ADDRESS",
-        help="a group address: several drives listen, none answers; may be repeated",
-    )  # fmt: skip
+    add_group_argument(parser)
     add_ids_argument(parser)
     parser.add_argument(
         "--dbc", "--modbus-map", action=_Later, metavar="FILE", help="not here: give it when the log is read (servotap show)"
