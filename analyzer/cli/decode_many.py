@@ -29,7 +29,7 @@ from typing import Any
 
 from analyzer.cli.boundary import FAULT, report
 from analyzer.cli.decode_targets import Capture
-from analyzer.cli.reading import showing_progress
+from analyzer.cli.reading import meanwhile, showing_progress
 from analyzer.cli.signals import ENDING, handled
 from analyzer.errors import ServotapError
 from analyzer.sinks.forked import Ends, Forked, available
@@ -69,9 +69,8 @@ class Far:
     @contextlib.contextmanager
     def noting(self, position: Callable[[], int], frames: Callable[[], int]) -> Iterator[None]:
         """While this is entered, note both again and again; where none is left to be told, end as at a signal."""
-        done = threading.Event()
 
-        def note() -> None:
+        def note(done: threading.Event) -> None:
             while not done.wait(_LOOK):
                 try:
                     self.put(position(), frames())
@@ -79,13 +78,8 @@ class Far:
                     os.kill(os.getpid(), signal.SIGTERM)
                     return
 
-        watcher = threading.Thread(target=note, daemon=True)
-        watcher.start()
-        try:
+        with meanwhile(note):
             yield
-        finally:
-            done.set()
-            watcher.join()
 
 
 #: Decodes a capture, and notes how far it is.

@@ -223,10 +223,10 @@ def _report(
         rows.append(f"left out: {left}: {arguments.to} holds {held} alone")
     if outcome.lost_comments:
         rows.append(f"left out: {counted(outcome.lost_comments, 'comment')}: {arguments.to} has no place for them")
-    return rows + [f"note: {text}" for text in _notes(source, outcome, broken, arguments)]
+    return rows + [f"note: {text}" for text in _notes(source, outcome, broken)]
 
 
-def _notes(source: Source, outcome: ExportResult, broken: str, arguments: argparse.Namespace) -> Sequence[str]:
+def _notes(source: Source, outcome: ExportResult, broken: str) -> Sequence[str]:
     notes = list(source.notes)
     if broken:
         notes.append(f"the capture is incomplete: {broken}")

@@ -98,6 +98,14 @@ def add_device_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_group_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the option --group."""
+    parser.add_argument(
+        "--group", action="append", type=address, default=[], metavar="ADDRESS",
+        help="a group address: several drives listen, none answers; may be repeated",
+    )  # fmt: skip
+
+
 def add_ids_argument(parser: argparse.ArgumentParser) -> None:
     """Add the option --ids."""
     parser.add_argument(

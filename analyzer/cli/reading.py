@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,9 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from analyzer.cli.option_types import (
     add_device_arguments,
+    add_group_argument,
     add_ids_argument,
     add_model_argument,
-    address,
     ids_of,
     milliseconds,
     positive,
@@ -71,10 +72,7 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
         help="data bits, parity and stop bits on the channels (default: found)",
     )  # fmt: skip
     parser.add_argument("--format", metavar="F", help="capture format, if detection by content fails")
-    parser.add_argument(
-        "--group", action="append", type=address, default=[], metavar="ADDRESS",
-        help="a group address: several drives listen, none answers; may be repeated",
-    )  # fmt: skip
+    add_group_argument(parser)
     add_ids_argument(parser)
     parser.add_argument("--late", type=milliseconds, metavar="MS", help="report replies later than this (default 1000)")
     add_time_range_arguments(parser)
@@ -361,15 +359,12 @@ def showing_progress(
 
     `frames`: counts those that are done, if their rate is to be shown.
     """
-    import threading
-
-    done = threading.Event()
     started = time.monotonic()
 
     def rate() -> str:
         return "" if frames is None else f"{frames() / (time.monotonic() - started):,.0f} frames/s"
 
-    def show() -> None:
+    def show(done: threading.Event) -> None:
         if done.wait(1.0):
             return
         from rich.markup import escape
@@ -386,16 +381,21 @@ def showing_progress(
                 if done.wait(0.2):
                     return
 
-    if not sys.stderr.isatty():
+    with meanwhile(show) if sys.stderr.isatty() else nullcontext():
         yield
-        return
-    watcher = threading.Thread(target=show, daemon=True)
-    watcher.start()
+
+
+@contextmanager
+def meanwhile(work: Callable[[threading.Event], None]) -> Iterator[None]:
+    """Do something in a thread while this is entered; it is to end when the event is set that it is given."""
+    done = threading.Event()
+    thread = threading.Thread(target=work, args=(done,), daemon=True)
+    thread.start()
     try:
         yield
     finally:
         done.set()
-        watcher.join()
+        thread.join()
 
 
 def now_text() -> str:

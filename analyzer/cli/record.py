@@ -25,9 +25,9 @@ from analyzer import dialects as registry
 from analyzer.cli.option_types import (
     Ids,
     add_device_arguments,
+    add_group_argument,
     add_ids_argument,
     add_model_argument,
-    address,
     duration_ns,
     ids_of,
     is_size,
@@ -89,10 +89,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--dialect", default="auto", metavar="D", help="auto (default), or the dialects on the buses: D,D")
     add_model_argument(parser, default="")
-    parser.add_argument(
-        "--group", action="append", type=address, default=[], metavar="ADDRESS",
-        help="a group address: several drives listen, none answers; may be repeated",
-    )  # fmt: skip
+    add_group_argument(parser)
     add_ids_argument(parser)
     add_device_arguments(parser)
     parser.add_argument("--late", type=milliseconds, default=1000.0, metavar="MS", help="late replies: after MS (default 1000)")

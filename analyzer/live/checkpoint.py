@@ -54,7 +54,6 @@ class BusState(msgspec.Struct, kw_only=True):
     reason: str = ""
     pending: bytes = b""
     pending_ns: Count = 0
-    pending_direction: str = "unknown"
     notes: list[str] = []
     lost: dict[str, int] = {}
     speed: int | None = None

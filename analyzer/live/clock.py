@@ -63,8 +63,6 @@ class WallClock:
         self._start = start
         self._last = start
         self._told_ns = start.monotonic_ns
-        #: Sum of the steps seen, in nanoseconds.
-        self.stepped_ns = 0
 
     def look(self, at: Now) -> list[Change]:
         """Return the changes since the last look, which was about a second ago: steps, and the drift once a minute."""
@@ -76,7 +74,6 @@ class WallClock:
             slept = at.boot_ns - last.boot_ns - span
             cause = "the machine slept" if abs(step - slept) <= STEP_NS else "the wall clock was set"
             changes.append(Change("clock_step", {"step_ns": step, "cause": cause}))
-            self.stepped_ns += step
         if at.monotonic_ns - self._told_ns >= DRIFT_EVERY_NS:
             self._told_ns = at.monotonic_ns
             offset = at.wall_ns - self._start.wall_ns - (at.monotonic_ns - self._start.monotonic_ns)

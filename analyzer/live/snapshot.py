@@ -127,7 +127,6 @@ class Snapshot(msgspec.Struct, omit_defaults=True, gc=False):
     frames: list[FrameLine] = []
     left_out: int = 0
     findings: list[FindingLine] = []
-    findings_left_out: int = 0
     buses: list[BusCounts] = []
     rows: list[RowCounts] = []
     rules: dict[str, int] = {}

@@ -99,7 +99,6 @@ class SnapshotSink:
         self._recent: deque[_Plain | Entry | _Piece] = deque(maxlen=NEWEST)
         self._marked: deque[Entry] = deque(maxlen=MARKED)
         self._findings: deque[Finding] = deque(maxlen=FINDINGS)
-        self._found = self._findings_taken = 0
         self._events: deque[FrameLine] = deque(maxlen=EVENTS)
         self._rules: Counter[str] = Counter()
         self._number = 0
@@ -154,7 +153,6 @@ class SnapshotSink:
         self._bus(found.port, found.first_ns).severities[found.severity] += 1
         self._rules[found.rule] += 1
         self._findings.append(found)
-        self._found += 1
 
     def comment(self, comment: Comment) -> None:
         """Take a comment, such as a mark: it is shown as an event."""
@@ -219,8 +217,6 @@ class SnapshotSink:
         left_out = things - self._things_taken - len(shown)
         self._things_taken = things
         findings = [finding_line(f) for f in self._findings]
-        missed = self._found - self._findings_taken - len(findings)
-        self._findings_taken = self._found
         self._findings.clear()
         lines = [_line(kept) for kept in shown.values()]
         lines += [event for event in self._events if event.sequence]
@@ -233,7 +229,6 @@ class SnapshotSink:
             frames=lines,
             left_out=left_out,
             findings=findings,
-            findings_left_out=missed,
             buses=[self._bus_counts(name, bus) for name, bus in self._buses.items()],
             rows=self._row_counts(rows, every=ended or whole),
             rules=dict(self._rules),

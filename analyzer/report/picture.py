@@ -37,7 +37,7 @@ def draw(figure: Figure, panels: Sequence[Panel], title: str, x: str = "time [s]
     from matplotlib.ticker import FuncFormatter
 
     # Matplotlib takes a common factor or summand out of its numbers, which is easily overlooked.
-    plain = FuncFormatter(lambda value, _: f"{value:,.12g}")
+    whole = FuncFormatter(lambda value, _: f"{value:,.12g}")
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)
     axes: list[Axes] = [row[0] for row in rows]
     for axis, panel in zip(axes, panels, strict=True):
@@ -47,7 +47,7 @@ def draw(figure: Figure, panels: Sequence[Panel], title: str, x: str = "time [s]
             axis.plot(at, values, marker=dots, markersize=4, linewidth=1, label=_plain(label))
         units = [unit for unit in dict.fromkeys(panel.units) if unit]
         axis.set_ylabel(_plain(f"{panel.name} [{', '.join(units)}]" if units else panel.name))
-        axis.yaxis.set_major_formatter(plain)
+        axis.yaxis.set_major_formatter(whole)
         axis.grid(visible=True, alpha=0.3)
         # A long list of lines would hide them.
         beside = {"loc": "center left", "bbox_to_anchor": (1, 0.5)} if len(panel.lines) > _LISTED_INSIDE else {"loc": "best"}

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import time
 
+from msgspec.structs import replace
+
 from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.endpoint import Endpoint
@@ -71,10 +73,7 @@ class CanLine(Line):
             except ServotapError as error:
                 raise LineLost(str(error)) from None
             if frame is not None:
-                return CanFrame(
-                    self.now_ns(), self.endpoint.name, frame.id, frame.data, Role.REPLY, frame.extended, frame.remote,
-                    frame.error, frame.fd,
-                )  # fmt: skip
+                return replace(frame, t_ns=self.now_ns(), port=self.endpoint.name)
             if not left_ns:
                 return None
 

@@ -11,6 +11,7 @@ import argparse
 import contextlib
 import json
 import sys
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -19,7 +20,7 @@ import msgspec
 
 from analyzer.catalogue import Dialect
 from analyzer.cli.option_types import number
-from analyzer.cli.reading import OpenCapture, add_reading_arguments, open_reading, progress
+from analyzer.cli.reading import OpenCapture, add_reading_arguments, meanwhile, open_reading, progress
 from analyzer.dialects import drive_name
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
@@ -224,11 +225,9 @@ def _bar(total: int, quiet: bool) -> Iterator[Callable[[SentStep], None] | None]
     if quiet or not sys.stderr.isatty():
         yield None
         return
-    import threading
+    count = [0]
 
-    done, count = threading.Event(), [0]
-
-    def show() -> None:
+    def show(done: threading.Event) -> None:
         from rich.live import Live
         from rich.text import Text
 
@@ -242,13 +241,8 @@ def _bar(total: int, quiet: bool) -> Iterator[Callable[[SentStep], None] | None]
     def advance(sent: SentStep) -> None:
         count[0] += 1
 
-    watcher = threading.Thread(target=show, daemon=True)
-    watcher.start()
-    try:
+    with meanwhile(show):
         yield advance
-    finally:
-        done.set()
-        watcher.join()
 
 
 # --- what is shown ------------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shlex
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -18,12 +17,10 @@ from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analyzer import __version__
 from analyzer.cli.option_types import number
 from analyzer.cli.reading import now_text
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import profile
-from analyzer.values import storable
 from conformance.claim import NotStopped, Outcome, RigFault, worst
 from conformance.cli.endpoint import say_rate
 from conformance.gate.permissions import add_gate_arguments
@@ -186,14 +183,14 @@ def _test(plan: Plan, arguments: argparse.Namespace, known: list[Deviation] | No
                 raise
             trouble = error
             stopped = isinstance(error.__context__, (KeyboardInterrupt, BrokenPipeError))
-    run_record = _run_record(plan, began, time.monotonic() - started, stopped, trouble)
+    done = _run_record(plan, began, time.monotonic() - started, stopped, trouble)
     status = _status(records, arguments, trouble)
-    refused = write_reports(records, run_record, vars(arguments))
+    refused = write_reports(records, done, vars(arguments))
     try:
         if arguments.json:
-            _print_json(run_record)
+            _print_json(done)
         else:
-            _show(records, run_record, total)
+            _show(records, done, total)
     except OSError as error:
         # What was judged, and whether a motor stands, counts more than that it could not be printed.
         unprinted = error
@@ -245,20 +242,8 @@ def _baseline(records: Sequence[VerdictRecord], known: list[Deviation], name: st
 
 
 def _run_record(plan: Plan, began: str, elapsed: float, stopped: bool, trouble: ServotapError | None) -> RunRecord:
-    allowance = plan.allowance
     notes = ["stopped by the user"] * stopped + [str(trouble)] * (trouble is not None)
-    return RunRecord(
-        targets=tuple(t.text for t in plan.targets),
-        on=tuple(t.on for t in plan.targets),
-        version=__version__,
-        started_at=began,
-        seconds=round(elapsed, 3),
-        seed=plan.seed,
-        allowed=() if allowance is None else tuple(sorted(risk.value for risk in allowance.risks)),
-        bounds={} if allowance is None else allowance.described(),
-        command=storable(shlex.join(["servotap", *sys.argv[1:]])),
-        notes=tuple(notes),
-    )
+    return plan.run_record(began, elapsed, ["servotap", *sys.argv[1:]], notes)
 
 
 def _print_json(each: VerdictRecord | RunRecord) -> None:

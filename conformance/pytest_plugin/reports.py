@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -12,8 +11,6 @@ from typing import Any
 import msgspec
 import pytest
 
-from analyzer import __version__
-from analyzer.values import storable
 from conformance.claim import RigFault
 from conformance.pytest_plugin.plan import arguments_of, plan_of
 from conformance.pytest_plugin.plugin import end_with
@@ -50,19 +47,8 @@ def judge(config: pytest.Config, verdicts: Sequence[str]) -> None:
 
 
 def _run(config: pytest.Config, reporter: Any) -> RunRecord:
-    plan = plan_of(config)
-    allowance = plan.allowance
     # pytest keeps the start under one of two names, by its version.
     start = getattr(reporter, "_session_start", None)
     began = float(getattr(start, "time", None) or getattr(reporter, "_sessionstarttime", None) or time.time())
-    return RunRecord(
-        targets=tuple(t.text for t in plan.targets),
-        on=tuple(t.on for t in plan.targets),
-        version=__version__,
-        started_at=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),
-        seconds=round(time.time() - began, 3),
-        seed=plan.seed,
-        allowed=() if allowance is None else tuple(sorted(risk.value for risk in allowance.risks)),
-        bounds={} if allowance is None else allowance.described(),
-        command=storable(shlex.join(["pytest", *sys.argv[1:]])),
-    )
+    started_at = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began))
+    return plan_of(config).run_record(started_at, time.time() - began, ["pytest", *sys.argv[1:]])

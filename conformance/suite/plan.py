@@ -9,6 +9,7 @@ import contextlib
 import fnmatch
 import multiprocessing
 import os
+import shlex
 import signal
 import tempfile
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
@@ -18,9 +19,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from analyzer import __version__
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
-from analyzer.values import near, quote
+from analyzer.values import near, quote, storable
 from conformance import claims as registry
 from conformance.claim import Claim, Outcome, Theme, Verdict
 from conformance.drives import make
@@ -30,7 +32,7 @@ from conformance.safety import settings
 from conformance.safety.keeper import cannot_keep
 from conformance.safety.stopping import MAY_MOVE
 from conformance.suite import engine, order
-from conformance.suite.record import VerdictRecord, record
+from conformance.suite.record import RunRecord, VerdictRecord, record
 from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
 from conformance.talk.probe import ALL_QUIRKS
@@ -110,6 +112,22 @@ class Plan:
         if self.themes and claim.theme.value not in self.themes:
             return False
         return not self.claims or any(fnmatch.fnmatchcase(claim.id, pattern) for pattern in self.claims)
+
+    def run_record(self, started_at: str, seconds: float, words: Sequence[str], notes: Sequence[str] = ()) -> RunRecord:
+        """Return what a run of it was. `words`: the command line."""
+        allowance = self.allowance
+        return RunRecord(
+            targets=tuple(t.text for t in self.targets),
+            on=tuple(t.on for t in self.targets),
+            version=__version__,
+            started_at=started_at,
+            seconds=round(seconds, 3),
+            seed=self.seed,
+            allowed=() if allowance is None else tuple(sorted(risk.value for risk in allowance.risks)),
+            bounds={} if allowance is None else allowance.described(),
+            command=storable(shlex.join(words)),
+            notes=tuple(notes),
+        )
 
     def check(self) -> None:
         """Raise UsageError for patterns that name no claim of any target, and for quirks that there are not."""

@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 
 from analyzer.catalogue import Dialect, Risk
 from conformance.claim import Claim
+from conformance.talk.noise import Noise
 from conformance.talk.probe import Probe, Rig
 
 
@@ -29,9 +30,20 @@ class ClaimRig(Rig, ABC):
 
     def __init__(self, dialect: Dialect, address: int) -> None:
         super().__init__(dialect, address)
+        self._in_motion: Noise | None = None
         self.shown: set[str] = set()
         self.looked_for: set[str] = set()
         self.searched = 0.0
+
+    @property
+    @abstractmethod
+    def _at_rest(self) -> Noise:
+        """What the drive and its line show at rest, by reads alone."""
+
+    @property
+    def noise(self) -> Noise:
+        """What they show at rest, and in motion where a claim needed that."""
+        return self._at_rest if self._in_motion is None else self._in_motion
 
     def missing(self, claim: Claim) -> str:
         """Return why a claim cannot run here, or nothing."""

@@ -46,7 +46,6 @@ class EmulatedRig(ClaimRig):
         self.name = specification.name
         self.model = specification.model
         self.seed = seed
-        self._in_motion: Noise | None = None
         #: Whether its drive answers motion only after it is set to.
         self._to_set = False
         given = specification
@@ -67,11 +66,6 @@ class EmulatedRig(ClaimRig):
     def group(self) -> int | None:
         drive = self.make_drive()
         return drive.settings.get(drive.group_setting)
-
-    @property
-    def noise(self) -> Noise:
-        """What a new drive of the specification shows at rest, and in motion where a claim needed that."""
-        return self._at_rest if self._in_motion is None else self._in_motion
 
     @cached_property
     def _at_rest(self) -> Noise:

@@ -100,7 +100,6 @@ class RealRig(ClaimRig):
             self.gate, self.dialect, self.address, known, self._journal, target.endpoint.text, alone=self.alone
         )
         self._ready = motion.ready_settings(self.dialect)
-        self._in_motion: Noise | None = None
         #: What makes the drive answer motion, by command, where a user has set it not to; whether it was looked at for that.
         self._loud: dict[str, dict[str, int]] = {}
         self._heard = False
@@ -182,11 +181,6 @@ class RealRig(ClaimRig):
         if command is not None and "group_address" not in self._known and settings.readable(self.dialect, command):
             return (settings.read(plain_probe(self.dialect, self.address, self.gate), command, {}) or {}).get("group_address")
         return self._known.get("group_address")
-
-    @property
-    def noise(self) -> Noise:
-        """What the drive and its line show at rest, by reads alone, and in motion where a claim needed that."""
-        return self._at_rest if self._in_motion is None else self._in_motion
 
     @cached_property
     def _at_rest(self) -> Noise:

@@ -162,7 +162,8 @@ def _brake(drive: LkDrive, request: Request) -> None:
         drive.motor.hold(braked=control == BrakeControl.POWER_OFF)
 
 
-def _write_parameter(drive: LkDrive, request: Request) -> None:
+def write_parameter(drive: LkDrive, request: Request) -> None:
+    """Store the parameter that a request writes."""
     for name, value in request.values.items():
         if name in drive.parameters:
             drive.store(name, value)
@@ -179,7 +180,7 @@ ACTS: Mapping[str, Act] = {
     "stop": _stop,
     "brake": _brake,
     **{name: obeying(move) for name, move in MOVES.items()},
-    "write_parameter": _write_parameter,
+    "write_parameter": write_parameter,
     "set_zero": _set_zero,
     "clear_turns": lambda drive, request: drive.motor.clear_turns(),
     "set_position": lambda drive, request: drive.motor.set_position(request.physical["position"]),

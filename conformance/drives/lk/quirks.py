@@ -23,7 +23,7 @@ from analyzer.protocols.lk_rs485 import EMPTY, PARAMETER_FORMS, Parameter, u16le
 from conformance.drives.drive import Drive, Hooks, Outgoing, Quirk, Request, Values
 from conformance.drives.faults.lk_behaviour import acting, lk, tuned
 from conformance.drives.faults.places import LK, request, result
-from conformance.drives.lk.drive import LkDrive
+from conformance.drives.lk.drive import LkDrive, write_parameter
 
 _TAXFROMDK = "taxfromdk/lkmotor, MS4015 with driver DS40R7, firmware 2.35"
 _VENDOR_CAN = "vendor's CAN manual V2.36, in han-xudong/pyLKMotor docs"
@@ -165,12 +165,6 @@ REBOOT = Command(
 )
 
 
-def _write_ram(drive: LkDrive, request: Request) -> None:
-    for name, value in request.values.items():
-        if name in drive.parameters:
-            drive.store(name, value)
-
-
 def _read_ram(drive: LkDrive, request: Request) -> Values:
     number = request.values["parameter"]
     for form in request.command.reply_forms:
@@ -192,7 +186,7 @@ def _firmware(drive: LkDrive) -> None:
     drive.forget("read_parameter", "write_parameter")
     drive.learn(READ_PRODUCT, answer=lambda drive, request: dict(_PRODUCT))
     drive.learn(READ_RAM, answer=_read_ram)
-    drive.learn(WRITE_RAM, _write_ram, _written)
+    drive.learn(WRITE_RAM, write_parameter, _written)
     drive.learn(REBOOT, _reboot)
 
 
