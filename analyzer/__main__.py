@@ -17,10 +17,10 @@ def main() -> int:
     handler = signal.getsignal(signal.SIGINT)
     if handler is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from analyzer import python_can
+    from analyzer import own_process
     from analyzer.cli import main as command
 
-    python_can.own_process = True
+    own_process.is_own = True
     signal.signal(signal.SIGINT, handler)
     try:
         return command()

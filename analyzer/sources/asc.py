@@ -17,7 +17,7 @@ import re
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, cast
 
-from analyzer import python_can
+from analyzer.own_process import without
 from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines, is_like, share
@@ -102,7 +102,9 @@ def _date_ns(dated: re.Match[str]) -> int | None:
 
 
 def _records(source: Source) -> Iterator[CanFrame]:
-    reader = cast(Callable[[Tap], Any], python_can.load("can.io.asc").ASCReader)
+    with without("asammdf"):
+        from can.io.asc import ASCReader
+
     clock = _Clock()
 
     decimal = False
@@ -140,5 +142,5 @@ def _records(source: Source) -> Iterator[CanFrame]:
         name = f"can{message.channel + 1}" if isinstance(message.channel, int) else None
         return clock.t_ns, source.port(name)
 
-    yield from frames(source, tap, reader, place)
+    yield from frames(source, tap, cast(Callable[[Tap], Any], ASCReader), place)
     tell_passed()

@@ -22,7 +22,7 @@ from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
 from analyzer.sources.budget import CONTAINER_LIMIT
-from analyzer.sources.source import SECOND_NS, TOGETHER, Source
+from analyzer.sources.source import SECOND_NS, Source
 from analyzer.values import counted
 
 _MAGIC = b"LOGG"
@@ -169,15 +169,9 @@ def _unpack(source: Source, body: bytes) -> bytes:
 def _objects(source: Source, pieces: Iterator[bytes | None]) -> Iterator[tuple[int, bytes]]:
     """Yield type and bytes of each object, past damage; of many messages that follow each other, together."""
     buffer = bytearray()
-    try:
-        for piece in pieces:
-            buffer += piece or b""
-            if piece is None or not source.in_blocks or len(buffer) >= TOGETHER:
-                yield from _whole(source, buffer, final=piece is None)
-    except Exception:
-        # What came before the fault is given first.
-        yield from _whole(source, buffer, final=False)
-        raise
+    for piece in pieces:
+        buffer += piece or b""
+        yield from _whole(source, buffer, final=piece is None)
     yield from _whole(source, buffer, final=True)
 
 

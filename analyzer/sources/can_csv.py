@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, cast
 
-from analyzer import python_can
+from analyzer.own_process import without
 from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines
@@ -37,7 +37,9 @@ def read(source: Source) -> Iterator[CanFrame]:
 
 
 def _records(source: Source) -> Iterator[CanFrame]:
-    reader = cast(Callable[[Tap], Any], python_can.load("can.io.csv").CSVReader)
+    with without("asammdf"):
+        from can.io.csv import CSVReader
+
     # The reader always skips the first line; a log that was appended to has headers inside.
     tap = Tap(Lines(source), lambda line: False, lambda line: bool(line.strip()) and line.strip() != _HEADER, (_HEADER,))
 
@@ -53,4 +55,4 @@ def _records(source: Source) -> Iterator[CanFrame]:
             t_ns = None
         return t_ns, source.port()
 
-    return frames(source, tap, reader, place)
+    return frames(source, tap, cast(Callable[[Tap], Any], CSVReader), place)
