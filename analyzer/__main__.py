@@ -17,8 +17,10 @@ def main() -> int:
     handler = signal.getsignal(signal.SIGINT)
     if handler is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from analyzer import own_process
     from analyzer.cli import main as command
 
+    own_process.is_own = True
     signal.signal(signal.SIGINT, handler)
     try:
         return command()

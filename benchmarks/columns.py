@@ -6,7 +6,7 @@ Two captures are made, each as candump lines, pcap and BLF: polls (four drives, 
 plausible sessions (`captures/make.py`: polls, settings, motion). Each work is done by this program and by its peers:
 
 - decode: tshark, which decodes no drive, and the plain script of `decode_peers.py`, which pairs nothing and reports nothing;
-  the share of it that zstd takes for the same chunks
+  the share of it that zstd takes for the same chunks; to Parquet: the same script, which writes tables through pandas
 - reading alone, to frames: python-can's readers
 - a filter over a log: a loop over the messages by `mcap` and `json`
 
@@ -44,7 +44,7 @@ from tests.columns.can_traffic import frames  # noqa: E402
 
 POLLS = ("read_encoder_carry", "read_speed", "read_pulses", "read_position", "read_angle_error")
 FILTER = 'command == "read_speed" and speed > 2990'
-PLAIN = "from pathlib import Path; from benchmarks.decode_peers import plain_can; plain_can(Path({!r}), Path({!r}))"
+PLAIN = "from pathlib import Path; from benchmarks import decode_peers as peers; peers.{}(Path({!r}), Path({!r}))"
 READ = "from benchmarks.parts import read; read({!r})"
 READ_PEER = "import can; sum(1 for _ in can.LogReader({!r}))"
 SHOW_PEER = "from benchmarks.parts import show; show({!r})"
@@ -132,8 +132,7 @@ def works(dump: str, pcap: str, blf: str, log: str) -> dict[str, dict[str, list[
     decoding = {
         "servotap, pcap": [*decode, log, pcap],
         "servotap, candump": [*decode, log, dump],
-        "servotap --to parquet, pcap": [*decode, f"{log}.parquet", "--to", "parquet", pcap],
-        "plain script, candump": [*python, PLAIN.format(dump, f"{log}.plain")],
+        "plain script, candump": [*python, PLAIN.format("plain_can", dump, f"{log}.plain")],
         "zstd alone, the same chunks": [*python, PACK_PEER.format(f"{log}.raw")],
     }
     if shutil.which("tshark"):
@@ -142,6 +141,11 @@ def works(dump: str, pcap: str, blf: str, log: str) -> dict[str, dict[str, list[
         decoding["tshark -T fields, pcap"] = ["tshark", "-r", pcap, "-T", "fields", *shown]
     return {
         "decode": decoding,
+        "to Parquet": {
+            "servotap, pcap": [*decode, f"{log}.parquet", "--to", "parquet", pcap],
+            "servotap, candump": [*decode, f"{log}.parquet", "--to", "parquet", dump],
+            "plain script with pandas, candump": [*python, PLAIN.format("plain_parquet", dump, f"{log}.tables")],
+        },
         "read candump": {"servotap": [*python, READ.format(dump)], "python-can": [*python, READ_PEER.format(dump)]},
         "read BLF": {"servotap": [*python, READ.format(blf)], "python-can": [*python, READ_PEER.format(blf)]},
         "filter a log": {

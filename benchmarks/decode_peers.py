@@ -94,6 +94,26 @@ def plain_can(capture: Path, target: Path) -> int:
     return count
 
 
+def plain_parquet(capture: Path, folder: Path) -> int:
+    """Decode a candump likewise, into a table for each drive and code, through pandas."""
+    import can
+    import pandas
+
+    known = database()
+    rows: dict[tuple[int, int], list[dict]] = {}
+    with can.LogReader(str(capture)) as reader:
+        for message in reader:
+            fields: dict = {}
+            with contextlib.suppress(Exception):
+                fields = dict(known.decode_message(message.arbitration_id, message.data, False, allow_truncated=True))
+            row = {"time": message.timestamp, "address": message.arbitration_id, **fields, "_raw": bytes(message.data)}
+            rows.setdefault((message.arbitration_id, message.data[0]), []).append(row)
+    folder.mkdir(exist_ok=True)
+    for (drive, code), each in rows.items():
+        pandas.DataFrame(each).to_parquet(folder / f"{drive}_{code:02X}.parquet")
+    return sum(map(len, rows.values()))
+
+
 def slicer_tables() -> tuple[dict[int, set[int]], dict[int, dict[int, tuple[str, str, list[str]]]]]:
     """Return the frame lengths by head and code, and how to unpack them: written out as a plain script would have them."""
     dialect = dialects.get("mks-rs485")

@@ -59,6 +59,16 @@ class CanBlock:
         data = np.frombuffer(b"".join([frame.data.ljust(WIDEST_DATA, b"\0") for frame in frames]), dtype=np.uint8)
         return cls(frames[0].port, t_ns, ids, sizes, data.reshape(count, WIDEST_DATA), marks)
 
+    @classmethod
+    def joined(cls, blocks: Sequence[CanBlock]) -> CanBlock:
+        """Return blocks of one bus, which follow each other, as one."""
+        import numpy as np
+
+        if len(blocks) == 1:
+            return blocks[0]
+        columns = ("t_ns", "ids", "sizes", "data", "directions")
+        return cls(blocks[0].port, *(np.concatenate([getattr(block, name) for block in blocks]) for name in columns))
+
     def __len__(self) -> int:
         return len(self.t_ns)
 

@@ -28,6 +28,7 @@ from analyzer.columns.groups import taken
 from analyzer.columns.rows import alike, physical_column, states
 from analyzer.decoder import physical
 from analyzer.layout import STATE_UNITS, Field, FieldKind
+from analyzer.own_process import without
 from analyzer.pipeline import Entry, topic_name
 from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane, Message
 from analyzer.sinks.schemas import forms_of
@@ -71,7 +72,10 @@ class File:
             # A name that is no UTF-8 is none for pyarrow.
             self._stream = self._path.open("wb")
             parquet = needed("pyarrow.parquet")
-            self._writer = parquet.ParquetWriter(self._stream, self._schema, compression="zstd", compression_level=1)
+            # Numbers differ from row to row: a dictionary of them would be made in vain.
+            words = [field.name for field in self._schema if not _is_number(field.type)]
+            options = {"compression": "zstd", "compression_level": 1, "use_dictionary": words}
+            self._writer = parquet.ParquetWriter(self._stream, self._schema, **options)
         self._writer.write_table(rows)
 
     def close(self) -> None:
@@ -79,6 +83,10 @@ class File:
         if self._writer is not None:
             self._writer.close()
             self._stream.close()
+
+
+def _is_number(kind: pyarrow.DataType) -> bool:
+    return str(kind).startswith(("int", "uint", "double", "timestamp"))
 
 
 class _Table:
@@ -129,6 +137,9 @@ class ParquetTables:
 
     def __init__(self, target: Callable[[str, pyarrow.Schema], Target], clock: Clock = Clock.UTC) -> None:
         pa = self._pa = needed("pyarrow")
+        with without("pandas"):
+            # With the first array, pyarrow looks for it once.
+            pa.array([0])
         self._target = target
         self._time = pa.timestamp("ns", "UTC" if clock is Clock.UTC else None)
         self._tables: dict[str, _Table] = {}

@@ -17,6 +17,7 @@ import re
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, cast
 
+from analyzer.own_process import without
 from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines, is_like, share
@@ -101,7 +102,8 @@ def _date_ns(dated: re.Match[str]) -> int | None:
 
 
 def _records(source: Source) -> Iterator[CanFrame]:
-    from can.io.asc import ASCReader
+    with without("asammdf"):
+        from can.io.asc import ASCReader
 
     clock = _Clock()
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, cast
 
+from analyzer.own_process import without
 from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines
@@ -36,7 +37,8 @@ def read(source: Source) -> Iterator[CanFrame]:
 
 
 def _records(source: Source) -> Iterator[CanFrame]:
-    from can.io.csv import CSVReader
+    with without("asammdf"):
+        from can.io.csv import CSVReader
 
     # The reader always skips the first line; a log that was appended to has headers inside.
     tap = Tap(Lines(source), lambda line: False, lambda line: bool(line.strip()) and line.strip() != _HEADER, (_HEADER,))

@@ -291,7 +291,7 @@ class Source:
 
     def _run(self, records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock | ByteBlock]:
         try:
-            yield from self._joined(self._timed(_with_times_of_heads(records)))
+            yield from _larger(self._joined(self._timed(_with_times_of_heads(records))))
         except ServotapError:
             raise
         # A damaged file can make a library's parser raise any exception.
@@ -396,6 +396,33 @@ class Source:
         left = self.problem_count - SHOWN_PROBLEMS
         places = "1 problem" if self.problem_count == 1 else f"{self.problem_count} problems"
         yield f"{places}: {shown}" + (f"; and {left} more" if left > 0 else "")
+
+
+def _larger(records: Iterator[Record | CanBlock | ByteBlock]) -> Iterator[Record | CanBlock | ByteBlock]:
+    """Yield records; small blocks of CAN frames that follow each other on one bus as larger ones."""
+    held: list[CanBlock] = []
+    rows = 0
+    try:
+        for record in records:
+            block = record if isinstance(record, CanBlock) else None
+            if held and (block is None or block.port != held[-1].port or rows + len(block) > _RECORDS):
+                yield CanBlock.joined(held)
+                held, rows = [], 0
+            if block is None:
+                yield record
+                continue
+            held.append(block)
+            rows += len(block)
+            if rows >= _RECORDS // 2:
+                yield CanBlock.joined(held)
+                held, rows = [], 0
+    except Exception:
+        # What came before the fault is given first.
+        if held:
+            yield CanBlock.joined(held)
+        raise
+    if held:
+        yield CanBlock.joined(held)
 
 
 def _joins(record: Record | CanBlock) -> bool:

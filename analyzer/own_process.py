@@ -1,0 +1,42 @@
+"""What other libraries load of their own accord, kept out of a process that is the program's own.
+
+python-can loads asammdf for MF4 files, and pyarrow loads pandas, wherever these are installed: a second, and 150 MB, for work
+that needs neither. The program reads MF4 files in another process, and makes no data frames on the command line. A process of
+someone else may do both by itself, so there nothing is kept out.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.abc import MetaPathFinder
+
+#: Whether this process is the program's own. Its main function sets it.
+is_own = False
+
+
+class _Hidden(MetaPathFinder):
+    """Finds one module before all others do, as one that is not installed."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def find_spec(self, fullname: str, path: object, target: object = None) -> None:
+        """Raise for this module; leave others to the other finders."""
+        if fullname == self._name:
+            raise ModuleNotFoundError(f"No module named {fullname!r}", name=fullname)
+
+
+@contextmanager
+def without(name: str) -> Iterator[None]:
+    """Have imports of a module within fail as if it were not installed, unless it was loaded before."""
+    if not is_own:
+        yield
+        return
+    hidden = _Hidden(name)
+    sys.meta_path.insert(0, hidden)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(hidden)
