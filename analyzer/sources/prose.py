@@ -67,6 +67,7 @@ _BYTES_WORD = re.compile(
 )
 _WORD = re.compile(r"(?:[^\W\d_]|(?<=\w)['\u2019](?=\w))+")
 _OBJECT = re.compile(r"\b[a-z_]\w*\.(?=[a-z_])")
+_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z][a-z])")
 #: The name of what is asked for tells no sender.
 _FUNCTION = re.compile(r"\bread (?:\d+ |holding |input |discrete )*(?:registers?|coils?|inputs?)\b")
 _SENTENCE = re.compile(r"[.!?;]\s")
@@ -186,7 +187,8 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
     if kind in ("string", "escapes", "each", "dashed"):
         return "" if len(data) >= _LEAST else None
     if kind == "list":
-        return "" if len(data) > _LEAST and (lettered or any(value >= _THREE_DIGITS for value in data)) else None
+        sure = lettered or any(value >= _THREE_DIGITS for value in data) or _BYTES_WORD.search(before) is not None
+        return "" if len(data) > _LEAST and sure else None
     # Words of two letters are none in capitals.
     if text != text.upper() and not any(c.isdigit() for c in text):
         return None
@@ -217,7 +219,8 @@ _SAID = frozenset((*ACTIONS, *MATTERS, *_VERBS)) - {"wrote"}
 def role_in_text(text: str) -> Role:
     """Return the sender by the last word of a text that tells it, and the speaker before that word."""
     # In a program `motor.send` sends to the motor.
-    words = _WORD.findall(_FUNCTION.sub("", _OBJECT.sub("", text.lower().replace("\u2019", "'"))))
+    text = _CAMEL.sub(" ", text).lower().replace("\u2019", "'")
+    words = _WORD.findall(_FUNCTION.sub("", _OBJECT.sub("", text)))
     at = next((n for n in range(len(words) - 1, -1, -1) if words[n] in _SAID), None)
     if at is None:
         speakers = [n for n, word in enumerate(words) if word in SPEAKERS]
@@ -241,6 +244,12 @@ _OTHER = {Role.REQUEST: Role.REPLY, Role.REPLY: Role.REQUEST, Role.UNKNOWN: Role
 
 def _denied(words: list[str]) -> bool:
     return any(word in _NOT or word.endswith("n't") for word in words[-4:])
+
+
+def unsent(text: str) -> str:
+    """Return why the bytes below a line of words are no traffic, by its last sentence; empty where they are."""
+    sentence = _SENTENCE.split(text)[-1]
+    return _not_sent(sentence, role_in_text(sentence))
 
 
 def _not_sent(sentence: str, role: Role) -> str:
