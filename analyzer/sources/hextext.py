@@ -86,7 +86,7 @@ _LABELLED = re.compile(r"[:=>|]\s*[\[({<'\"`]?\s*$")
 _KEPT = re.compile(r"\bold[_ ]data\s*[:=]\s*$", re.IGNORECASE)
 _LONGEST_JOINED = 256
 #: A request to read registers.
-_READ_BYTES, _REGISTERS = 8, (0x03, 0x04)
+_READ_BYTES, _REGISTERS, _READ_CODES = 8, (0x03, 0x04), (b"\x03", b"\x04")
 _SPOILT = re.compile(r"[\s,:-]{0,2}(?:0x\w{1,2}|\d\w?|\w\d)\b")
 _WORDS = re.compile(r"[^\W\d_]{3,}")
 _LABEL = re.compile(r"data|bytes?|hex|frame|buffer|message|msg|payload|raw", re.IGNORECASE)
@@ -209,6 +209,18 @@ def _asks(data: bytes) -> bool:
     return len(data) == _READ_BYTES and data[1] in _REGISTERS and modbus_crc(data) == 0
 
 
+def _replies(data: bytes) -> bool:
+    """Say whether bytes are a reply of registers, and no request."""
+    return len(data) != _READ_BYTES and data[1:2] in _READ_CODES and data[2] == len(data) - 5 and modbus_crc(data) == 0
+
+
+def _is_deaf(traffic: Sequence[HexLine], roles: Sequence[Role]) -> bool:
+    """Say whether the marks tell nothing, because all lines have the same: those of a listener, or the name of a host."""
+    if Role.REQUEST not in roles:
+        return roles.count(Role.REPLY) >= _LISTENER_LINES or any(p.role is Role.REPLY and _asks(p.data) for p in traffic)
+    return Role.REPLY not in roles and any(_replies(p.data) for p in traffic) and any(_asks(p.data) for p in traffic)
+
+
 def _is_single(lines: Sequence[str]) -> bool:
     """Say whether each line is one byte."""
     return len(lines) >= _SINGLE_LINES and all(_SINGLE.fullmatch(line) for line in lines)
@@ -241,7 +253,7 @@ class _Manner(NamedTuple):
     arrow: bool = False
     #: Bytes in `[]` were sent, those in `<>` received, as libmodbus prints them.
     brackets: bool = False
-    #: Every line is marked as received.
+    #: Every line has the same mark, which tells nothing.
     deaf: bool = False
     #: A number stands before the bytes of each line.
     led: bool = False
@@ -275,8 +287,7 @@ class _Manner(NamedTuple):
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
             brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
             led=len(traffic) > 1 and all(p.led for p in traffic[:2]),
-            deaf=Role.REQUEST not in roles
-            and (roles.count(Role.REPLY) >= _LISTENER_LINES or any(p.role is Role.REPLY and _asks(p.data) for p in traffic)),
+            deaf=_is_deaf(traffic, roles),
             prose=prose,
             fields=prose and _has_fields(lines),
             cells=prose and _has_cells(lines),
@@ -300,7 +311,7 @@ class _Manner(NamedTuple):
         """Say what was concluded, and what could not be."""
         radixes = {p.radix for p in parts if p.shape is Shape.TRAFFIC}
         if self.deaf:
-            yield "every line is marked as received, as a listener's log is: the marks do not tell the sender"
+            yield "every line has the same mark, as a listener's log does: the marks do not tell the sender"
         if self.quoted:
             yield "lines of words begin with '>', too: it is read as a quotation, not as sent by the host"
         if self.arrow:
@@ -372,6 +383,7 @@ class _Reader:
         self._rows = bytearray()
         #: Who sent the bytes below words, and whether any came.
         self._above = Role.UNKNOWN
+        self._above_words: frozenset[str] = frozenset()
         self._below = False
         #: Why the bytes below words are no traffic.
         self._unsent = ""
@@ -458,6 +470,7 @@ class _Reader:
         said = mentions(line.text, self._manner.brackets) if not line.text.startswith("#") or self._manner.commented else []
         if self._manner.prose and not said and _WORDS.search(line.text):
             self._above, self._below, self._unsent = role_in_text(line.text), False, unsent(line.text)
+            self._above_words = frozenset(_WORDS.findall(line.text))
         if not self._manner.prose:
             # Programs print again in words what they sent and received; new is what a label with a sender stands before.
             new = [each for each in said if not each.left and not self._is_known(each.data)]
@@ -492,7 +505,7 @@ class _Reader:
             self._source.note(f"frames stand in sentences, the first in {where}: who sent is told by the word before")
         self._said += len(frames)
         yield self._source.comment(t_ns, f"{where}: {text}")
-        alone = all(_LABEL.fullmatch(word) for word in _WORDS.findall(text))
+        alone = all(_LABEL.fullmatch(word) or word in self._above_words for word in _WORDS.findall(text))
         for each in frames:
             self._know(each.data)
             role = self._marks(self._above) if each.role is Role.UNKNOWN and alone else each.role

@@ -45,7 +45,8 @@ _RUN = re.compile(
     # Each byte in brackets.
     rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<\s?{_ITEM}\s?>\s*){{2,}}|(?:\{{{_ITEM}\}}\s*){{2,}})"
     # `10-15-0-204`, as modbus_tk prints it.
-    rf"|(?P<dashed>{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})\d{{1,3}}(?:-\d{{1,3}}){{4,}}(?![\w.-]))"
+    rf"|(?P<dashed>(?:{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})|(?<=[<-]-)(?=[\d-]*\b\d\b)|(?<=(?:<-|->)[ \t])(?=[\d-]*\b\d\b))"
+    r"\d{1,3}(?:-\d{1,3}){2,}(?![\w.-]))"
     rf"|(?P<list>[\[({{]\s*-?{_ITEM}(?:\s*,\s*-?{_ITEM})+\s*,?\s*[\])}}])"
     rf"|(?P<pairs>{_NOTHING_BEFORE}(?:{_MARKED}(?:(?:, ?|[ :-]){_MARKED})+"
     rf"|(?:0[xX])?{_PAIRS}(?: {{1,2}}{_PAIRS})+"
@@ -146,6 +147,8 @@ def _data(run: re.Match[str]) -> bytes | None:
         return bytes.fromhex(text)
     if kind == "pairs" and "x" not in text.lower()[2:]:
         return bytes.fromhex(re.sub(r"0[xX]|[^0-9A-Fa-f]", "", text))
+    if kind == "dashed":
+        return written.decimal(text)
     found = written.read(text)
     return None if found is None else found.data
 
