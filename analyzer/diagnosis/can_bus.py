@@ -25,7 +25,8 @@ _ACK_PLACES = (0x19, 0x1B)
 _FORM_OR_STUFF, _SENT_BIT = 0x02 | 0x04, 0x01 | 0x08 | 0x10
 _KINDS = {0x01: "single bit", 0x02: "form", 0x04: "stuff", 0x08: "dominant bit", 0x10: "recessive bit"}
 #: Without an acknowledge the counter of a sender goes up to here, and no further.
-_PASSIVE = 128
+#: A sender that no node acknowledges counts by eight until it is passive, and then no further.
+_PASSIVE = range(128, 137)
 _SENDER_PASSIVE, _RECEIVER_PASSIVE, _OVERFLOW = 0x20, 0x10, 0x02
 #: A counter of errors at the warning or above, for a sender or a receiver.
 _STRAINED = 0x3C
@@ -97,7 +98,7 @@ def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:
             found.silent.append(piece)
         elif can.id & _PROTOCOL and at.get(_TYPE):
             found.garbled.append(piece)
-        elif can.id & _CONTROLLER and at.get(_STATE, 0) & _SENDER_PASSIVE and at.get(_SENT_COUNTER) == _PASSIVE:
+        elif can.id & _CONTROLLER and at.get(_STATE, 0) & _SENDER_PASSIVE and at.get(_SENT_COUNTER) in _PASSIVE:
             found.stuck.append(piece)
         elif can.id & _CONTROLLER and at.get(_STATE, 0) & _RECEIVER_PASSIVE and at.get(_RECEIVED_COUNTER, 0) >= _WARNING:
             found.deaf.append(piece)
@@ -138,7 +139,7 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
     elif errors.stuck and not heard and not garbled and not errors.off:
         yield _suspicion(
             "can_no_ack", Confidence.LIKELY, [*all_errors, *unanswered], errors.stuck, heard,
-            "The counter of the sender's errors stands at 128, as it does where no node acknowledges.", _ALONE,
+            "The counter of the sender's errors stands where it does if no node acknowledges: at 128, or little above.", _ALONE,
         )  # fmt: skip
     if garbled and not heard and not on_sending:
         yield _suspicion(

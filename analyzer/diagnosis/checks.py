@@ -6,6 +6,7 @@ its sender got no other right.
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
@@ -127,6 +128,8 @@ _LOOKED_AT = 200
 _HEAD = 4
 #: Bytes before a frame that are looked for.
 _STRAY = 3
+#: A program's word for how many bytes went out.
+_WRITTEN = re.compile(r"\b(?:written|wrote|sent|write)\b\D{0,12}?(\d{1,3}) bytes?\b", re.IGNORECASE)
 
 
 class Failing(NamedTuple):
@@ -153,8 +156,10 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         each for each in failing
         if each.size == 0 and each.trouble.offset not in bare and each.right not in whole
     ]  # fmt: skip
-    # A drive answers no request without its check: one that is answered shows that the log leaves the checks out.
-    if any(_answered(scene, each) for each in missing):
+    # A drive answers no request without its check: one that is answered shows that the log leaves the checks out. So does a
+    # log that counts more bytes than it prints.
+    sizes = {int(found) for words in scene.words for found in _WRITTEN.findall(words)}
+    if any(_answered(scene, each) or len(each.right) in sizes - {len(_data(each))} for each in missing):
         replied = any(p.is_reply and p.sound for p in scene.pieces)
         scene.explained.update(
             t for t in scene.damaged if t.stretch is not None and not replied and scene.reader.bare(t.stretch.data)

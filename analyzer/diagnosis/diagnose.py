@@ -10,6 +10,7 @@ from typing import Any
 from analyzer.catalogue import Dialect
 from analyzer.diagnosis import (
     adapters,
+    answerer,
     can_bus,
     checks,
     echo,
@@ -17,6 +18,7 @@ from analyzer.diagnosis import (
     line,
     meant,
     other_makers,
+    other_protocols,
     pace,
     quirks,
     requests,
@@ -48,9 +50,11 @@ HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
     meant.look,
     echo.look,
     host.look,
+    answerer.look,
     pace.look,
     silence.look,
     quirks.look,
+    other_protocols.look,
     line.look,
     senders.look,
     told.look,

@@ -219,7 +219,7 @@ def _side(scene: Scene, side: Role, all_garbled: list[_Garbled]) -> Iterator[Sus
         best = max((best, *_at_other_speeds(garbled), *_of_replies(garbled)), key=lambda way: way.taken)
     if best.fits:
         yield _said(best, [each.trouble for each in all_garbled])
-    elif not _sound(scene, side) and _same_line_noise(garbled):
+    elif not _sound(scene, side) and (_same_line_noise(garbled) or _no_reply_at_all(garbled)):
         yield _unknown(garbled)
 
 
@@ -267,6 +267,19 @@ def _same_line_noise(garbled: Sequence[_Garbled]) -> bool:
     )
 
 
+def _no_reply_at_all(garbled: Sequence[_Garbled]) -> bool:
+    """Say whether what comes at once behind each request has nothing of a reply: none of its bytes, no letters, no check."""
+    return all(
+        len(data) >= _FEWEST
+        and bool(replies)
+        and not any(byte in data for reply in replies for byte in reply.head[:_ALIKE])
+        and not all(byte in _PRINTED for byte in data)
+        and not all(byte.bit_count() >= _IDLE_BITS for byte in data)
+        and not any(check(data) for check in _CHECKS)
+        for _, data, replies in garbled
+    )
+
+
 def _of_few_bytes(data: bytes) -> bool:
     """Say whether many bytes are the same few, which are not those of an idle line."""
     different = set(data)
@@ -278,7 +291,7 @@ def _unknown(garbled: Sequence[_Garbled]) -> Suspicion:
     first = garbled[0]
     return Suspicion(
         "wrong_baud", Confidence.POSSIBLE, [each.trouble for each in garbled],
-        "Nothing that comes is a frame, and it repeats itself: the receiver is set up otherwise than the sender, most likely "
+        "Nothing that comes is a frame, or has a byte of one: the receiver is set up otherwise than the sender, most likely "
         "to another speed.",
         f"{shown(first.data)} at byte {first.trouble.offset}; {counted(len(garbled), 'time')}, and no whole frame",
         "The bytes cannot tell which; try in this order: the speed (`servotap record serial:PORT,baud=auto` finds it), A and B "
@@ -547,14 +560,19 @@ def _of_replies(garbled: Sequence[_Garbled]) -> Iterator[_Way]:
     for cause, line in (("inverted_lines", Line(inverted=True)), *(("wrong_baud", Line(ratio)) for ratio in _ratios())):
         fits, different, least = [], set(), _FEWEST
         for trouble, data, replies in asked:
-            begun = [(value, r.head, m) for r in replies for value, m in _starts(r.head, line) if _has(data, value, m)]
+            # The edge by which a driver is switched on is low on a line whose wires are swapped.
+            heard = data.removeprefix(b"\0") if line.inverted else data
+            begun = [(value, r.head, m) for r in replies for value, m in _starts(r.head, line) if _has(heard, value, m)]
             if begun:
                 value, head, mask = max(begun)
-                fits.append(_Fit(trouble, data, head, len(value)))
+                fits.append(_Fit(trouble, heard, head, len(value)))
                 different.add(value)
                 # Of some bits of a byte more must agree.
                 least = max(least, _FEWEST if mask.count(0xFF) == len(mask) else 2 * _FEWEST)
-        if len(fits) >= max(least, _ALMOST_ALL * len(asked)) and len(different) >= _DISTINCT:
+        # One way has no choice among speeds: of its bytes two are no chance.
+        sure = line.inverted and any(fit.taken >= _ALIKE for fit in fits)
+        enough = len(fits) >= max(least, _ALMOST_ALL * len(asked)) and len(different) >= _DISTINCT
+        if enough or (sure and len(fits) >= _ALMOST_ALL * len(asked)):
             yield _Way(cause, line.ratio, fits)
 
 

@@ -104,7 +104,19 @@ def _jbd(data: bytes) -> bool:
 
 
 def _daly(data: bytes) -> bool:
-    return len(data) == 13 and data[0] == 0xA5 and data[3] == 8 and sum(data[:-1]) & 0xFF == data[-1]
+    """Say whether bytes are frames of thirteen, as a host reads several at once."""
+    rows = [data[at : at + 13] for at in range(0, len(data), 13)]
+    return bool(rows) and all(
+        len(row) == 13 and row[0] == 0xA5 and row[3] == 8 and sum(row[:-1]) & 0xFF == row[-1] for row in rows
+    )
+
+
+def _m_bus(data: bytes) -> bool:
+    size = len(data)
+    if size == 5 and data[0] == 0x10:
+        return data[-1] == 0x16 and sum(data[1:3]) & 0xFF == data[3]
+    whole = size >= 9 and data[0] == data[3] == 0x68 and data[1] == data[2] == size - 6
+    return whole and data[-1] == 0x16 and sum(data[4:-2]) & 0xFF == data[-2]
 
 
 def _meter(data: bytes) -> bool:
@@ -146,6 +158,7 @@ MAKES = (
     Make("a battery of JBD (DD ... 77)", _jbd, 1, _PROTOCOL),
     Make("a battery of Daly (A5, thirteen bytes)", _daly, 1, _PROTOCOL),
     Make("an electricity meter (68 ... 68 ... 16)", _meter, 1, _PROTOCOL),
+    Make("a meter on M-Bus (10 ... 16, 68 ... 16)", _m_bus, 1, _PROTOCOL),
     Make("a controller of Omron (FINS)", _fins, 1, _SERVICE),
     Make("a controller of Siemens (S7, which begins a connection by 03 00)", _tpkt, 1, _SERVICE),
     Make("Modbus ASCII", _modbus_ascii, 1, "Set both sides to Modbus RTU"),

@@ -68,6 +68,9 @@ def _not_asked(scene: Scene, placed_: Placed) -> bool:
 
 
 def _of_another(scene: Scene, late: list[Placed]) -> Iterator[Suspicion]:
+    # A reply is late where it was owed: nothing came behind its request.
+    silent = [e.request for chain in chains(scene) for e in chain if not e.received]
+    late = [p for p in late if any(r.offset < p.read.offset and r.data[:2] == p.read.data[:2] for r in silent)]
     if not late or len(late) >= _LATE:
         return
     first = late[0]

@@ -83,7 +83,8 @@ REPORTS = (
         r"|\(0 received\)|no communication with the instrument|\bNoResponseError|TransactionTimedOut"
         r"|no response (?:received )?from the (?:remote )?(?:unit|slave|device)|request result: 0x(?:0?b|e4)\b"
         r"|modbus[^\n]{0,60}\btimed?[ -]?out\b(?! ?[=:(])|modbus\w*(?:timeout|timedout)(?:error|exception)"
-        r"|\bconnection timed out: select"
+        r"|\bconnection timed out: select|(?<!set )\b(?:response|reply) time[ -]?out\b(?! ?(?:[=:(]|is|of|to|for|set))"
+        r"|\btime[ -]?out\W{1,3}no (?:response|reply|answer)\b"
         r"|\b(?:read|write)\w*\b[^\n]{0,40}\bfailed: ?(?:connection|operation) timed out",
         "no_reply", "no reply came in time", _TRY,
     ),

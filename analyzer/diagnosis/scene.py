@@ -323,7 +323,9 @@ class Scene:
         return [
             trouble
             for trouble in self.of("host_echo")
-            if trouble.piece is not None and self.timed and (asked := self._before(trouble.piece)) is not None
+            # What the capture shows as received came back, however late a library has read it.
+            if trouble.piece is not None and self.timed and not (self.shows_sent and self.direction(trouble.offset) is Role.REPLY)
+            and (asked := self._before(trouble.piece)) is not None
             and trouble.piece.t_ns - asked.t_ns > _ECHO_NS
         ]  # fmt: skip
 

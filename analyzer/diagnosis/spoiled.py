@@ -239,15 +239,27 @@ def _glitch(scene: Scene, part: _Part, before: _Part | None, behind: _Part | Non
 
 def _cut(scene: Scene, trouble: Trouble, stretch: Stretch) -> _Edge | None:
     """Return a glitch before a reply that lacks as many bytes at its end: the host reads as many as the reply has."""
-    asked = scene.asked_before(stretch.offset)
-    for reply in replies_to(asked):
-        for size in range(1, min(_GLITCH_BYTES, len(stretch.data) - _LEAST_OF_REPLY) + 1):
-            rest = stretch.data[size:]
-            pulse = GLITCHES.issuperset(stretch.data[:size])
+    asked = replies_to(scene.asked_before(stretch.offset))
+    for size in range(1, min(_GLITCH_BYTES, len(stretch.data) - _LEAST_OF_REPLY) + 1):
+        stray, rest = stretch.data[:size], stretch.data[size:]
+        # Any bytes can be stray; of those that no pulse makes few are.
+        if not GLITCHES.issuperset(stray) and size > _STRAY_BYTES:
+            return None
+        for reply in asked:
             ends = stretch.ends or len(stretch.data) == reply.size
-            if pulse and ends and rest.startswith(reply.head) and reply.size - size <= len(rest) < reply.size:
-                return _Edge(trouble, stretch.data[:size], rest, Role.REPLY)
+            # Its own end before it is no glitch: the reads are out of step.
+            turned = not GLITCHES.issuperset(stray) and reply.stands(rest + stray, 0)
+            if ends and not turned and rest.startswith(reply.head) and reply.size - size <= len(rest) < reply.size:
+                return _Edge(trouble, stray, rest, Role.REPLY)
+        if not asked and size == 1 and stretch.ends and GLITCHES.issuperset(stray) and _lacks_last(rest):
+            return _Edge(trouble, stray, rest, Role.REPLY)
     return None
+
+
+def _lacks_last(data: bytes) -> bool:
+    """Say whether bytes are a reply of registers whose last byte alone is missing."""
+    whole = data[1:2] in _REGISTERS and 3 + data[2] + 1 == len(data)
+    return whole and modbus_crc(data[:-1]) & 0xFF == data[-1]
 
 
 def _stretch(edge: _Edge) -> Stretch:

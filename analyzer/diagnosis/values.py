@@ -49,13 +49,14 @@ class Word(NamedTuple):
 
 
 class Odd(NamedTuple):
-    """A value that is not as the manual has it. `right`: the own data as meant."""
+    """A value that is not as the manual has it. `right`: the own data as meant; `sure`: one alone is no chance."""
 
     piece: Piece
     message: Message
     got: str
     meant: str
     right: bytes
+    sure: bool = True
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -90,6 +91,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     sizes = {size for size, weight in by_swap.items() if weight >= _ENOUGH and weight > 2 * kept[size]}
     swapped = {_key(message): _swapped(piece, message, word, sizes) for piece, message, word in rounder if word.size in sizes}
     signed = {key: odd for key, odd in signed.items() if key not in swapped}
+    if len(signed) == 1 and not next(iter(signed.values())).sure:
+        signed = {}
     yield from _said(
         scene, sent, "wrong_byte_order", swapped, "The bytes of the values stand in the wrong order.",
         "Pack the values the other way round",
@@ -225,7 +228,8 @@ def _signed(piece: Piece, message: Message, word: Word) -> Odd | None:
         return None
     data = message.data[word.start : word.stop]
     value = int.from_bytes(data, "little" if field.order is Order.LITTLE else "big", signed=True)
-    rounder = len(data) > 2 and _digits(value) + 2 * _ROUNDER <= _digits(word.value(data))
+    fewer = _digits(word.value(data)) - _digits(value) if len(data) > 2 else 0
+    rounder = fewer >= 2 * _ROUNDER
     if not (value < 0 and -value <= field.high and (not word.allowed(data) or rounder)):
         return None
     values = {name: v for name, v in message.values.items() if isinstance(v, int | bytes)}
@@ -235,7 +239,9 @@ def _signed(piece: Piece, message: Message, word: Word) -> Odd | None:
         if other < 0 and not each.allowed(part):
             values[each.field.name] = -other
     right = codec(message.form.layout).encode({**values, field.name: -value, direction: 1})
-    return Odd(piece, message, _text(word, word.value(data)), _text(word, value), right)
+    # Of all values that are allowed some thousandth looks so.
+    sure = fewer >= 3 * _ROUNDER or not word.allowed(data)
+    return Odd(piece, message, _text(word, word.value(data)), _text(word, value), right, sure)
 
 
 def _text(word: Word, value: int) -> str:

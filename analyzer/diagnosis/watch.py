@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 #: Frames and reads that are kept before and behind a trouble.
 _NEAR = 128
+#: Chunks that are looked at together.
+_AT_ONCE = 64
 #: Frames with what stands near them, and findings, of which more would show nothing new.
 _MOST_KEPT = 20_000
 _MOST_FINDINGS = 5_000
@@ -53,6 +55,8 @@ class Watch:
         self._near: deque[_Kept | _Rows] = deque(maxlen=_NEAR)
         self._kept: list[_Kept] = []
         self._reads_near: deque[tuple[Chunk, int]] = deque(maxlen=2 * _NEAR)
+        #: Chunks that came since, without their places.
+        self._chunks: list[Chunk] = []
         self._reads: list[tuple[Chunk, int]] = []
         #: The last block of bytes: where it begins on its bus, and how many of its chunks are among the reads that are near.
         self._block: ByteBlock | None = None
@@ -68,7 +72,13 @@ class Watch:
 
     def take(self, item: Item, offset: int | None = None) -> None:
         """Take an item of the source. `offset`: its first byte on its bus; None: it follows the item before."""
-        # Each item of a capture comes by here: what costs nothing stands first.
+        # Each item of a capture comes by here: what is usual costs least.
+        if item.__class__ is Chunk and offset is None and self._block is None:
+            self._chunks.append(item)
+            if len(self._chunks) >= _AT_ONCE:
+                self._number()
+            return
+        self._number()
         if isinstance(item, (Chunk, ByteBlock)):
             if self._block is not None:
                 self._read_block(len(self._block))
@@ -84,6 +94,18 @@ class Watch:
                 self._block_timed = item.t_ns is not None
         if not self.timed and item.t_ns is not None:
             self.timed = True
+
+    def _number(self) -> None:
+        """Give the chunks that came their places on their buses."""
+        offsets, chunks = self._offsets, self._chunks
+        for chunk in chunks:
+            port = chunk.port
+            offset = offsets.get(port, 0)
+            offsets[port] = offset + len(chunk.data)
+            self._reads_near.append((chunk, offset))
+        if not self.timed:
+            self.timed = any(chunk.t_ns is not None for chunk in chunks)
+        chunks.clear()
 
     def _read_block(self, chunks: int) -> None:
         """Put the chunks of the present block that were needed so far among the reads."""
@@ -160,6 +182,7 @@ class Watch:
         self._findings.clear()
 
     def _keep(self) -> None:
+        self._number()
         if self._block is not None:
             self._read_block(self._block.taken)
         if len(self._kept) < _MOST_KEPT:

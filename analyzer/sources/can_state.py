@@ -3,6 +3,7 @@
     can state ERROR-PASSIVE (berr-counter tx 128 rx 0) restart-ms 0          ip
     [ 6609.448256] mttcan c310000.mttcan can0: entered error warning state   the kernel
     write: No buffer space available                                         a program that sends
+    tx_err=128 rx_err=0                                                      a library, of its counters
 
 Each becomes an error frame with SocketCAN's classes, as an adapter that reports errors sends it. A controller that is active
 and has never been off the bus is none. Frames of candump or in words between them are read as well.
@@ -59,6 +60,13 @@ _SAID: tuple[tuple[re.Pattern[str], int, str], ...] = tuple(
         (rf"{_STATED}\bBIT0_?ERR(?:OR)?{_NO_CODE}", _PROTOCOL | _BUS_ERROR, "00 00 08"),
     )
 )
+#: The counters of errors, as programs print them; the other may stand in the next line.
+_COUNTERS = re.compile(
+    r"\b(?:(?:tx|transmit)[\s_-]?err(?:or)?s?(?:[\s_-]?(?:counter|count|cnt))?|TEC)\W{1,3}(?P<sent>\d{1,3})\b"
+    r"(?:\W{1,4}(?:(?:rx|receive)\w*(?:[\s_-]?err(?:or)?s?)?(?:[\s_-]?(?:counter|count|cnt))?|REC)\W{1,3}(?P<received>\d{1,3})\b)?",
+    re.IGNORECASE,
+)
+_WARNING, _PASSIVE = 96, 128
 #: What candump says below an error frame, as far as that frame itself is not there.
 _EXPLAINED = tuple(
     (re.compile(pattern), number, data)
@@ -80,7 +88,7 @@ def score(head: bytes) -> float:
     """Say how sure it is that this text tells the state of a controller, 0..1."""
     lines = [line for line in head_lines(head)[:_SAMPLE_LINES] if len(line) <= _LONGEST_LINE]
     explained = _explained(lines)
-    if not any(_IP.search(line) or _said(line, explained) is not None for line in lines):
+    if not any(_IP.search(line) or _said(line, explained) is not None or _counted(line) is not None for line in lines):
         return 0.0
     # A word on the controller may stand in a capture of any format, as a comment; it takes no times from it, and no bytes.
     frames = [line for line in lines if _frame(line) is not None]
@@ -107,6 +115,8 @@ def _records(source: Source) -> Iterator[CanFrame | Comment]:
             off = found["state"] == "BUS-OFF"
         elif counts and not off and (six := _SIX.fullmatch(text)) is not None and int(six[1]):
             frame = _error(_BUS_OFF, b"")
+        elif frame is None and len(text) <= _LONGEST_LINE:
+            frame = _counted(text)
         counts = _COUNTS.fullmatch(text) is not None
         if frame is None:
             frame = _frame(text)
@@ -129,6 +139,16 @@ def _state(found: re.Match[str]) -> CanFrame | None:
     sent, received = (min(int(found[name] or 0), _LARGEST_BYTE) for name in ("sent", "received"))
     kind = sending if sent > received else receiving if received > sent else sending | receiving
     return _error(number, bytes((0, kind, 0, 0, 0, 0, sent, received)))
+
+
+def _counted(text: str) -> CanFrame | None:
+    """Return the error frame of counters that a program prints, where one of them is high."""
+    found = _COUNTERS.search(text)
+    sent, received = (min(int(found[name] or 0), _LARGEST_BYTE) for name in ("sent", "received")) if found else (0, 0)
+    if max(sent, received) < _WARNING:
+        return None
+    kind = (0x20 if sent >= _PASSIVE else 0x08) if sent >= received else (0x10 if received >= _PASSIVE else 0x04)
+    return _error(_CONTROLLER, bytes((0, kind, 0, 0, 0, 0, sent, received)))
 
 
 def _explained(lines: Sequence[str]) -> bool:

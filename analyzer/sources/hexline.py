@@ -88,6 +88,10 @@ _signs = "|".join(re.escape(sign) for sign in sorted(SIGNS, key=len, reverse=Tru
 _END = r"(?![0-9A-Za-z_]|::)"
 _DECORATION = r"[\s:=<>|\])→←◇◆：,]*(?:-+[>\s]\s*)?"
 _PAIR = r"(?:0[xX])?[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])"
+#: What is written or read by its number, by name: what stands behind are a number and values, no bytes.
+_VALUES = r"(?:reg|coil|bits?(?![a-z])|float|holding|input)"
+#: What bytes are called behind the word that says who sent: `ReadFrame`, `rx_buffer`, `TX data`.
+_CONTENT = r"(?:data|bytes?|frame|adu|pdu|buffer|buf|packet|msg|message|raw)"
 #: What bytes can begin with.
 _BYTES = rf"(?={_PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*$|(?:[0-9A-Fa-f]{{2}}\.){{5}}|-?\d{{1,3}}[\s,])"
 
@@ -104,11 +108,11 @@ _ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         (
             When.ANY,
             "(",
-            rf"\s*(?:[$>\s]*)(?:[A-Za-z_]\w*\.)*(?P<call>{_words})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"']))?",
+            rf"\s*(?:[$>\s]*)(?:[A-Za-z_]\w*\.)*(?P<call>{_words})(?!\w*{_VALUES})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"']))?",
         ),
-        (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{_words}){_END}{_DECORATION}"),
+        (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{_words})(?:_?{_CONTENT})?{_END}{_DECORATION}"),
         # What the bytes are called, how many they are, a counter as Modbus Poll prints it.
-        (When.MARKED, "", rf"(?:hex|data|bytes?|frame|adu|pdu|buffer|buf|msg|message|raw){_END}[\s:=>]*"),
+        (When.MARKED, "", rf"(?:hex|{_CONTENT}){_END}[\s:=>]*"),
         (When.MARKED, "", r"len(?:gth)?\s*[=:]?\s*\d{1,5}\s*(?:bytes?)?(?:[\s:=>,-]+(?:(?:from|to)=\d+\s*)*|$)"),
         (When.MARKED, "", r"[\[(]\s*(?:len\s*[=:]?\s*)?\d{1,5}\s*(?:bytes?|B)?\s*[\])](?!\s*[\[(])[\s:=>-]*"),
         (When.MARKED, "", rf"\d{{1,5}}\s+bytes?\s*[:=]?\s*{_BYTES}"),

@@ -29,7 +29,7 @@ from analyzer.records import Chunk, Comment
 from analyzer.sources.hexline import HexLine, Shape, bytes_of, take_apart
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.marks import ReceivedMarks
-from analyzer.sources.prose import Quotation, mentions, quotations, role_in_text, spells_frame
+from analyzer.sources.prose import Quotation, mentions, quotations, role_in_text, spells_frame, unsent
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import StampClock
 from analyzer.sources.written import Radix, decimal
@@ -80,11 +80,13 @@ _LONG_LINE = re.compile(r"(?:<[0-9A-F]{2}>){24,}\s*", re.IGNORECASE)
 _WRAPPED = re.compile(r"(?:<[0-9A-F]{2}>)+\s*", re.IGNORECASE)
 #: A library's word for a frame that it goes on with, and has printed before.
 _AGAIN = re.compile(r"\bprocessing\b\W*$", re.IGNORECASE)
+#: What parts a label from its bytes: those of a sentence have none.
+_LABELLED = re.compile(r"[:=>|]\s*[\[({<'\"`]?\s*$")
 #: A library's word for what it had read before.
 _KEPT = re.compile(r"\bold[_ ]data\s*[:=]\s*$", re.IGNORECASE)
 _LONGEST_JOINED = 256
 #: A request to read registers.
-_READ_BYTES, _REGISTERS = 8, (0x03, 0x04)
+_READ_BYTES, _REGISTERS, _READ_CODES = 8, (0x03, 0x04), (b"\x03", b"\x04")
 _SPOILT = re.compile(r"[\s,:-]{0,2}(?:0x\w{1,2}|\d\w?|\w\d)\b")
 _WORDS = re.compile(r"[^\W\d_]{3,}")
 _LABEL = re.compile(r"data|bytes?|hex|frame|buffer|message|msg|payload|raw", re.IGNORECASE)
@@ -99,9 +101,12 @@ _LONGEST_REPORT = 400
 _PIECES = 50
 #: A header's lines are collected up to this many bytes.
 _COLLECTED = 1 << 16
-#: Frames kept to know them again in words.
-_KNOWN = 1000
+#: Frames kept to know them again in words, and bytes of the shortest that has a CRC and something in it.
+_KNOWN, _LEAST_CHECKED = 1000, 5
 _AT_ONCE_NS = 1_000_000_000
+#: Digits without a gap, and an odd number of them; and so many such lines are no slip.
+_RUN_OF_DIGITS, _ODD_DIGITS = re.compile(r"\s*[0-9A-F]{5,}\s*"), re.compile(r"\s*[0-9A-F](?:[0-9A-F]{2}){2,}\s*")
+_UNPADDED_LINES = 2
 #: How many bytes a line has: nothing to tell anyone.
 _COUNTED = re.compile(r"\(?\s*(?:len\w*\s*[=:]?\s*)?\d+\s*(?:bytes?|B)?\s*\)?(?:\s*=\s*\d+)?", re.IGNORECASE)
 _HEX_LETTER = re.compile(r"[A-Fa-f]|0x|\\x")
@@ -204,6 +209,18 @@ def _asks(data: bytes) -> bool:
     return len(data) == _READ_BYTES and data[1] in _REGISTERS and modbus_crc(data) == 0
 
 
+def _replies(data: bytes) -> bool:
+    """Say whether bytes are a reply of registers, and no request."""
+    return len(data) != _READ_BYTES and data[1:2] in _READ_CODES and data[2] == len(data) - 5 and modbus_crc(data) == 0
+
+
+def _is_deaf(traffic: Sequence[HexLine], roles: Sequence[Role]) -> bool:
+    """Say whether the marks tell nothing, because all lines have the same: those of a listener, or the name of a host."""
+    if Role.REQUEST not in roles:
+        return roles.count(Role.REPLY) >= _LISTENER_LINES or any(p.role is Role.REPLY and _asks(p.data) for p in traffic)
+    return Role.REPLY not in roles and any(_replies(p.data) for p in traffic) and any(_asks(p.data) for p in traffic)
+
+
 def _is_single(lines: Sequence[str]) -> bool:
     """Say whether each line is one byte."""
     return len(lines) >= _SINGLE_LINES and all(_SINGLE.fullmatch(line) for line in lines)
@@ -236,7 +253,7 @@ class _Manner(NamedTuple):
     arrow: bool = False
     #: Bytes in `[]` were sent, those in `<>` received, as libmodbus prints them.
     brackets: bool = False
-    #: Every line is marked as received.
+    #: Every line has the same mark, which tells nothing.
     deaf: bool = False
     #: A number stands before the bytes of each line.
     led: bool = False
@@ -248,6 +265,8 @@ class _Manner(NamedTuple):
     cells: bool = False
     #: All bytes stand in comments of a program.
     commented: bool = False
+    #: Bytes stand without gaps and without their zeros: where one ends cannot be told.
+    unpadded: bool = False
 
     @classmethod
     def of(cls, lines: Sequence[str]) -> _Manner:
@@ -268,11 +287,11 @@ class _Manner(NamedTuple):
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
             brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
             led=len(traffic) > 1 and all(p.led for p in traffic[:2]),
-            deaf=Role.REQUEST not in roles
-            and (roles.count(Role.REPLY) >= _LISTENER_LINES or any(p.role is Role.REPLY and _asks(p.data) for p in traffic)),
+            deaf=_is_deaf(traffic, roles),
             prose=prose,
             fields=prose and _has_fields(lines),
             cells=prose and _has_cells(lines),
+            unpadded=sum(1 for line in lines if _ODD_DIGITS.fullmatch(line)) >= _UNPADDED_LINES,
             commented=prose and not traffic and not _says([p for p in parts if not p.text.startswith("#")]),
         )
 
@@ -292,11 +311,13 @@ class _Manner(NamedTuple):
         """Say what was concluded, and what could not be."""
         radixes = {p.radix for p in parts if p.shape is Shape.TRAFFIC}
         if self.deaf:
-            yield "every line is marked as received, as a listener's log is: the marks do not tell the sender"
+            yield "every line has the same mark, as a listener's log does: the marks do not tell the sender"
         if self.quoted:
-            yield "every line begins with '>', lines of words too: it is read as a quotation, not as sent by the host"
+            yield "lines of words begin with '>', too: it is read as a quotation, not as sent by the host"
         if self.arrow:
             yield "the '->' on every line is read as the sign between time and text: it does not tell the sender"
+        if self.unpadded:
+            yield "bytes are printed without gaps and without leading zeros: where one ends cannot be told, and none is read"
         if self.single or self.lone:
             yield "one byte a line: where a frame ends is not told"
         if self.decimal and (self.single or radixes <= {Radix.DECIMAL}):
@@ -332,10 +353,12 @@ def _is_digit(line: HexLine) -> bool:
 
 
 def _is_quoted(lines: Sequence[str]) -> bool:
-    """Say whether `>` is a quotation: it stands before words too, or before another mark or time."""
-    if len(lines) < 2 or not all(_QUOTED.match(line) for line in lines):
+    """Say whether `>` is a quotation: it stands before words too, or another mark or time, and what is not quoted is words."""
+    begun = [line for line in lines if _QUOTED.match(line)]
+    others = (line for line in lines if not _QUOTED.match(line))
+    if len(begun) < 2 or any(line.lstrip().startswith("<") or take_apart(line).shape is Shape.TRAFFIC for line in others):
         return False
-    inner = [take_apart(_QUOTED.sub("", line, 1)) for line in lines]
+    inner = [take_apart(_QUOTED.sub("", line, 1)) for line in begun]
     return any(p.shape is Shape.COMMENT or p.marked or p.stamp.kind for p in inner)
 
 
@@ -355,11 +378,15 @@ class _Reader:
         self._passed = 0
         self._declared = False
         self._known: set[bytes] = set()
+        self._parts: set[bytes] = set()
         self._fields: list[re.Match[str]] = []
         self._rows = bytearray()
         #: Who sent the bytes below words, and whether any came.
         self._above = Role.UNKNOWN
+        self._above_words: frozenset[str] = frozenset()
         self._below = False
+        #: Why the bytes below words are no traffic.
+        self._unsent = ""
         self._marks = ReceivedMarks()
         self._printed: tuple[bytes, Role, tuple[str, bool, str], int | None] | None = None
 
@@ -371,6 +398,9 @@ class _Reader:
         source = self._source
         prose = self._manner.prose
         for text in _whole_lists(self._lines):
+            if self._manner.unpadded and _RUN_OF_DIGITS.fullmatch(text) is not None:
+                yield source.comment(None, text)
+                continue
             if prose:
                 if self._is_part(text):
                     continue
@@ -392,12 +422,16 @@ class _Reader:
                 yield from self._end_header()
             if line.shape is Shape.BLANK:
                 if self._below:
-                    self._above = Role.UNKNOWN
+                    self._above, self._unsent = Role.UNKNOWN, ""
                 continue
             t_ns = self._time(line)
             if line.shape is Shape.TRAFFIC and line.passed and (said := self._better(text, line)):
                 yield from self._quoted(t_ns, text, said)
             elif line.shape is Shape.TRAFFIC and self._is_reprint(t_ns, line):
+                yield source.comment(t_ns, text)
+            elif line.shape is Shape.TRAFFIC and self._unsent and not line.marked:
+                self._below = True
+                source.note(f"line {self._lines.number}: {line.data.hex(' ').upper()} is left out: {self._unsent}")
                 yield source.comment(t_ns, text)
             elif line.shape is Shape.TRAFFIC:
                 self._check_count(line)
@@ -435,10 +469,14 @@ class _Reader:
         """Yield a line of words; in prose also the frames that it quotes."""
         said = mentions(line.text, self._manner.brackets) if not line.text.startswith("#") or self._manner.commented else []
         if self._manner.prose and not said and _WORDS.search(line.text):
-            self._above, self._below = role_in_text(line.text), False
-        if not said or not self._manner.prose:
-            # Programs print again in words what they sent and received.
-            self._passed += any(each.data not in self._known for each in said if not each.left)
+            self._above, self._below, self._unsent = role_in_text(line.text), False, unsent(line.text)
+            self._above_words = frozenset(_WORDS.findall(line.text))
+        if not self._manner.prose:
+            # Programs print again in words what they sent and received; new is what a label with a sender stands before.
+            new = [each for each in said if not each.left and not self._is_known(each.data)]
+            said = [e for e in new if e.role is not Role.UNKNOWN and _LABELLED.search(line.text[: e.column - 1]) is not None]
+            self._passed += len(new) > len(said)
+        if not said:
             yield self._source.comment(t_ns, line.text)
             return
         yield from self._quoted(t_ns, line.text, said)
@@ -456,9 +494,8 @@ class _Reader:
             if each.left:
                 self._source.note(f"line {number}, column {each.column}: {each.data.hex(' ').upper()} is left out: {each.left}")
         again = [each for each in said if each.data in self._known and _AGAIN.search(text[: each.column - 1]) is not None]
-        frames = self._in_order(
-            text, [each for each in said if not each.left and each not in again and not self._is_joined(each.data)]
-        )
+        left_out = [each for each in said if each.left or each.data in self._parts or self._is_joined(each.data)]
+        frames = self._in_order(text, [each for each in said if each not in again and each not in left_out])
         if not frames:
             yield self._source.comment(t_ns, text)
             return
@@ -468,9 +505,9 @@ class _Reader:
             self._source.note(f"frames stand in sentences, the first in {where}: who sent is told by the word before")
         self._said += len(frames)
         yield self._source.comment(t_ns, f"{where}: {text}")
-        alone = all(_LABEL.fullmatch(word) for word in _WORDS.findall(text))
+        alone = all(_LABEL.fullmatch(word) or word in self._above_words for word in _WORDS.findall(text))
         for each in frames:
-            self._known.add(each.data)
+            self._know(each.data)
             role = self._marks(self._above) if each.role is Role.UNKNOWN and alone else each.role
             self._marks(role)
             yield Chunk(t_ns, self._source.port(), each.data, Role.UNKNOWN if self._manner.deaf else role, True)
@@ -481,6 +518,17 @@ class _Reader:
         others = [each for each in said if each not in kept]
         role = others[0].role if others else Role.UNKNOWN
         return [each._replace(role=role) for each in kept if each.data not in self._known] + others
+
+    def _is_known(self, data: bytes) -> bool:
+        """Say whether bytes were there before: as a frame, as one without its check, or as what it carries."""
+        return data in self._known or data in self._parts
+
+    def _know(self, data: bytes) -> None:
+        """Keep a frame, to know it again, and its parts, which libraries print again."""
+        if len(self._known) < _KNOWN:
+            self._known.add(data)
+            if len(data) >= _LEAST_CHECKED and modbus_crc(data) == 0:
+                self._parts |= {data[1:-2], data[:-2]}
 
     def _is_joined(self, data: bytes) -> bool:
         """Say whether bytes are two readings of before, joined by the library that printed them."""
@@ -595,8 +643,7 @@ class _Reader:
         exported = _EXPORTED_NAME.fullmatch(line.name)
         if exported is not None:
             name = exported[1]
-        if len(self._known) < _KNOWN:
-            self._known.add(data)
+        self._know(data)
         firm = not self._manner.lone and (len(data) > 1 or line.number is None)
         return Chunk(t_ns, self._source.port(name), data, line.role, firm)
 

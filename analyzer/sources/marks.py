@@ -37,7 +37,7 @@ SPEAKERS: dict[str, int] = {
 }
 #: Marks of traffic that was sent.
 MATTERS: dict[str, int] = {
-    **dict.fromkeys(("request", "req", "query", "command", "cmd", "anfrage", "befehl"), 1),
+    **dict.fromkeys(("request", "req", "query", "poll", "command", "cmd", "anfrage", "befehl"), 1),
     **dict.fromkeys(
         ("response", "resp", "reply", "answer", "ack", "replies", "replied", "responds", "responded", "answers", "answered",
          "returns", "returned", "antwort", "回复", "应答"),
@@ -61,7 +61,8 @@ def role_of(words: Iterable[str], sign: str = "") -> Role:
     action = speaker = matter = 0
     for word in words:
         action = ACTIONS.get(word, action)
-        speaker = SPEAKERS.get(word, speaker)
+        # "Slave -> Master": the first speaks.
+        speaker = speaker or SPEAKERS.get(word, 0)
         matter = MATTERS.get(word, matter)
     if not (action or speaker or matter):
         return _ROLES[SIGNS.get(sign, LETTERS.get(sign, 0))]

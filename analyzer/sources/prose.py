@@ -45,7 +45,8 @@ _RUN = re.compile(
     # Each byte in brackets.
     rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<\s?{_ITEM}\s?>\s*){{2,}}|(?:\{{{_ITEM}\}}\s*){{2,}})"
     # `10-15-0-204`, as modbus_tk prints it.
-    rf"|(?P<dashed>{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})\d{{1,3}}(?:-\d{{1,3}}){{4,}}(?![\w.-]))"
+    rf"|(?P<dashed>(?:{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})|(?<=[<-]-)(?=[\d-]*\b\d\b)|(?<=(?:<-|->)[ \t])(?=[\d-]*\b\d\b))"
+    r"\d{1,3}(?:-\d{1,3}){2,}(?![\w.-]))"
     rf"|(?P<list>[\[({{]\s*-?{_ITEM}(?:\s*,\s*-?{_ITEM})+\s*,?\s*[\])}}])"
     rf"|(?P<pairs>{_NOTHING_BEFORE}(?:{_MARKED}(?:(?:, ?|[ :-]){_MARKED})+"
     rf"|(?:0[xX])?{_PAIRS}(?: {{1,2}}{_PAIRS})+"
@@ -67,6 +68,7 @@ _BYTES_WORD = re.compile(
 )
 _WORD = re.compile(r"(?:[^\W\d_]|(?<=\w)['\u2019](?=\w))+")
 _OBJECT = re.compile(r"\b[a-z_]\w*\.(?=[a-z_])")
+_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z][a-z])")
 #: The name of what is asked for tells no sender.
 _FUNCTION = re.compile(r"\bread (?:\d+ |holding |input |discrete )*(?:registers?|coils?|inputs?)\b")
 _SENTENCE = re.compile(r"[.!?;]\s")
@@ -145,6 +147,8 @@ def _data(run: re.Match[str]) -> bytes | None:
         return bytes.fromhex(text)
     if kind == "pairs" and "x" not in text.lower()[2:]:
         return bytes.fromhex(re.sub(r"0[xX]|[^0-9A-Fa-f]", "", text))
+    if kind == "dashed":
+        return written.decimal(text)
     found = written.read(text)
     return None if found is None else found.data
 
@@ -186,7 +190,8 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
     if kind in ("string", "escapes", "each", "dashed"):
         return "" if len(data) >= _LEAST else None
     if kind == "list":
-        return "" if len(data) > _LEAST and (lettered or any(value >= _THREE_DIGITS for value in data)) else None
+        sure = lettered or any(value >= _THREE_DIGITS for value in data) or _BYTES_WORD.search(before) is not None
+        return "" if len(data) > _LEAST and sure else None
     # Words of two letters are none in capitals.
     if text != text.upper() and not any(c.isdigit() for c in text):
         return None
@@ -217,7 +222,8 @@ _SAID = frozenset((*ACTIONS, *MATTERS, *_VERBS)) - {"wrote"}
 def role_in_text(text: str) -> Role:
     """Return the sender by the last word of a text that tells it, and the speaker before that word."""
     # In a program `motor.send` sends to the motor.
-    words = _WORD.findall(_FUNCTION.sub("", _OBJECT.sub("", text.lower().replace("\u2019", "'"))))
+    text = _CAMEL.sub(" ", text).lower().replace("\u2019", "'")
+    words = _WORD.findall(_FUNCTION.sub("", _OBJECT.sub("", text)))
     at = next((n for n in range(len(words) - 1, -1, -1) if words[n] in _SAID), None)
     if at is None:
         speakers = [n for n, word in enumerate(words) if word in SPEAKERS]
@@ -241,6 +247,12 @@ _OTHER = {Role.REQUEST: Role.REPLY, Role.REPLY: Role.REQUEST, Role.UNKNOWN: Role
 
 def _denied(words: list[str]) -> bool:
     return any(word in _NOT or word.endswith("n't") for word in words[-4:])
+
+
+def unsent(text: str) -> str:
+    """Return why the bytes below a line of words are no traffic, by its last sentence; empty where they are."""
+    sentence = _SENTENCE.split(text)[-1]
+    return _not_sent(sentence, role_in_text(sentence))
 
 
 def _not_sent(sentence: str, role: Role) -> str:

@@ -6,7 +6,8 @@
 
 Rules: two digits a byte are hexadecimal. Numbers are decimal only where one of them cannot be a byte in hexadecimal: it has
 three digits or a sign. Single digits without a letter among them (`1 4 0 30`) can be either; the whole text decides. In a list
-where some numbers have 0x, the others are decimal, as in a program: `[0xFA, 1, 246]`.
+where some numbers have 0x, the others are decimal, as in a program: `[0xFA, 1, 246]`. So are those of a list in brackets, with
+commas, and without a zero before a digit: `[58,48,49,13,10]`.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ _HEX_LETTER = re.compile(r"[A-Fa-f]")
 _DAYTIME = re.compile(r"[0-2]?\d:[0-5]\d:[0-5]\d")
 _NUMBER = re.compile(r"-?\d{1,3}")
 _ESCAPE = re.compile(r"\\(?:x[0-9A-Fa-f]{2}|[0-7])")
+_LATIN = re.compile("[\x80-\xff]")
 #: `10-15-0-204`, as modbus_tk prints it: no signs.
 _DASHED = re.compile(r"\d{1,3}(?:-\d{1,3})+")
 _QUOTES = str.maketrans("", "", "'\"")
@@ -54,9 +56,11 @@ _DIGITS = re.compile(r"-?\d{1,3}(?:[\s,;]+-?\d{1,3})*[\s,;]*|\d{1,3}(?:-\d{1,3})
 
 
 def plain(line: str) -> str:
-    """Return a line of a post without the signs that make bytes bold, and without the casts that Java and C need."""
+    """Return a line of a post without the marks of its layout, and without the casts that Java and C need."""
     if "**" in line:
         line = _EMPHASIS.sub("", line)
+    if "</" in line:
+        line = _TAG.sub("", line)
     return _CAST.sub("", line) if ")0x" in line or ") 0x" in line else line
 
 
@@ -83,6 +87,12 @@ def _mixed(text: str) -> Written | None:
     return Written(bytes(values)) if max(values) <= _LARGEST else None
 
 
+def _listed(text: str) -> Written:
+    return Written(bytes(int(token) for token in _NUMBER.findall(text)))
+
+
+#: A list of numbers as languages print it. One of three digits tells more, of the whole text.
+_LISTED = re.compile(r"[\[{(]\s*(?:0|[1-9]\d?)(?:\s*,\s*(?:0|[1-9]\d?)){3,}\s*,?\s*[\]})]")
 _EITHER, _LARGEST = re.compile(r"0[xX][0-9A-Fa-f]{1,2}|\d{1,3}"), 0xFF
 
 
@@ -93,6 +103,8 @@ def _quoted(text: str) -> Written | None:
 def _literal(text: str) -> Written | None:
     if len(text) > _LITERAL_LIMIT:
         return None
+    # Python 2 prints the characters of bytes as they are.
+    text = _LATIN.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
     try:
         value = ast.literal_eval(text if text[0] == "b" else f"b{text}")
     except (ValueError, SyntaxError, MemoryError, RecursionError):
@@ -124,7 +136,8 @@ _BEGIN = re.compile(
     r"[\[{(<\"'\\$&-]|16#|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|(?:[0-9A-Fa-f]{2}\.){5}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"
 )
 #: What makes letters bold in a post.
-_EMPHASIS = re.compile(r"(?<=[\s\dA-Fa-f])\*\*|\*\*(?=[\s\dA-Fa-f])")
+_EMPHASIS = re.compile(r"(?<=[\s\dA-Fa-f_])\*\*_?|_?\*\*(?=[\s\dA-Fa-f_])")
+_TAG = re.compile(r"</?(?:b|i|u|em|p|br|li|td|tr|pre|code|span|strong)(?: [^<>]*)?/?>", re.IGNORECASE)
 _CAST = re.compile(r"\((?:byte|char|u?int8_t|unsigned char)\)\s?(?=0[xX])")
 _GAP = r"(?:\s*[,;|_-]\s*|\s+|:)"
 #: Ways to write bytes, the first that fits wins. Plain pairs of digits are read before these.
@@ -157,7 +170,7 @@ def read(text: str) -> Written | None:
     text = text.strip()
     if _BEGIN.match(text) is None:
         return None
-    found = _way(text)
+    found = _way(text) if _LISTED.fullmatch(text) is None else _listed(text)
     if found is None and (inner := _unwrapped(text)) != text:
         found = _way(inner)
     return found

@@ -341,3 +341,17 @@ def test_a_general_address_of_meters_is_not_certainly_wrong():
     asked, came = (">", rtu("F8 04 00 00 00 01")), ("<", rtu("F8 04 02 00 E6"))
     assert told(asked, came, asked, came) == []
     assert [(each.cause, each.confidence) for each in told(asked, asked)] == [("wrong_address", "possible")]
+
+
+@pytest.mark.parametrize(
+    ("positions", "cause"),
+    [((-886_699,), None), ((-886_699, -912_004), "unit_or_sign"), ((-1600,), "unit_or_sign")],
+    ids=["once", "twice", "small"],
+)
+def test_one_large_number_may_be_no_negative_one(positions, cause):
+    sent = [
+        build(MODBUS, "move_relative_pulses", 1, {"acceleration": 8, "speed": 1000, "pulses": pulses & 0xFFFF_FFFF})
+        for pulses in positions
+    ]
+    found = told(*((">", frame) for frame in sent))
+    assert [each.cause for each in found if each.cause == "unit_or_sign"] == ([cause] if cause else [])

@@ -104,6 +104,22 @@ def test_other_bytes_are_no_frame_on_a_wrong_line():
     assert told(*(chance.randbytes(chance.randrange(5, 14)) for _ in range(6))) == []
 
 
+@pytest.mark.parametrize("edge", [b"", b"\0"], ids=["plain", "edge"])
+def test_one_reply_on_swapped_wires(edge):
+    rows = [METER[0], ("<", edge + received(on_the_line(METER[1][1]), inverted=True))]
+    assert first(*rows) == "inverted_lines"
+
+
+def test_one_reply_of_which_no_byte_is_there():
+    found = told(METER[0], ("<", bytes.fromhex("FB F8 7F 00")))
+    assert [(each.cause, each.confidence) for each in found] == [("wrong_baud", "possible")]
+
+
+@pytest.mark.parametrize("reply", ["11 03 7F 00", "4F 4B 0D 0A", "FF FF FF FF"], ids=["head", "text", "idle"])
+def test_one_reply_that_is_no_matter_of_the_line(reply):
+    assert "wrong_baud" not in [each.cause for each in told(METER[0], ("<", bytes.fromhex(reply)))]
+
+
 def test_replies_that_repeat_and_are_no_frames():
     asked = [build(MODBUS, "read_speed", 1), build(MODBUS, "read_pulses", 1)] * 3
     rows = [row for frame in asked for row in ((">", frame), ("<", received(on_the_line(frame), 3.3)))]

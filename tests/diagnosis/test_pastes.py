@@ -163,6 +163,12 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
         ("state: STUFF_ERROR, FORM_ERROR, FLT_CONF: Bus off\n" * 2, "can_bus_off"),
         ("FlexCAN: STF_ERR, FLT_CONF: Error Passive\nFlexCAN: FRM_ERR, FLT_CONF: Error Passive\n", "can_wrong_bitrate"),
         ("no-acknowledgement-on-tx\nerror-counter-tx-rx{{96}{0}}\nno-acknowledgement-on-tx\n", "can_no_ack"),
+        # Counters of a controller, as libraries print them.
+        ("Sending...\nMSG tx_err=128 rx_err=0\nSending...\nMSG tx_err=128 rx_err=0\n", "can_no_ack"),
+        ("TX err cnt = 136 RX err cnt = 0\n", "can_no_ack"),
+        # A stray byte, for which the host misses the last of a reply, with and without what was asked.
+        ("TX: 11 04 00 00 00 02 73 5B\nRX: 1D 11 04 04 43 6C 3E E8 2F\n", "leading_glitch"),
+        ("RX: 00 11 04 04 43 6C 3E E8 2F\n", "leading_glitch"),
     ],
 )  # fmt: skip
 def test_a_paste(text, cause):

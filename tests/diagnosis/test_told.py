@@ -74,6 +74,11 @@ def value(frame: str, words: str) -> str:
         ),
         ("notes on the arm\n  cansend can0 001#3132\n", None),
         (AGAIN, "no_reply"),
+        # A log that prints requests without their CRC, and counts it; one that does not count it.
+        ("request: [11][03][00][C0][00][01]\ntty: written 8 bytes\ntty: response timeout\n", "no_reply"),
+        ("request: [11][03][00][C0][00][01]\ntty: written 6 bytes\ntty: response timeout\n", "missing_checksum"),
+        ("Set response timeout to 500 ms\nTX: 11 03 00 C0 00 01 86 A6\nRX: 11 03 02 00 04 78 44\n", None),
+        ("response timeout: 500\ntx_err=3 rx_err=0\nTX: 11 03 00 C0 00 01 86 A6\nRX: 11 03 02 00 04 78 44\n", None),
         (LATE, "late_reply"),
         ("Tx 11 03 00 10 00 02 C7 5E\nRx 6C 6F 67 69 6E 3A 20", "unsupported_dialect"),
         ("Tx 7E 02 33 00 FD 0D\nRx 7E 02 33 01 55 A7 0D", "unsupported_dialect"),

@@ -1,0 +1,148 @@
+"""The same troubles in the logs of many libraries and tools: what is wrong does not depend on who prints it."""
+
+from __future__ import annotations
+
+import pytest
+
+from analyzer.link import modbus_crc
+from tests.diagnosis.test_pastes import diagnosed
+
+
+def checked(text):
+    data = bytes.fromhex(text)
+    return data + modbus_crc(data).to_bytes(2, "little")
+
+
+ASK, REPLY, REFUSAL = checked("11 03 00 6B 00 03"), checked("11 03 06 02 2B 00 00 00 64"), checked("11 83 02")
+ASK_2, REPLY_2 = checked("11 03 00 70 00 01"), checked("11 03 02 01 F4")
+CASES = {
+    "clean": ([(">", ASK), ("<", REPLY), (">", ASK_2), ("<", REPLY_2)], None),
+    "glitch": ([(">", ASK), ("<", b"\0" + REPLY), (">", ASK_2), ("<", b"\0" + REPLY_2)], "leading_glitch"),
+    "echo": ([(">", ASK), ("<", ASK + REPLY), (">", ASK_2), ("<", ASK_2 + REPLY_2)], "echo"),
+    "refused": ([(">", ASK), ("<", REFUSAL)], "wrong_register"),
+    "cut": ([(">", ASK), ("<", REPLY[:6]), (">", ASK_2), ("<", REPLY_2[:4])], "reply_cut"),
+}
+
+
+def pairs(data, gap=" ", before="", small=False):
+    return gap.join(f"{before}{byte:02x}" if small else f"{before}{byte:02X}" for byte in data)
+
+
+#: What stands for a row: of the mark, the number of the row, and its bytes.
+FORMS = {
+    "minimalmodbus": lambda m, n, d: (
+        f"MinimalModbus debug mode. Will write to instrument (expecting 11 bytes back): {pairs(d)} ({len(d)} bytes)"
+        if m == ">"
+        else f"MinimalModbus debug mode. Response from instrument: {pairs(d)} ({len(d)} bytes), roundtrip time: 20.1 ms."
+    ),
+    "minimalmodbus-1": lambda m, n, d: (
+        f"MinimalModbus debug mode. Writing to instrument (expecting 11 bytes back): {repr(d)[1:]} ({pairs(d)})"
+        if m == ">"
+        else f"MinimalModbus debug mode. Response from instrument: {repr(d)[1:]} ({pairs(d)}) ({len(d)} bytes)"
+    ),
+    "pymodbus-2": lambda m, n, d: f"DEBUG:pymodbus.transaction:{'SEND' if m == '>' else 'RECV'}: {' '.join(map(hex, d))}",
+    "pymodbus-3": lambda m, n, d: (
+        f"2024-04-07 10:31:2{n},700 DEBUG logging:103 "
+        f"{'send' if m == '>' else 'recv'}: {' '.join(map(hex, d))}{'' if m == '>' else ' old_data:  addr=None'}"
+    ),
+    "libmodbus": lambda m, n, d: (
+        "".join(f"[{b:02X}]" for b in d) + "\nWaiting for a confirmation..." if m == ">" else "".join(f"<{b:02X}>" for b in d)
+    ),
+    "esphome": lambda m, n, d: f"[20:25:0{n}.868][D][uart_debug:114]: {m * 3} {pairs(d, ':')}",
+    "esphome-bytes": lambda m, n, d: (
+        f"[20:25:0{n}][V][modbus:199]: Modbus write: {pairs(d, '.')} ({len(d)})"
+        if m == ">"
+        else "\n".join(f"[20:25:0{n}][V][modbus:042]: Modbus received Byte  {b} (0X{b:x})" for b in d)
+    ),
+    "emodbus": lambda m, n, d: (
+        f"[N] {'Request' if m == '>' else 'Raw buffer received'}: @3FFB33BC/{len(d)}:\n  | 0000: {pairs(d)}    |....|"
+    ),
+    "modbus-tk": lambda m, n, d: (
+        f"2015-01-01 10:00:0{n},000\tDEBUG\tmodbus.execute\tMainThread\t{'->' if m == '>' else '<-'} {'-'.join(map(str, d))}"
+    ),
+    "node-modbus-serial": lambda m, n, d: (
+        f"  modbus-serial {{ action: '{'send serial rtu' if m == '>' else 'receive serial rtu port'}',\n"
+        f"  modbus-serial   data: <Buffer {pairs(d, small=True)}>,"
+    ),
+    "nmodbus": lambda m, n, d: f"INFO Modbus.IO.ModbusSerialTransport - {'TX' if m == '>' else 'RX'}: {', '.join(map(str, d))}",
+    "goburrow": lambda m, n, d: (
+        f"test: 2020/08/29 19:06:1{n} modbus: {'sending' if m == '>' else 'received'} {pairs(d, small=True)}"
+    ),
+    "modbus-poll": lambda m, n, d: f"{'Tx' if m == '>' else 'Rx'}:{n:06d}-{pairs(d)}",
+    "modbus-tools": lambda m, n, d: f"14.05.2025 09:57:0{n}.113 'Device' {'Tx' if m == '>' else 'Rx'}: {pairs(d)} ",
+    "buffers": lambda m, n, d: f"{'write' if m == '>' else 'resp'} <Buffer {pairs(d, small=True)}>",
+    "sentences": lambda m, n, d: f"{'I send' if m == '>' else 'and the device answers'} {pairs(d)}{'' if m == '>' else '.'}",
+    "blocks": lambda m, n, d: f"{'Request' if m == '>' else 'Response'}:\n{pairs(d)}\n",
+    "table": lambda m, n, d: f"| {n} | {'TX' if m == '>' else 'RX'} | {pairs(d)} |",
+    "braces": lambda m, n, d: f"{'Poll' if m == '>' else 'Response'}->{''.join(f'{{{b:02X}}}' for b in d)}",
+    "digits": lambda m, n, d: f"{'Sent' if m == '>' else 'Received'}: {pairs(d, '')}",
+    "strace": lambda m, n, d: (
+        f'write(3, "{pairs(d, "", chr(92) + "x", small=True)}", {len(d)}) = {len(d)}'
+        if m == ">"
+        else f'read(3, "{pairs(d, "", chr(92) + "x", small=True)}", 256) = {len(d)}'
+    ),
+    "camel": lambda m, n, d: f"{'Write' if m == '>' else 'ReadFrame'}: {pairs(d, small=True)}",
+    "j2mod": lambda m, n, d: (
+        f"10:00:0{n} [main] DEBUG ModbusRTUTransport - {'Sent' if m == '>' else 'Read'} message: {pairs(d)}"
+    ),
+    "socat": lambda m, n, d: (
+        f"{m} 2024/01/01 10:00:0{n}.000000  length={len(d)} from=0 to={len(d) - 1}\n {pairs(d, small=True)}"
+    ),
+    "docklight": lambda m, n, d: f"1/1/2024 10:00:0{n}.12 [{'TX' if m == '>' else 'RX'}] - {pairs(d)} ",
+    "chinese": lambda m, n, d: f"[10:00:0{n}.123]{'发→◇' if m == '>' else '收←◆'}{pairs(d)} ",
+    "arduino": lambda m, n, d: f"{'Sending' if m == '>' else 'Received'}: {' '.join(f'0x{b:X}' for b in d)}",
+    "rust": lambda m, n, d: f"{'TX' if m == '>' else 'RX'}: [{pairs(d, ', ')}]",
+    "lists": lambda m, n, d: f"{'Sending' if m == '>' else 'Device response'}: {list(d)}",
+    "python": lambda m, n, d: f"{'sent' if m == '>' else 'received'} {d!r}",
+    "json": lambda m, n, d: (
+        f'{{"ts":{1700000000 + n}.5,"dir":"{"tx" if m == ">" else "rx"}","data":"{pairs(d, "", small=True)}"}}'
+    ),
+    "csv": lambda m, n, d: f"10:00:0{n}.100,{'TX' if m == '>' else 'RX'},{pairs(d)}",
+    "port-monitor": lambda m, n, d: (
+        f"{n + 1}\t10:00:0{n}\tpython.exe\t{'IRP_MJ_WRITE' if m == '>' else 'IRP_MJ_READ'}\tCOM3\tSUCCESS\t"
+        f"Length {len(d)}: {pairs(d)} \t"
+    ),
+    "counted": lambda m, n, d: f"{'Request' if m == '>' else 'Response'} [{len(d)} bytes]: {pairs(d)}",
+    "speakers": lambda m, n, d: f"{'Master -> Slave' if m == '>' else 'Slave -> Master'}: {pairs(d)}",
+    "arrows": lambda m, n, d: f"{'PC → Drive' if m == '>' else 'Drive → PC'}: {pairs(d)}",
+    "esp-idf": lambda m, n, d: f"I (1{n}00) {'MODBUS_TX' if m == '>' else 'MODBUS_RX'}: {pairs(d, small=True)}",
+    "quoted": lambda m, n, d: f"> {'TX' if m == '>' else 'RX'}: {pairs(d)}",
+    "bullets": lambda m, n, d: f"- {'Sent' if m == '>' else 'Got'}: `{pairs(d)}`",
+    "numbered": lambda m, n, d: f"{n + 1}. {'request' if m == '>' else 'response'}: {pairs(d)}",
+    "bold": lambda m, n, d: f"**{'TX' if m == '>' else 'RX'}:** {pairs(d)}",
+    "german": lambda m, n, d: f"{'Gesendet' if m == '>' else 'Empfangen'}: {pairs(d)}",
+    "h": lambda m, n, d: f"{'TX' if m == '>' else 'RX'}: {' '.join(f'{b:02X}h' for b in d)}",
+    "0x": lambda m, n, d: f"{'TX' if m == '>' else 'RX'}: 0x{pairs(d, '')}",
+    "dashes": lambda m, n, d: f"{'TX' if m == '>' else 'RX'}: {pairs(d, '-')}",
+    "pipes": lambda m, n, d: f"{'TX' if m == '>' else 'RX'}|{pairs(d, '|')}|",
+    "component": lambda m, n, d: (
+        f"2024-01-01 10:00:0{n}.123 DEBUG (MainThread) [x.modbus] {'Sending' if m == '>' else 'Received'} frame: {pairs(d)}"
+    ),
+    "android": lambda m, n, d: f"D/Modbus  ( 1234): {'write' if m == '>' else 'read'} {len(d)} bytes: {pairs(d)}",
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("form", FORMS)
+def test_a_trouble_in_a_log(form, case):
+    rows, cause = CASES[case]
+    found = diagnosed("".join(f"{FORMS[form](mark, number, data)}\n" for number, (mark, data) in enumerate(rows)))
+    assert (found.causes[0].suspicion.cause if found.causes else None) == cause
+    assert found.verdict == ("ok" if cause is None else "trouble")
+
+
+def test_the_name_of_a_host_on_all_lines_tells_no_sender():
+    rows = [("host", "1.2.1", ASK), ("1.2.1", "host", REPLY), ("host", "1.2.1", ASK_2), ("1.2.1", "host", REPLY_2)]
+    text = "".join(f"{n}  0.00{n}000  {one}  {other}  USB  Data: {pairs(d, '')}\n" for n, (one, other, d) in enumerate(rows))
+    assert diagnosed(text).verdict == "ok"
+
+
+def test_an_echo_that_a_library_reads_late_is_one():
+    rows = ((">", ASK, 1), ("<", ASK + REPLY, 2), (">", ASK_2, 3), ("<", ASK_2 + REPLY_2, 4))
+    text = "".join(f"[10:00:0{second}] {'TX' if mark == '>' else 'RX'}: {pairs(data)}\n" for mark, data, second in rows)
+    assert diagnosed(text).causes[0].suspicion.cause == "echo"
+
+
+def test_a_request_that_is_sent_again_later_is_no_echo():
+    text = "".join(f"[10:00:0{second}] TX: {pairs(ASK)}\n" for second in range(1, 4))
+    assert "echo" not in [each.suspicion.cause for each in diagnosed(text).causes]

@@ -1,0 +1,88 @@
+"""How people lay out what they paste: quotations, HTML, lists, strings, labels; each with what must stay unread."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from analyzer.records import Chunk
+from analyzer.sources import open_source
+
+ASKED, ANSWERED = "11 03 00 C0 00 01 86 A6", "11 03 02 00 04 78 44"
+LIBRARY = "Library debug mode. {} instrument: {} (8 bytes), after 1.2 ms\n"
+
+
+def read(tmp_path: Path, text: str) -> list[tuple[str, str]]:
+    path = tmp_path / "paste.txt"
+    path.write_text(text, "utf-8")
+    with open_source(path) as source:
+        return [(r.direction.value, r.data.hex(" ").upper()) for r in source if isinstance(r, Chunk)]
+
+
+BOTH = [("request", ASKED), ("reply", ANSWERED)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # A post quotes some lines; a number among them and a call with values are no bytes.
+        "I read a register:\n\n> instrument.read_register(192)\n> "
+        + LIBRARY.format("Will write to", ASKED)
+        + "> "
+        + LIBRARY.format("Response from", ANSWERED)
+        + ">\n> 4\n\nand write it:\n\n> instrument.write_register(192, 0)\n",
+        # Python 2 prints the characters of bytes as they are.
+        LIBRARY.format("Writing to", r"'\x11\x03\x00\xc0\x00\x01\x86\xa6'")
+        + LIBRARY.format("Response from", r"'\x11\x03\x02\x00\x04xD'"),
+        # HTML, and decimal numbers.
+        "<b>INFO Transport - TX: 17, 3, 0, 192, 0, 1, 134, 166</b>\n<b>INFO Transport - RX: 17, 3, 2, 0, 4, 120, 68</b>\n",
+        # Names of what holds the bytes.
+        f"txBuffer: {ASKED}\nReadFrame: **{ANSWERED[:2]}**{ANSWERED[2:]}\n",
+        # A library's words beside a log of bytes: a label stands before what is new, and what was there is said again.
+        f"TX: {ASKED}\nSending frame again with retry 1\nResponse from unit on the bus: [{', '.join(ANSWERED.split())}]\n"
+        f"Processing frame: {ANSWERED[3:-6]}\nCurrent frame received: {ANSWERED}\n",
+    ],
+    ids=["quoted", "characters", "html", "names", "labels"],
+)
+def test_one_exchange(text: str, tmp_path: Path) -> None:
+    assert read(tmp_path, text) == BOTH
+
+
+def test_characters_beyond_ascii_are_bytes(tmp_path: Path) -> None:
+    text = f"TX: {ASKED}\nResponse: '\\x11\\x03\\x02\\x00\u00fe\u00b8D' (7 bytes)\n"
+    assert read(tmp_path, text) == [("request", ASKED), ("reply", "11 03 02 00 FE B8 44")]
+
+
+def test_a_list_without_zeros_before_digits_is_decimal(tmp_path: Path) -> None:
+    text = 'sent {"data":{"type":"Buffer","data":[58,48,49,48,51,13,10]}}\n'
+    assert read(tmp_path, text) == [("request", "3A 30 31 30 33 0D 0A")]
+
+
+@pytest.mark.parametrize("text", ["TX: [01, 03, 06, 31]\nRX: [3D, 31, 79]\n", "TX: [0x01, 3, 6, 0x31]\nRX: [0x3D, 49, 0x79]\n"])
+def test_other_lists_are_as_they_were(text: str, tmp_path: Path) -> None:
+    assert [data for _, data in read(tmp_path, text)] == ["01 03 06 31", "3D 31 79"]
+
+
+def test_marks_of_a_log_are_no_quotation(tmp_path: Path) -> None:
+    assert read(tmp_path, f"> {ASKED}\n< {ANSWERED}\n> motor does not turn\n") == BOTH
+
+
+def test_what_should_have_come_below_words_did_not(tmp_path: Path) -> None:
+    text = f"I send\n{ASKED}\n\nThe reply should be\n{ANSWERED}\n\nbut I get\n11 83 02 C1 34\n"
+    assert read(tmp_path, text) == [("request", ASKED), ("reply", "11 83 02 C1 34")]
+
+
+def test_sentences_with_bytes_beside_a_log_stay_unread(tmp_path: Path) -> None:
+    text = f"TX: {ASKED}\nRX: {ANSWERED}\nI would send 11 03 00 C1 00 01 D7 66 next and see\n"
+    assert read(tmp_path, text) == BOTH
+
+
+def test_bytes_without_gaps_and_zeros_are_not_guessed(tmp_path: Path) -> None:
+    path = tmp_path / "paste.txt"
+    path.write_text(
+        "const byte ask[] = {0x11, 0x03, 0x00, 0xC0, 0x00, 0x01, 0x86, 0xA6};\n\nI get:\n113204384\n1132043844\n113205396\n"
+    )
+    with open_source(path) as source:
+        assert [r.data.hex() for r in source if isinstance(r, Chunk)] == ["110300c0000186a6"]
+        assert any("without leading zeros" in note for note in source.notes)
