@@ -87,7 +87,6 @@ class _Cut:
         self.said = ""
 
     def write(self, stream: IO[bytes]) -> None:
-        """Write the cut."""
         log = self._log
         found: dict[str, None] = {}
 

@@ -149,7 +149,6 @@ class _Sinks:
         return accounted
 
     def finish(self, metadata: Mapping[str, str]) -> None:
-        """Make the log whole."""
         if self._process is None:
             self._log.finish(metadata)
         else:
@@ -157,7 +156,6 @@ class _Sinks:
             self._process.close()
 
     def abandon(self) -> None:
-        """Give the log up."""
         if self._process is None:
             self._log.abandon()
         else:
@@ -175,7 +173,6 @@ class _Done:
     stopped: str
 
     def status(self, arguments: argparse.Namespace) -> int:
-        """Return the exit status."""
         return 1 if arguments.strict and self.summary.severities[Severity.ERROR] else 0
 
     def as_object(self) -> dict[str, Any]:
@@ -198,7 +195,6 @@ class _Done:
         return lines(found) if found.causes else []
 
     def report(self, arguments: argparse.Namespace) -> None:
-        """Print the summary."""
         if arguments.json:
             import json
 

@@ -61,7 +61,6 @@ class Far:
         self._tell = tell
 
     def put(self, position: int, frames: int) -> None:
-        """Note it."""
         self.position, self.frames = position, frames
         if self._tell is not None:
             self._tell((position, frames))
@@ -138,7 +137,6 @@ class _Work:
         )
 
     def one_by_one(self) -> None:
-        """Decode here."""
         while self._left and not self.asked:
             number = self._left.pop()
             outcome = self._attempt(number, self._far[0])

@@ -168,7 +168,6 @@ class _Shared(dict[str, Any]):
         self._differing = differing
 
     def get(self, name: str, default: Any = None) -> Any:
-        """Return what a name holds."""
         if name in self._differing:
             raise _Differs
         return super().get(name, default)

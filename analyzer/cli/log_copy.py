@@ -129,7 +129,6 @@ class Log:
         self.read = begun
 
     def close(self) -> None:
-        """Close it."""
         self.source.close()
 
 
@@ -196,7 +195,6 @@ class Copy:
         return self._channels[wanted]
 
     def add(self, channel_id: int, message: LogMessage) -> None:
-        """Add a message."""
         self._writer.add_message(
             channel_id, message.log_ns, message.data, publish_time=message.publish_ns, sequence=message.sequence
         )
@@ -206,9 +204,7 @@ class Copy:
         self.last_ns = max(self.last_ns, message.log_ns)
 
     def describe(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record."""
         self._writer.add_metadata(name, {key: value for key, value in values.items() if value})
 
     def finish(self) -> None:
-        """Make it whole."""
         self._writer.finish()  # type: ignore[no-untyped-call]

@@ -140,7 +140,6 @@ class _Merge:
         self.notes: list[str] = []
 
     def write(self, stream: IO[bytes]) -> None:
-        """Write the merged log."""
         size = sum(log.size for log in self._logs)
         with Interrupt() as interrupt, showing_progress("merging", 2 * size, lambda: sum(log.read for log in self._logs)):
             inputs = self._inputs(interrupt)

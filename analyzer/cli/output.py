@@ -112,7 +112,6 @@ class Output:
         self.part.unlink()
 
     def drop(self) -> None:
-        """Leave no file."""
         # On a full disk closing fails too; the file is removed all the same.
         with contextlib.suppress(OSError):
             self.stream.close()
@@ -141,7 +140,6 @@ class OutputFolder:
             raise UsageError(f"cannot write {target}: {error.strerror}") from None
 
     def keep(self) -> None:
-        """Give the folder its name."""
         umask = os.umask(0)
         os.umask(umask)
         self.part.chmod(0o777 & ~umask)
@@ -155,5 +153,4 @@ class OutputFolder:
         shutil.rmtree(old)
 
     def drop(self) -> None:
-        """Leave no folder."""
         shutil.rmtree(self.part, ignore_errors=True)

@@ -130,7 +130,6 @@ class Display:
                 self.line(supervisor)
 
     def line(self, supervisor: Supervisor) -> None:
-        """Print one line."""
         parts = [f"{seconds_of(supervisor):.0f} s"]
         for bus, state, count in counts(supervisor):
             trouble = f", {state}" if state != "listening" else ""

@@ -72,7 +72,6 @@ class TimeRange:
 
     @property
     def shown(self) -> ShownTime:
-        """How its times are shown."""
         return ShownTime(self._source.clock, utc=self._utc)
 
     def _resolve(self, start_ns: int, end_ns: int) -> None:

@@ -121,7 +121,6 @@ class ExportResult:
 
     @property
     def written(self) -> list[tuple[str, Count]]:
-        """The buses that were written."""
         return [(name, count) for name, count in self.buses.items() if count.written]
 
     @property

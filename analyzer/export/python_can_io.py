@@ -165,7 +165,6 @@ class McapReader(BinaryIOMessageReader):
                 yield _message(item)
 
     def stop(self) -> None:
-        """Close the log."""
         self._source.close()
         if self._opened is not None:
             self._opened.close()

@@ -54,7 +54,6 @@ class ListenResult:
 
     @property
     def frames(self) -> int:
-        """Good frames."""
         return self.best.frames if self.best is not None else 0
 
     @property

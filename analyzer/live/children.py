@@ -82,7 +82,6 @@ class Child(ABC):
 
     @property
     def alive(self) -> bool:
-        """Whether it runs."""
         return self._process is not None and self._process.poll() is None
 
     @property
@@ -202,7 +201,6 @@ class Child(ABC):
                 self.drop_leash()
 
     def kill(self) -> None:
-        """End it at once."""
         self.due = None
         if self._process is not None and self._process.poll() is None:
             self._process.kill()
@@ -218,7 +216,6 @@ class Child(ABC):
         return True
 
     def close(self) -> None:
-        """Give back what is held."""
         self.drop_leash()
         self.let_go()
 

@@ -65,11 +65,9 @@ class RecordingCounts:
         }
 
     def state(self) -> dict[str, Any]:
-        """Return what `restore` needs."""
         return {**self._now(), "findings": dict(self.findings), "before": dict(self._before)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on where another stood."""
         for name in _NAMES:
             setattr(self, name, state[name])
         self.findings = Counter(state["findings"])

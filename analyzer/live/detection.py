@@ -61,7 +61,6 @@ class Detection:
         self._bytes_seen = self._junk_seen = 0
 
     def add(self, item: Chunk | CanFrame) -> None:
-        """Take what came."""
         size = len(item.data)
         if not self._sample and not self.dialects:
             self._first_ns = item.t_ns or 0

@@ -42,7 +42,6 @@ class Lock:
             raise UsageError(taken or f"{folder / name} is held by another process") from None
 
     def close(self) -> None:
-        """Give it back."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1

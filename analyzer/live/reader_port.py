@@ -97,7 +97,6 @@ class Stop:
         return bool(self.asked)
 
     def close(self) -> None:
-        """Give the descriptors back."""
         self._woken.close()
         self._waker.close()
 
@@ -130,11 +129,9 @@ class DescriptorPort:
     _fd = -1
 
     def descriptor(self) -> int | None:
-        """Return the descriptor."""
         return self._fd if self._fd >= 0 else None
 
     def close(self) -> None:
-        """Close the descriptor."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1

@@ -100,7 +100,6 @@ class Recorder:
 
     @property
     def recording(self) -> Recording:
-        """The recording."""
         assert self._open is not None  # only while it is being opened
         return self._open
 

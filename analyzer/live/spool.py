@@ -215,7 +215,6 @@ class SpoolWriter:
         return file
 
     def close(self) -> None:
-        """Close the segment."""
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -355,7 +354,6 @@ class SpoolReader:
                 path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Close the segment."""
         if self._file is not None:
             self._file.close()
             self._file = None

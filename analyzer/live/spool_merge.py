@@ -90,6 +90,5 @@ class Merger:
                 yield first, waiting.popleft()
 
     def close(self) -> None:
-        """Close the files."""
         for spool in self.spools:
             spool.reader.close()

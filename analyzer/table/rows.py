@@ -106,7 +106,6 @@ class Recorded:
         return self.stream.tell()
 
     def close(self) -> None:
-        """Drop the rows."""
         self.stream.close()
 
 
@@ -180,7 +179,6 @@ class Rows:
         self.recorded.comments += 1
 
     def finish(self) -> Recorded:
-        """Return all that was kept."""
         self._write(self._rows)
         self._rows = []
         self.recorded.size = self.recorded.stream.tell()

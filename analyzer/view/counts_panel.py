@@ -43,7 +43,6 @@ class CountsPanel(Rows):
 
     @property
     def chosen(self) -> CommandRow | None:
-        """The command under the cursor."""
         return self._rows[self.cursor].leaf if self.cursor < len(self._rows) else None
 
     def toggle(self) -> None:

@@ -28,7 +28,6 @@ class FindingRows(Rows):
 
     @property
     def chosen(self) -> FindingLine | None:
-        """The finding under the cursor."""
         kept = self._watch.findings
         return kept.item(self.cursor) if kept.first <= self.cursor < kept.stop else None
 
@@ -86,7 +85,6 @@ class FindingsPanel(Vertical):
         self._text.update("" if found is None else finding_text(found))
 
     def sync(self) -> None:
-        """Take over what has changed."""
         self._counts.update(self._rules())
         self.rows.sync()
         self._whole()

@@ -26,12 +26,10 @@ class FramesPanel(Rows):
 
     @property
     def lines(self) -> Lines:
-        """What stands in the rows."""
         return self._source.lines if self.wanted is None else self.wanted
 
     @property
     def line(self) -> FrameLine | None:
-        """The frame under the cursor."""
         lines = self.lines
         return lines.line(self.cursor) if lines.first <= self.cursor < lines.stop else None
 

@@ -51,11 +51,9 @@ class SnapshotQueue:
         return True
 
     def take(self) -> list[Snapshot]:
-        """Return what waits."""
         return [self._waiting.get_nowait() for _ in range(self._waiting.qsize())]
 
     def close(self) -> None:
-        """Say that nothing more comes."""
         self._closed = True
 
 

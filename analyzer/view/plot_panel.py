@@ -74,7 +74,6 @@ class SeriesRows(Rows):
 
     @property
     def chosen(self) -> str | None:
-        """The series under the cursor."""
         return self._rows[self.cursor].leaf if self.cursor < len(self._rows) else None
 
     def toggle(self) -> None:

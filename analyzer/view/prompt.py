@@ -60,7 +60,6 @@ class Prompt(Horizontal):
         self._input.selection = Selection(0, len(self._input.value))
 
     def close(self) -> None:
-        """Ask no more."""
         self.asking = ""
         self.display = False
 

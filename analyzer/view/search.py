@@ -50,7 +50,6 @@ class Search:
 
     @property
     def place(self) -> str:
-        """How far it is."""
         span = max(1, self.lines.stop - self.lines.first)
         return f"{min(100, 100 * (self._at - self.lines.first) // span)} %"
 

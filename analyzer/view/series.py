@@ -108,7 +108,6 @@ class Plotted:
         self.last_ns = 0
 
     def add(self, line: FrameLine) -> None:
-        """Take a frame's values."""
         for name, value, unit in series_of(line):
             series = self.series.get(name)
             if series is None:

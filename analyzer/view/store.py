@@ -266,6 +266,5 @@ class FrameStore:
         return len(self._times)
 
     def close(self) -> None:
-        """Remove the temporary file."""
         if self._file is not None:
             self._file.close()

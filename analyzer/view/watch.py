@@ -22,18 +22,15 @@ class CommandRow:
     roles: dict[str, RowCounts] = field(default_factory=dict)
 
     def count(self, role: str) -> int:
-        """Frames of a role."""
         row = self.roles.get(role)
         return row.count if row is not None else 0
 
     @property
     def rate(self) -> float:
-        """Frames a second, whatever their role."""
         return sum(row.rate for row in self.roles.values())
 
     @property
     def total(self) -> int:
-        """Frames, whatever their role."""
         return sum(row.count for row in self.roles.values())
 
     @property
@@ -76,7 +73,6 @@ class Watch:
 
     @property
     def frames(self) -> int:
-        """Frames so far."""
         return sum(bus.frames for bus in self.buses.values())
 
     @property

@@ -92,7 +92,6 @@ class Receiver:
         return frames
 
     def reset(self) -> None:
-        """Forget what is incomplete."""
         self._offset += len(self._buffer)
         self._buffer = b""
         self._times = []
@@ -184,7 +183,6 @@ class MultiReceiver:
         return _merged(self._own.expire(t_ns), (other.expire(t_ns) for other in self._others))
 
     def reset(self) -> None:
-        """Forget what is incomplete."""
         for receiver in (self._own, *self._others):
             receiver.reset()
 

@@ -56,7 +56,6 @@ class Bounds:
 
     @property
     def given(self) -> bool:
-        """Whether there is any."""
         return any(b is not None for b in (self.speed, self.turns, self.acceleration, self.current))
 
 

@@ -48,7 +48,6 @@ class Compared(msgspec.Struct, frozen=True):
 
     @property
     def fails(self) -> bool:
-        """Whether the run fails."""
         return bool(self.new or self.missing)
 
 

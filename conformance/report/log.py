@@ -105,7 +105,6 @@ class RunLog:
         self._file.add_message(self._channel, self._sequence, self._last_ns, self._last_ns, msgspec.json.encode(data))
 
     def finish(self, metadata: dict[str, str], claim: dict[str, str] | None = None) -> None:
-        """Make the file whole."""
         if claim is not None:
             self._file.add_metadata(METADATA, claim)
         self._log.finish(metadata)

@@ -98,7 +98,6 @@ class Guard:
     # --- what the suite asks for --------------------------------------------------------------------------------------
 
     def send(self, request: say.Send) -> say.Answer:
-        """Judge and write an item."""
         item = say.sendable(request.item, self.line.endpoint.name)
         gate = self._gate_for(item)
         # Note it before it leaves: from then on the drive may be moving, even if sending fails.
@@ -148,12 +147,10 @@ class Guard:
             drive.endless_since = (drive.endless_since or time.monotonic()) if endless else None
 
     def receive(self, request: say.Receive) -> say.Answer:
-        """Wait for what comes next."""
         got = self.gate.receive(request.timeout_ns)
         return say.Got(None if got is None else say.wire(got))
 
     def speed(self, request: say.Speed) -> say.Answer:
-        """Change the host's speed."""
         self.gate.set_speed(request.bits_per_second)
         return say.Done(self.gate.now_ns())
 

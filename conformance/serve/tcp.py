@@ -123,7 +123,6 @@ class TcpPort:
         self._deaf = False
 
     def close(self) -> None:
-        """Close the listener and all clients."""
         for client in self._clients.values():
             client.close()
         self._clients.clear()

@@ -95,7 +95,6 @@ class Storing:
         self._queue.put(lambda: self._drop(direction, count, from_ns, time.monotonic_ns(), reason))
 
     def event(self, direction: str, event: str, t_ns: int | None = None, **about: Any) -> None:
-        """Take an event."""
         self._queue.put(lambda: self._stores[direction].event(event, t_ns, **about))
 
     def quiet(self, direction: str, t_ns: int) -> None:

@@ -82,7 +82,6 @@ class Terminal:
             termios.tcflush(self.slave, termios.TCIFLUSH)
 
     def close(self) -> None:
-        """Close both ends."""
         if self.watch is not None:
             os.close(self.watch)
         os.close(self.master)

@@ -55,7 +55,6 @@ class Mutant(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def survived(self) -> bool:
-        """Whether no claim noticed it."""
         return not self.refuted and not self.seen
 
 

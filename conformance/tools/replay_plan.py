@@ -63,12 +63,10 @@ class Step:
 
     @property
     def name(self) -> str:
-        """The command's name."""
         return self.message.command.name if self.message.command is not None else "unknown"
 
     @property
     def address(self) -> int:
-        """The address it is for."""
         return self.message.address
 
     @property

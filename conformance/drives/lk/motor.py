@@ -282,7 +282,6 @@ class LkMotor:
         self._plan(now._replace(angle=now.angle + degrees))
 
     def to(self, t_ns: int) -> None:
-        """Let time pass."""
         self.now_ns = max(self.now_ns, t_ns)
 
     def _plan(self, now: Motion) -> None:

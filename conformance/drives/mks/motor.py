@@ -117,7 +117,6 @@ class Motor:
         self.path = rest_path(t, self._here(t) + self._whole(counts))
 
     def halt(self, t: Number) -> None:
-        """Stop at once."""
         self.path = rest_path(t, self._here(t))
 
     def settle(self, t: Number) -> None:
