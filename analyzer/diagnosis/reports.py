@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from analyzer.framer import GLITCHES
+
 
 class Report(NamedTuple):
     """A library's words. `cause`: what they stand for; `what`: what they mean; `next`: what to do."""
@@ -141,6 +143,11 @@ class Checks(NamedTuple):
         """Whether a byte of what was got is missing, or a 00 stands for it."""
         return not self.got & 0xFF or not self.got >> 8
 
+    @property
+    def edges(self) -> bool:
+        """Whether what was got is bytes that a line makes by itself."""
+        return self.got != 0 and {self.got & 0xFF, self.got >> 8} <= GLITCHES
+
 
 def checks(words: str) -> list[Checks]:
     """Return the checks that words compare."""
@@ -180,6 +187,9 @@ def _of_checks(words: str, compared: list[Checks]) -> tuple[Report, str, int]:
     if compared and all(each.swapped for each in compared):
         cause, what = "crc_swapped", "the two bytes of each CRC are swapped"
         todo = "Send the low byte of the CRC first, and compare it so"
+    elif len(compared) >= _PARTS and all(each.edges for each in compared):
+        cause, what = "leading_glitch", "bytes of an edge or of an idle line (00, FE, FF) stand where a reply should"
+        todo = "Bias and terminate the line, and see that the driver of each node is off while it does not send"
     elif compared and all(each.half for each in compared):
         cause, what = "reply_cut", "a byte of each CRC is missing: the reply was not read to its end"
         todo = "Read until the length of the reply is there or a timeout has passed"

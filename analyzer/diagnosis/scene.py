@@ -324,7 +324,8 @@ class Scene:
             trouble
             for trouble in self.of("host_echo")
             # What the capture shows as received came back, however late a library has read it.
-            if trouble.piece is not None and self.timed and not (self.shows_sent and self.direction(trouble.offset) is Role.REPLY)
+            if trouble.piece is not None and self.timed
+            and not (self.shows_sent and self.direction(trouble.offset) is Role.REPLY)
             and (asked := self._before(trouble.piece)) is not None
             and trouble.piece.t_ns - asked.t_ns > _ECHO_NS
         ]  # fmt: skip

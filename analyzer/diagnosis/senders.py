@@ -30,7 +30,7 @@ _TAIL, _LENGTHS = 4, 2
 #: Damaged stretches that make noise likely, and how alike they must be to a frame of the bus.
 _NOISE, _ALIKE, _MOST_ALIKE = 3, 0.6, 200
 #: The share of the bits by which damaged bytes differ from a frame at most, and bytes that noise adds or takes away.
-_FLIPPED, _GAINED = 1 / 10, 2
+_FLIPPED, _GAINED, _ONE_MORE = 1 / 10, 2, 1
 #: Bytes of a request that has fields.
 _FORM = 8
 #: Frames of a capture in which one damaged reply is what it is about.
@@ -311,6 +311,9 @@ def _alike(spoiled: _Spoiled, known: Sequence[bytes]) -> bytes | None:
     matcher.set_seq2(spoiled.stretch.data.decode("latin-1"))
     best: tuple[float, bytes] = (_ALIKE, b"")
     for frame in known:
+        # Noise changes bytes, and makes one more or less of them.
+        if abs(len(frame) - len(spoiled.stretch.data)) > _ONE_MORE:
+            continue
         if _near(frame, spoiled.stretch.data):
             return frame
         matcher.set_seq1(frame.decode("latin-1"))

@@ -62,6 +62,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if found is not None:
             lost.append(_Edge(trouble, b"", *found))
     missing = {edge.trouble for edge in lost}
+    for trouble, at, stray, frame in _around(scene):
+        missing.add(trouble)
+        (leading if at else trailing).append(_Edge(trouble, stray, frame, Role.UNKNOWN))
     for number, part in enumerate(parts):
         if part.trouble is None or part.trouble in missing:
             continue
@@ -254,6 +257,24 @@ def _cut(scene: Scene, trouble: Trouble, stretch: Stretch) -> _Edge | None:
         if not asked and size == 1 and stretch.ends and GLITCHES.issuperset(stray) and _lacks_last(rest):
             return _Edge(trouble, stray, rest, Role.REPLY)
     return None
+
+
+def _around(scene: Scene) -> Iterator[tuple[Trouble, int, bytes, bytes]]:
+    """Yield what came as bytes that stand in the capture without glitches around them, as where people say what was sent.
+
+    With the place of these bytes, the stray ones, and the bytes themselves.
+    """
+    alone = [t for t in scene.damaged if t.stretch is not None and t.stretch.opens and t.stretch.ends]
+    whole = {t.stretch.data for t in alone if t.stretch is not None and len(t.stretch.data) >= _LEAST_OF_REPLY}
+    for trouble in alone if len(whole) > 1 else ():
+        assert trouble.stretch is not None  # chosen so
+        data = trouble.stretch.data
+        for frame in whole - {data}:
+            at = data.find(frame)
+            stray = data[:at] + data[at + len(frame) :]
+            if at >= 0 and len(stray) <= _GLITCH_BYTES and GLITCHES.issuperset(stray) and data[0] != frame[0]:
+                yield trouble, at, stray, frame
+                break
 
 
 def _lacks_last(data: bytes) -> bool:

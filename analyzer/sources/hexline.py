@@ -152,7 +152,7 @@ _ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
 )
 #: A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark; so does a phrase that ends in a colon.
 _DISTANT = re.compile(
-    rf"(?<![\w.])(?:(?:{_words})\s*(?:[>\]=|]|:(?!:))|(?<![\w,]\s)(?:{_words})\s+"
+    rf"(?<![\w.])(?<!before )(?:(?:{_words})\s*(?:[>\]=|]|:(?!:))|(?<![\w,]\s)(?:{_words})\s+"
     rf"(?={_PAIR}[\s,:-]+{_PAIR}|<Buffer|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
     re.IGNORECASE,
 )

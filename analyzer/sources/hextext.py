@@ -379,6 +379,8 @@ class _Reader:
         self._declared = False
         self._known: set[bytes] = set()
         self._parts: set[bytes] = set()
+        #: What came from one sender since its last whole frame.
+        self._joined: tuple[Role, bytes] = (Role.UNKNOWN, b"")
         self._fields: list[re.Match[str]] = []
         self._rows = bytearray()
         #: Who sent the bytes below words, and whether any came.
@@ -507,8 +509,8 @@ class _Reader:
         yield self._source.comment(t_ns, f"{where}: {text}")
         alone = all(_LABEL.fullmatch(word) or word in self._above_words for word in _WORDS.findall(text))
         for each in frames:
-            self._know(each.data)
             role = self._marks(self._above) if each.role is Role.UNKNOWN and alone else each.role
+            self._know(each.data, role)
             self._marks(role)
             yield Chunk(t_ns, self._source.port(), each.data, Role.UNKNOWN if self._manner.deaf else role, True)
 
@@ -523,12 +525,17 @@ class _Reader:
         """Say whether bytes were there before: as a frame, as one without its check, or as what it carries."""
         return data in self._known or data in self._parts
 
-    def _know(self, data: bytes) -> None:
-        """Keep a frame, to know it again, and its parts, which libraries print again."""
-        if len(self._known) < _KNOWN:
-            self._known.add(data)
-            if len(data) >= _LEAST_CHECKED and modbus_crc(data) == 0:
-                self._parts |= {data[1:-2], data[:-2]}
+    def _know(self, data: bytes, role: Role) -> None:
+        """Keep a frame, to know it again, and its parts, which libraries print again; it may come in several reads."""
+        if len(self._known) >= _KNOWN:
+            return
+        self._known.add(data)
+        joined = self._joined[1] + data if role is self._joined[0] else data
+        for whole in (data, joined):
+            if len(whole) >= _LEAST_CHECKED and modbus_crc(whole) == 0:
+                self._parts |= {whole[1:-2], whole[:-2]}
+                joined = b""
+        self._joined = role, joined[-_LONGEST_JOINED:]
 
     def _is_joined(self, data: bytes) -> bool:
         """Say whether bytes are two readings of before, joined by the library that printed them."""
@@ -643,7 +650,7 @@ class _Reader:
         exported = _EXPORTED_NAME.fullmatch(line.name)
         if exported is not None:
             name = exported[1]
-        self._know(data)
+        self._know(data, line.role)
         firm = not self._manner.lone and (len(data) > 1 or line.number is None)
         return Chunk(t_ns, self._source.port(name), data, line.role, firm)
 

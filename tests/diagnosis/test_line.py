@@ -284,3 +284,8 @@ def test_a_wrong_line_is_not_taken_for_another(case, name, cause):
 def test_bytes_of_one_parity_by_chance_are_no_format():
     # A few bytes of one parity, as small numbers have.
     assert "wrong_parity" not in [each.cause for each in told("< FB 01 30 03 05", "< FB 01 30 06 05")]
+
+
+def test_a_part_of_a_frame_is_no_noise():
+    frame = METER[5][1]
+    assert "noise" not in [each.cause for each in told(*METER, ("<", frame[: len(frame) - 3]))]

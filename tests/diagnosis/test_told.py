@@ -74,6 +74,11 @@ def value(frame: str, words: str) -> str:
         ),
         ("notes on the arm\n  cansend can0 001#3132\n", None),
         (AGAIN, "no_reply"),
+        # What a line makes by itself stands in the place of each check; a byte of each is missing.
+        ("CRC Check failed! C03E!=FF\nCRC Check failed! D041!=FE00\nCRC Check failed! A031!=FE\n", "leading_glitch"),
+        ("CRC Check failed! C03E!=3E\nCRC Check failed! D041!=41\nCRC Check failed! A031!=31\n", "reply_cut"),
+        # Bytes that are said come with an edge before and behind them; others come.
+        ("the reply is 07 03 04 57 73 7A and the master receives FF 07 03 04 57 73 7A 00\n", "leading_glitch"),
         # A log that prints requests without their CRC, and counts it; one that does not count it.
         ("request: [11][03][00][C0][00][01]\ntty: written 8 bytes\ntty: response timeout\n", "no_reply"),
         ("request: [11][03][00][C0][00][01]\ntty: written 6 bytes\ntty: response timeout\n", "missing_checksum"),

@@ -86,3 +86,16 @@ def test_bytes_without_gaps_and_zeros_are_not_guessed(tmp_path: Path) -> None:
     with open_source(path) as source:
         assert [r.data.hex() for r in source if isinstance(r, Chunk)] == ["110300c0000186a6"]
         assert any("without leading zeros" in note for note in source.notes)
+
+
+def test_what_a_library_keeps_of_several_reads_is_known(tmp_path: Path) -> None:
+    text = (
+        f"send: {ASKED}\nrecv: 11 03 02\nProcessing: 11 03 02\nrecv: 00 04 78 44\nProcessing: 00 04 78 44\n"
+        "Getting frame: 03 02 00 04\n"
+    )
+    assert read(tmp_path, text) == [("request", ASKED), ("reply", "11 03 02"), ("reply", "00 04 78 44")]
+
+
+def test_what_is_cleared_before_a_request_was_received(tmp_path: Path) -> None:
+    text = f"send: {ASKED}\nWARNING: cleanup recv buffer before send: 00 22 00 22 E0 5D\nrecv: {ANSWERED}\n"
+    assert read(tmp_path, text)[1] == ("reply", "00 22 00 22 E0 5D")
