@@ -220,9 +220,9 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
         return _of_twice(text, twice)
     if decimal:
         data = written.decimal(text)
-        return HexLine(Shape.TRAFFIC, data, radix=Radix.DECIMAL) if data else _peeled(text, decimal)
+        return HexLine(Shape.TRAFFIC, data, radix=Radix.DECIMAL) if data else _as_it_stood(_peeled(text, decimal), line)
     if led:
-        return _peeled(text, led=True)
+        return _as_it_stood(_peeled(text, led=True), line)
     # Plain bytes need no pattern.
     plain = written.read(text) if text[2:3] == " " or text.isalnum() else None
     if plain is not None and plain.data:
@@ -240,7 +240,12 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
     if plain is not None and plain.data:
         each = _EACH.match(text)
         return HexLine(Shape.TRAFFIC, plain.data, sign=f"each{each[1]}" if each is not None else "", radix=plain.radix)
-    return _peeled(text)
+    return _as_it_stood(_peeled(text), line)
+
+
+def _as_it_stood(found: HexLine, line: str) -> HexLine:
+    """Return words with the marks of their layout, which only bytes have to lose."""
+    return found._replace(text=line.strip()) if found.shape is Shape.COMMENT else found
 
 
 #: A string of hex digits that a program writes: what goes out are its letters, unless something makes bytes of it.
