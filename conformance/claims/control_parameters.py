@@ -67,7 +67,7 @@ _HIGHER, _WIDER, _LIMIT, _LIMIT_NEAR = 24_000, 18_000, 9_000, 0.5
 #: Which way, under which limit, and whether that is written when the motion is under way; a run asks for more than each.
 _SPEED_LIMITS = ((-1, _LIMIT, False), (1, _LIMIT, False), (-1, _LIMIT, True), (1, _HIGHER, False))
 #: Which way and under which angle limit, in degrees; a move asks for twice as much.
-_ANGLE_LIMITS = ((1, 60), (-1, 60), (-1, 400), (1, 400))
+_ANGLE_LIMITS = ((1, 60), (-1, 60), (-1, 400))
 #: How far a move goes under a speed limit: less than a turn, for some stay within one.
 _WAY = 345
 #: A speed reaches its limit within the first time, and is measured for the second.

@@ -33,6 +33,8 @@ from conformance.talk.probe import Probe
 
 #: Declares a check as claims about what is stored.
 of_read_back = partial(claim, Theme.READ_BACK, first=need_plain_replies, aspect=Aspect.STATE)
+#: How many numbers are tried between the ends of a range.
+_BETWEEN = 3
 
 
 def fields_of(case: Case) -> tuple[str, ...]:
@@ -91,12 +93,16 @@ def _numbers(command: Command) -> list[Field]:
     return [f for f in fields if f.fixed is None and limits.listed(f) is None and f.effect is not Effect.GROUP]
 
 
+def _tried(field: Field) -> tuple[int, ...]:
+    return (field.high, field.low, *limits.across(field, _BETWEEN))
+
+
 def _with_numbers(dialect: Dialect) -> Iterator[Case]:
     for case in _readable(dialect):
         command = case.command
         if command is not None and (numbers := _numbers(command)):
             plain = samples.sample(dialect, command)
-            sent = [plain | {f.name: v} for f in numbers for v in (f.high, f.low)]
+            sent = [plain | {f.name: v} for f in numbers for v in _tried(f)]
             yield Case(dialect, command, {}, {**ranges.needs(dialect, command, sent), "parameters": {}})
 
 
@@ -108,12 +114,12 @@ def _with_numbers(dialect: Dialect) -> Iterator[Case]:
     fields=lambda case: tuple(f.name for f in _numbers(case.command)) if case.command is not None else (),
 )
 def _at_its_ends(probe: Probe, command: Command) -> None:
-    """The highest and the lowest number that {command} sets is what is read."""
+    """The highest and the lowest number that {command} sets, and some between, is what is read."""
     ranges.prepare(probe, command)
     plain = samples.sample(probe.dialect, command, address=probe.address)
     for field in _numbers(command):
         ranges.need_model(probe, field)
-        for value in (field.high, field.low):
+        for value in _tried(field):
             exchange = probe.ask(command, plain | {field.name: value}, quiet_ns=0)
             if probe.refused(exchange):
                 # Whether it is accepted is another claim's.

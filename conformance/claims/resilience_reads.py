@@ -102,8 +102,10 @@ def _expect_answer(probe: Probe, command: Command, values: Mapping[str, Any], st
     told = [v.rule for v in probe.reply(exchange).message.violations]
     if told and not probe.reply(before).message.violations:
         text = f"{command.name} is answered {state.when} by what its reply cannot be"
-        probe.expect(received_text(exchange), holds=False, expected=f"no {told[0]}", refutes=text, exchange=exchange)
+        key = f"{command.name} is answered by what its reply cannot be"
+        probe.expect(received_text(exchange), holds=False, expected=f"no {told[0]}", refutes=text, exchange=exchange, key=key)
     if (state.stays and is_stored(command)) or (command.verb in _FLAGS and command.verb not in state.changes):
         stored = probe.reply(before).values
         text = f"{command.name} reads something else {state.when} than at rest"
-        probe.expect(probe.reply(exchange).values, equal=stored, refutes=text, exchange=exchange)
+        key = f"{command.name} reads something else than at rest"
+        probe.expect(probe.reply(exchange).values, equal=stored, refutes=text, exchange=exchange, key=key)

@@ -30,7 +30,7 @@ from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
 #: The ramp as sent and in deg/s2; the speed limit of moves that say none, as sent.
-_RAMP, _SLOPE, _LIMIT = 36_000, 360.0, 18_000
+_RAMP, _SLOPE, _LIMIT = 54_000, 540.0, 18_000
 #: The speeds of a run, and those of a move with a speed of its own, the last one back to its end (rpm).
 _RUNS, _CHANGES = (30, 60, 20, -30, 0), (30, 60, 20, -30)
 #: The length of a move that is changed on its way, of the one that ends, and of one within a turn, in degrees.

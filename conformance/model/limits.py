@@ -1,6 +1,7 @@
 """The limits of fields and layouts as lists of integers: values at and beyond the limits, and reserved bits.
 
     edges(field)             the limits, or every choice           beyond(field)        the nearest forbidden values
+    across(field, n)         some values spread over it
     allowed(field)           spans of allowed values               forbidden(field)     spans of forbidden ones
     between(spans, n, seed)  some values that are drawn
     reserved_masks(layout)   the reserved bits, as data            with_bits(layout, values, mask)
@@ -74,6 +75,16 @@ def forbidden(field: Field) -> list[Span]:
     if at <= field.wire_maximum:
         result.append((at, field.wire_maximum))
     return result
+
+
+def across(field: Field, count: int) -> tuple[int, ...]:
+    """Return up to `count` allowed numbers within a range, each by one factor greater than the one before.
+
+    A threshold between two of them shows, wherever in the range it is.
+    """
+    first, share = max(1, field.low), 1 / (count + 1)
+    values = (round(first * (max(first, field.high) / first) ** (share * number)) for number in range(1, count + 1))
+    return tuple(dict.fromkeys(value for value in values if field.low < value < field.high and field.allows(value)))
 
 
 def between(spans: Iterable[Span], count: int, seed: str) -> tuple[int, ...]:

@@ -1,9 +1,11 @@
 """What the suite says, kept: every claim, every verdict on conforming drives, and which claims refute which fault.
 
-    python -m tests.conformance.golden [claims|verdicts|faults ...] [--write] [--jobs N] [--every N] [--search] [--full FILE]
+    python -m tests.conformance.golden [claims|verdicts|faults ...] [--write] [--jobs N] [--every N] [--only PATTERN ...]
+                                       [--search] [--full FILE]
 
 A change that means to change nothing leaves these files alone. One that means to change them writes them anew, and the
-difference shows what it did. `--full FILE` writes the whole table of faults, every claim against each: an hour.
+difference shows what it did. `--only new`: those faults alone whose lines are not kept yet, or of which a name matches; the
+other lines stay. `--full FILE` writes the whole table of faults, every claim against each: an hour.
 
 A fault that none of its likeliest claims refutes is tried against the most telling ones and those that were found before, until
 one refutes it. `--search` tries all claims against such a fault: what is found is kept, and later runs need no search.
@@ -38,6 +40,7 @@ TELLING = 60
 HURTS = (
     "executes-bad-*", "hears-bad-*", "executes-another-address", "executes-motion-of-another", "answers-another-address",
     "disabled-moves", "protected-moves", "package-any-checksum", "package-every-slot", "package-broadcast-slot",
+    "protected-goes-on", "release-takes-up",
     "lk-answers-other-address", "lk-answers-address-0", "lk-obeys-*", "lk-answers-wrong-*-sum", "lk-off-still-moves",
 )  # fmt: skip
 
@@ -78,10 +81,12 @@ def unconfirmed(target: Target, verdict: Verdict) -> str:
     return json.dumps(fact, ensure_ascii=False)
 
 
-def faults(every: int = 1, likeliest: int | None = LIKELIEST, jobs: int = 1, *, search: bool = False) -> Iterator[str]:
-    """Yield a line for each fault: the claims that refute it, of the likeliest ones (of all, where None)."""
+def faults(
+    every: int = 1, likeliest: int | None = LIKELIEST, jobs: int = 1, *, search: bool = False, only: Collection[str] = ()
+) -> Iterator[str]:
+    """Yield a line for each fault, or for `only` some: the claims that refute it, of the likeliest ones (None: of all)."""
     targets = mutants.telling_targets(make.KINDS)
-    first = list(mutants.mutants(targets, jobs=jobs, full=True, every=every, most=likeliest))
+    first = list(mutants.mutants(targets, jobs=jobs, full=True, every=every, most=likeliest, only=sorted(only)))
     again = [each for each in first if hurts(each.fault) and not two_ways([claim for claim, _ in each.refuted])]
     wanted = {(each.dialect, each.fault) for each in again}
     every_claim = mutants.mutants(targets, jobs=jobs, full=True, only=[name for _, name in wanted]) if wanted else ()
@@ -119,6 +124,20 @@ def two_ways(refuted: Iterable[str]) -> bool:
     return len(found) >= 2 and not found <= by_hand
 
 
+def named(patterns: Iterable[str]) -> set[str]:
+    """Return the names of the faults that match a pattern; `new`: of those that have no line."""
+    kept_names = {json.loads(line)["fault"] for line in kept("faults")}
+    names = {fault.name for fault in make.every_fault()}
+    return {name for name in names for p in patterns if (name not in kept_names if p == "new" else fnmatch(name, p))}
+
+
+def renewed(new: Iterable[str], only: Collection[str]) -> list[str]:
+    """Return the kept lines of faults, with new ones in the place of some."""
+    lines = {(row["dialect"], row["fault"]): line for line in kept("faults") if (row := json.loads(line))["fault"] not in only}
+    lines |= {((row := json.loads(line))["dialect"], row["fault"]): line for line in new}
+    return [lines[key] for key in sorted(lines)]
+
+
 PARTS = {"claims": claims, "verdicts": verdicts, "faults": faults}
 
 
@@ -133,15 +152,22 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="write the files anew")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--every", type=int, default=1, help="only each so many of the faults")
+    parser.add_argument("--only", action="append", default=[], metavar="PATTERN", help="only these faults; new: without a line")
     parser.add_argument("--search", action="store_true", help="try all claims where the likeliest refute nothing: an hour more")
     parser.add_argument("--full", metavar="FILE", help="write the whole table of faults into a file")
     arguments = parser.parse_args()
     if arguments.full:
         Path(arguments.full).write_text("".join(f"{x}\n" for x in faults(arguments.every, None, arguments.jobs)))
         return 0
-    different = 0
+    different, only = 0, named(arguments.only)
+    if arguments.only and not only:
+        parser.error(f"no fault is named {' or '.join(arguments.only)}")
     for part in arguments.parts or PARTS:
-        new = list(faults(arguments.every, jobs=arguments.jobs, search=arguments.search) if part == "faults" else PARTS[part]())
+        if part == "faults":
+            new = list(faults(arguments.every, jobs=arguments.jobs, search=arguments.search, only=only))
+            new = renewed(new, only) if only else new
+        else:
+            new = list(PARTS[part]())
         if arguments.write:
             (FOLDER / f"{part}.jsonl").write_text("".join(f"{x}\n" for x in new))
             continue

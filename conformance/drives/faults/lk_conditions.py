@@ -153,7 +153,7 @@ CONDITIONS: Rows = {
             _limits(lambda limits: replace(limits, angle=limits.angle if limits.angle <= 360 else 1e9)),
         ),
     ),
-    "error flags": (
+    "clear errors": (
         Row(
             "lk-short-circuit-stays",
             "0x9B never clears the short circuit",
@@ -172,7 +172,7 @@ CONDITIONS: Rows = {
         Row("lk-lowest-flag-alone", "of several flags the lowest is told", result(_lowest_alone, _STATE_1)),
         Row("lk-silent-when-stalled", "a stalled motor answers 0x9A and 0x9B alone", _silent_with("stalled")),
     ),
-    "ramp": (
+    "one slope": (
         Row("lk-changed-move-steep", "a move that changes another motion has twice the ramp", _steeper(_MOVES, 2.0, _turning)),
         Row(
             "lk-changed-run-flat",

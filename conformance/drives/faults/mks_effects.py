@@ -15,7 +15,7 @@ from analyzer.catalogue import Command, Verb
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import homing_by, mks, tuned
-from conformance.drives.faults.places import NATIVE, Change, Row, Rows, faults, having, result, taken
+from conformance.drives.faults.places import CAN, NATIVE, Change, Row, Rows, faults, having, result, storing, taken
 from conformance.drives.mks.core import Activity, Behaviour, MksCore
 from conformance.drives.mks.paths import Number
 
@@ -138,6 +138,10 @@ def _division(change: Callable[[int], int]) -> Change:
     return Change(result(tell, Verb.READ_IO).install, having(Verb.SET_PULSE_DIVISION))
 
 
+def _in_steps(drive: Drive, name: str, value: int) -> tuple[str, int]:
+    return name, 256 if name == "current" and 256 <= value < 1024 else value
+
+
 def _tolerance(degrees: int, either: Callable[[Number, Number], Number]) -> Change:
     """Let the shaft go at another lag than was set, on one side of some degrees."""
 
@@ -197,8 +201,13 @@ EFFECTS: Rows = {
         Row("division-not-above-5000", "PEND divides no pulses by more than 5000", _division(lambda n: n if n <= 5000 else 0)),
         Row("division-of-16-bits", "PEND divides pulses by 16 bits of the period", _division(lambda n: n & 0xFFFF)),
         Row(
+            "current-of-steps",
+            "currents of 256 to 1023 mA are stored as 256",
+            Change(storing(_in_steps, "current").install, CAN),
+        ),
+        Row(
             "slow-homing-capped",
-            "homing turns at 1000 rpm at most",
+            "91 turns at the home speed, but at 1000 rpm at most",
             homing_by(lambda settings: {"home_speed": min(settings["home_speed"], 1000)}),
         ),
         Row("small-tolerance-coarse", "stall tolerances below 72 degrees hold as that", _tolerance(72, max)),

@@ -148,6 +148,7 @@ REFUTED_BY = {
     "en-pin-keeps-torque": "read-back/set_enable_level/pin",
     "limits-by-low-pins": "motion/set_home/end-limit-stops-move_relative_axis",
     "closed-start-by-low-pin": "motion/home/from-closed-ccw",
+    "current-of-steps": "read-back/set_current/ends",
     "slow-homing-capped": "motion/home/speed-2000",
     "small-tolerance-coarse": "motion/set_stall_tolerance/limp-angle",
     "great-tolerance-capped": "motion/set_stall_tolerance/limp-angle",
