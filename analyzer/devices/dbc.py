@@ -100,7 +100,7 @@ def _check_size(text: Text, format: str) -> None:
 
 def _check_ranges(text: Text, start: int, stop: int) -> None:
     """Raise UnreadableError for a range of multiplexer values that is longer than anyone numbers them."""
-    for found in re.finditer(r"(\d+)\s*-\s*(\d+)", text.text[start:stop]):
+    for found in re.finditer(r"(?<!\d)(\d++)\s*+-\s*+(\d++)", text.text[start:stop]):
         if len(found[2]) > len(str(1 << 64)) or int(found[2]) - int(found[1]) > _MOST_VALUES:
             raise text.error(
                 f"multiplexer values: expected {_MOST_VALUES} at most, got {found[0]}", text.line_at(start + found.start())

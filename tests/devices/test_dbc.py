@@ -271,6 +271,7 @@ REPEATED = {
     "lines": ("\n", "expected messages, got none"),
     "messages without an end": ("BO_ 1 \n", "Invalid syntax"),
     "multiplexer values without an end": ("SG_MUL_VAL_ \n", "Invalid syntax"),
+    "a multiplexer value without an end": ("1", "Invalid syntax"),
 }
 
 
@@ -278,7 +279,7 @@ REPEATED = {
 def test_a_text_that_repeats_is_looked_through_once(name, tmp_path):
     piece, told = REPEATED[name]
     with pytest.raises(ServotapError, match=told):
-        devices(tmp_path, 'VERSION ""\n' + piece * ((1 << 20) // len(piece)))
+        devices(tmp_path, 'VERSION ""\n' + "SG_MUL_VAL_ " * (piece == "1") + piece * ((1 << 20) // len(piece)) + ";" * (piece == "1"))
 
 
 def test_signals_at_whose_bits_cantools_would_look_for_minutes_are_refused(tmp_path):
