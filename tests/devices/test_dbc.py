@@ -268,18 +268,18 @@ def test_two_files_of_one_identifier(tmp_path):
 
 #: Texts of a megabyte of which each begin looks like one of what is searched. To look through all behind each would take hours.
 REPEATED = {
-    "lines": ("\n", "expected messages, got none"),
-    "messages without an end": ("BO_ 1 \n", "Invalid syntax"),
-    "multiplexer values without an end": ("SG_MUL_VAL_ \n", "Invalid syntax"),
-    "a multiplexer value without an end": ("1", "Invalid syntax"),
+    "lines": ("", "\n", "", "expected messages, got none"),
+    "messages without an end": ("", "BO_ 1 \n", "", "Invalid syntax"),
+    "multiplexer values without an end": ("", "SG_MUL_VAL_ \n", "", "Invalid syntax"),
+    "a multiplexer value without an end": ("SG_MUL_VAL_ ", "1", ";", "Invalid syntax"),
 }
 
 
 @pytest.mark.parametrize("name", REPEATED)
 def test_a_text_that_repeats_is_looked_through_once(name, tmp_path):
-    piece, told = REPEATED[name]
+    begin, piece, end, told = REPEATED[name]
     with pytest.raises(ServotapError, match=told):
-        devices(tmp_path, 'VERSION ""\n' + "SG_MUL_VAL_ " * (piece == "1") + piece * ((1 << 20) // len(piece)) + ";" * (piece == "1"))
+        devices(tmp_path, f'VERSION ""\n{begin}{piece * ((1 << 20) // len(piece))}{end}')
 
 
 def test_signals_at_whose_bits_cantools_would_look_for_minutes_are_refused(tmp_path):
