@@ -34,15 +34,19 @@ _FORMATS = {".dbc": "dbc", ".kcd": "kcd", ".sym": "sym", ".arxml": "arxml"}
 _XML = frozenset({"kcd", "arxml"})
 #: The longest message that J1939 carries, in bytes, and as many multiplexer values as anyone numbers.
 _LONGEST, _MOST_VALUES = 1785, 1 << 16
+#: The head of a message. A name is short: what has no end is not looked through for each begin.
+_MESSAGE = r"^BO_ \s*\d+ [^:]{0,300}:\s*(\d+)"
 #: Numbers that cantools makes as many objects of: what they are, their pattern, the most.
 _LIMITS = (
-    ("bytes of a message", r"^BO_ \s*\d+ [^:]*:\s*(\d+)", _LONGEST),
+    ("bytes of a message", _MESSAGE, _LONGEST),
     ("bits of a signal", r":\s*\d+\|(\d+)@", 8 * _LONGEST),
     ("first bit of a signal", r":\s*(\d+)\|\d+@", 8 * _LONGEST),
     ("length", r"""\b(?:length|offset)\s*=\s*["'](\d+)""", 8 * _LONGEST),
-    ("length", r"^\s*(?:Len|DLC|MaxLength)\s*=\s*(\d+)", 8 * _LONGEST),
+    ("length", r"^[ \t]*(?:Len|DLC|MaxLength)\s*=\s*(\d+)", 8 * _LONGEST),
     ("length", r"<(?:LENGTH|BIT-LENGTH|FRAME-LENGTH|START-POSITION)>\s*(\d+)", 8 * _LONGEST),
 )
+#: Signals of a message times its bits, over all messages: cantools looks at each bit for each signal, two million in a second.
+_MOST_LOOKS = 8_000_000
 
 
 def messages(text: Text, name: str, note: Callable[[str], None]) -> Dialect:
@@ -84,11 +88,33 @@ def _check_size(text: Text, format: str) -> None:
         for found in re.finditer(pattern, text.text, re.MULTILINE | re.IGNORECASE):
             if len(found[1]) > len(str(most)) or int(found[1]) > most:
                 raise text.error(f"{what}: expected {most} at most, got {found[1]}", text.line_at(found.start(1)))
-    for line in re.finditer(r"^SG_MUL_VAL_ .*?;", text.text, re.MULTILINE | re.DOTALL):
-        for found in re.finditer(r"(\d+)\s*-\s*(\d+)", line[0]):
-            if len(found[2]) > len(str(1 << 64)) or int(found[2]) - int(found[1]) > _MOST_VALUES:
-                place = text.line_at(line.start() + found.start())
-                raise text.error(f"multiplexer values: expected {_MOST_VALUES} at most, got {found[0]}", place)
+    _check_looks(text)
+    values_at = -1
+    for mark in re.finditer(r"^SG_MUL_VAL_ |;", text.text, re.MULTILINE):
+        if mark[0] != ";":
+            values_at = mark.start() if values_at < 0 else values_at
+        elif values_at >= 0:
+            _check_ranges(text, values_at, mark.start())
+            values_at = -1
+
+
+def _check_ranges(text: Text, start: int, stop: int) -> None:
+    """Raise UnreadableError for a range of multiplexer values that is longer than anyone numbers them."""
+    for found in re.finditer(r"(?<!\d)(\d++)\s*+-\s*+(\d++)", text.text[start:stop]):
+        if len(found[2]) > len(str(1 << 64)) or int(found[2]) - int(found[1]) > _MOST_VALUES:
+            raise text.error(
+                f"multiplexer values: expected {_MOST_VALUES} at most, got {found[0]}", text.line_at(start + found.start())
+            )
+
+
+def _check_looks(text: Text) -> None:
+    """Raise UnreadableError for so many signals in so long messages that cantools would look at their bits for minutes."""
+    looks = bits = 0
+    for found in re.finditer(rf"{_MESSAGE}|^\s?SG_ ", text.text, re.MULTILINE):
+        bits = bits if found[1] is None else 8 * int(found[1])
+        looks += bits if found[1] is None else 0
+        if looks > _MOST_LOOKS:
+            raise text.error("expected fewer signals in messages so long", text.line_at(found.start()))
 
 
 @contextmanager

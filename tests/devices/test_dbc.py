@@ -264,3 +264,25 @@ def test_two_files_of_one_identifier(tmp_path):
         devices(tmp_path, BATTERY, BATTERY)
     with pytest.raises(ServotapError, match=r"none.dbc: No such file"):
         load([str(tmp_path / "none.dbc")], [], print)
+
+
+#: Texts of a megabyte of which each begin looks like one of what is searched. To look through all behind each would take hours.
+REPEATED = {
+    "lines": ("", "\n", "", "expected messages, got none"),
+    "messages without an end": ("", "BO_ 1 \n", "", "Invalid syntax"),
+    "multiplexer values without an end": ("", "SG_MUL_VAL_ \n", "", "Invalid syntax"),
+    "a multiplexer value without an end": ("SG_MUL_VAL_ ", "1", ";", "Invalid syntax"),
+}
+
+
+@pytest.mark.parametrize("name", REPEATED)
+def test_a_text_that_repeats_is_looked_through_once(name, tmp_path):
+    begin, piece, end, told = REPEATED[name]
+    with pytest.raises(ServotapError, match=told):
+        devices(tmp_path, f'VERSION ""\n{begin}{piece * ((1 << 20) // len(piece))}{end}')
+
+
+def test_signals_at_whose_bits_cantools_would_look_for_minutes_are_refused(tmp_path):
+    signals = "".join(f' SG_ s{n} : {n}|1@1+ (1,0) [0|0] "" A\n' for n in range(8000))
+    with pytest.raises(ServotapError, match=r"dbc:\d+: expected fewer signals in messages so long"):
+        devices(tmp_path, f'VERSION ""\nBU_: A\nBO_ 1 M: 1785 A\n{signals}\n')

@@ -238,3 +238,20 @@ def test_damage_anywhere_raises_nothing_unforeseen(form: str, tmp_path: Path) ->
             error = str(raised)
         # What was not foreseen is told so.
         assert "cannot be read as" not in error
+
+
+def test_a_header_of_many_sections_is_read_once(tmp_path: Path) -> None:
+    """To count the lines before each section anew would take minutes."""
+    path = tmp_path / "a.vcd"
+    waves.write_vcd(path, [uart([(1e6, b"\xfa\x01\x30\x2b")], 38400)[0]], 1_000_000)
+    _, alone = read_all(path)
+    section = "$comment x $end\n"
+    path.write_text(section * ((4 << 20) // len(section) - 100) + path.read_text())
+    assert read_all(path)[1] == alone
+
+
+def test_a_header_whose_last_section_has_no_end_is_not_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.vcd"
+    path.write_text("$timescale 1us $end\n$enddefinitions\n" + "#1 1!\n" * (1 << 20))
+    with pytest.raises(UnreadableError, match="breaks off in \\$enddefinitions"):
+        read_all(path)

@@ -73,12 +73,13 @@ def _header(source: Source) -> _Header:
         block = source.stream.block()
         text += block
         end = text.find(b"$end", text.index(b"$enddefinitions") + len(b"$enddefinitions"))
-        if not block:
+        if not block or len(text) > _HEADER_LIMIT:
             raise UnreadableError(f"{source.name}: the VCD header breaks off in $enddefinitions, expected $end")
     header = _Header(rest=text[end + 4 :], lines=text.count(b"\n", 0, end))
     scopes: list[str] = []
+    line, counted = 1, 0
     for match in re.finditer(rb"\$(\w+)\s(.*?)\$end", text[: end + 4], re.DOTALL):
-        line = 1 + text.count(b"\n", 0, match.start())
+        line, counted = line + text.count(b"\n", counted, match.start()), match.start()
         words = match[2].decode("utf-8", "replace").split()
         if match[1] == b"timescale":
             _set_scale(source, header, " ".join(words), line)
