@@ -10,6 +10,7 @@ import argparse
 import difflib
 import os
 import re
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -184,6 +185,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
+    from analyzer.cli.signals import handled
     from analyzer.errors import ServotapError
 
     parser = _Parser(
@@ -201,8 +203,10 @@ def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
     # Options may stand among the positional arguments: `frame D@1 run_speed --reply status=1`.
     parsed = parser.parse_intermixed_args(_joined(words))
     try:
-        # A command of another package may return nothing.
-        return int(module.run(parsed) or 0)
+        # Any of these signals ends a command as Ctrl-C does, so that no unfinished file stays behind.
+        with handled(signal.default_int_handler):
+            # A command of another package may return nothing.
+            return int(module.run(parsed) or 0)
     except ServotapError as error:
         print(f"servotap {name}: {error}", file=sys.stderr)
         return error.exit_status

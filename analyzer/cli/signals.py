@@ -23,11 +23,12 @@ ENDING = {
 
 @contextlib.contextmanager
 def handled(handler: Any) -> Iterator[None]:
-    """Let `handler` take the signals that end a program, as `signal.signal` does."""
+    """Let `handler` take the signals that end a program, as `signal.signal` does; not a SIGHUP that `nohup` has it ignore."""
     before: dict[int, Any] = {}
     with contextlib.suppress(ValueError):
         for number in ENDING:
-            before[number] = signal.signal(number, handler)
+            if signal.getsignal(number) is not signal.SIG_IGN or number != getattr(signal, "SIGHUP", None):
+                before[number] = signal.signal(number, handler)
     try:
         yield
     finally:

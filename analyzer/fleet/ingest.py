@@ -15,6 +15,7 @@ import logging
 import posixpath
 import re
 import sys
+import tempfile
 import time
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -218,6 +219,9 @@ def workers(scheduler: str, count: int) -> Iterator[Any]:
     with contextlib.ExitStack() as opened:
         address: Any = scheduler
         if scheduler == "local":
+            # Dask leaves a folder behind in the one for temporary files.
+            folder = opened.enter_context(tempfile.TemporaryDirectory(prefix="servotap-", ignore_cleanup_errors=True))
+            needed("dask").config.set({"temporary-directory": folder})
             address = opened.enter_context(
                 distributed.LocalCluster(
                     n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=_QUIET

@@ -91,6 +91,17 @@ class LogState(msgspec.Struct, kw_only=True):
     seconds: dict[str, Annotated[list[int | None], msgspec.Meta(min_length=7)]]
 
 
+class BeforeState(msgspec.Struct, kw_only=True):
+    """The counts of a recording where its part began."""
+
+    bytes: Count
+    frames: Count
+    frame_bytes: Count
+    junk_bytes: Count
+    marks: Count
+    findings: Count
+
+
 class CountsState(msgspec.Struct, kw_only=True):
     """What `RecordingCounts.state` returns."""
 
@@ -100,7 +111,7 @@ class CountsState(msgspec.Struct, kw_only=True):
     junk_bytes: Count
     marks: Count
     findings: dict[str, Count]
-    before: dict[str, Count]
+    before: BeforeState
 
 
 class Checkpoint(msgspec.Struct, kw_only=True):

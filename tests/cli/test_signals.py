@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
+from types import SimpleNamespace
 
-from analyzer.cli.signals import Interrupt
+import pytest
+
+from analyzer import cli
+from analyzer.cli import main
+from analyzer.cli.signals import ENDING, Interrupt
 
 
 def test_a_signal_while_a_reader_waits_is_no_trouble_of_the_capture() -> None:
@@ -20,3 +25,34 @@ def test_a_signal_while_a_reader_waits_is_no_trouble_of_the_capture() -> None:
     with Interrupt() as interrupt:
         assert list(interrupt.items(reader())) == ["frame"]
     assert interrupt.asked
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_each_signal_ends_a_command_as_ctrl_c_does(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that takes over no signal itself would leave its unfinished file behind."""
+    left = []
+
+    def run(parsed: object) -> int:
+        try:
+            signal.raise_signal(number)
+        finally:
+            left.append("the unfinished file is removed")
+        return 0
+
+    before = signal.getsignal(number)
+    command = SimpleNamespace(__doc__="", add_arguments=lambda parser: None, run=run)
+    monkeypatch.setattr(cli, "import_module", lambda name: command)
+    assert main(["show"]) == 130
+    assert left
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="a system without SIGHUP")
+def test_what_nohup_has_a_program_ignore_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Interrupt() as interrupt:
+            signal.raise_signal(signal.SIGHUP)
+        assert not interrupt.asked
+    finally:
+        signal.signal(signal.SIGHUP, before)
