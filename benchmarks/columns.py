@@ -11,8 +11,8 @@ plausible sessions (`captures/make.py`: polls, settings, motion). Each work is d
 - a filter over a log: a loop over the messages by `mcap` and `json`
 
 CPU seconds count all processes of a command, and its start; Python finds modules compiled, as where they are installed, for all
-programs alike. A second table has what `--jobs` gains: seconds of the clock by turns, for which the machine should have nothing
-else to do.
+programs alike. `decode` uses one process. A second table has what a second core gains: one process on one core, two on two, in
+seconds of the clock by turns, for which the machine should have nothing else to do.
 """
 
 from __future__ import annotations
@@ -62,22 +62,23 @@ def write(rows: Sequence[CanFrame], dump: Path, pcap: Path, blf: Path) -> None:
             objects.on_message_received(can.Message(seconds + us / 1e6, row.id, False, data=row.data))
 
 
-def cpu(command: Sequence[str]) -> float:
-    """Return the CPU seconds that a command takes."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=ROOT)
+def cpu(command: Sequence[str], cores: int | None = None) -> float:
+    """Return the CPU seconds that a command takes. `cores`: how many it may use."""
+    before, quiet = resource.getrusage(resource.RUSAGE_CHILDREN), subprocess.DEVNULL
+    own = sorted(os.sched_getaffinity(0))[:cores]
+    subprocess.run(command, check=True, stdout=quiet, stderr=quiet, cwd=ROOT, preexec_fn=lambda: os.sched_setaffinity(0, own))
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def gained(ours: Sequence[str], rounds: int) -> str:
-    """Return a row of the second table: medians of one process and of two, by the clock and as CPU, and of their ratios."""
+    """Return a row of the second table: medians on one core and on two, by the clock and as CPU, and of their ratios."""
     clock: dict[str, list[float]] = {"1": [], "2": []}
     spent: dict[str, list[float]] = {"1": [], "2": []}
     for _ in range(rounds):
         for jobs in clock:
             started = time.perf_counter()
-            spent[jobs].append(cpu([*ours, "--jobs", jobs]))
+            spent[jobs].append(cpu([*ours, "--jobs", jobs], int(jobs)))
             clock[jobs].append(time.perf_counter() - started)
     ratio = statistics.median(one / two for one, two in zip(*clock.values(), strict=True))
     cells = [statistics.median(times[jobs]) for jobs in clock for times in (clock, spent)]
@@ -120,7 +121,7 @@ def main() -> None:
                     print(f"| {name} | {work} | {by} | {taken:.2f} | {taken / own:.2f} |", flush=True)
             for by in ("servotap, pcap", "servotap, candump"):
                 jobs.append(f"| {name} | {by} | {gained(commands_of['decode'][by], arguments.rounds)} |")
-    print("\n| capture | by | one process, s | its CPU s | two, s | their CPU s | times as fast |\n|" + 7 * " --- |")
+    print("\n| capture | by | one core, s | its CPU s | two, s | their CPU s | times as fast |\n|" + 7 * " --- |")
     print(*jobs, sep="\n")
 
 
@@ -128,7 +129,7 @@ def works(dump: str, pcap: str, blf: str, log: str) -> dict[str, dict[str, list[
     """Return the commands of each work, that of this program first."""
     python = [sys.executable, "-c"]
     servotap = [sys.executable, "-m", "analyzer"]
-    decode = [*servotap, "decode", "--force", "--dialect", "mks-can", "-o"]
+    decode = [*servotap, "decode", "--force", "--dialect", "mks-can", "--jobs", "1", "-o"]
     decoding = {
         "servotap, pcap": [*decode, log, pcap],
         "servotap, candump": [*decode, log, dump],

@@ -8,9 +8,11 @@ from pathlib import Path
 
 def read(path: str) -> int:
     """Read a capture as `decode` does; return how many frames it has."""
+    from analyzer.columns import memory
     from analyzer.columns.block import CanBlock
     from analyzer.sources import open_source
 
+    memory.keep()
     with open_source(path) as source:
         source.in_blocks = True
         return sum(len(item) if isinstance(item, CanBlock) else 1 for item in source.items())

@@ -28,6 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from analyzer import dialects
 from analyzer.catalogue import Role
+from analyzer.columns import memory
 from analyzer.columns.block import ByteBlock
 from analyzer.columns.framing import Framing, Row
 from analyzer.context import Context
@@ -149,6 +150,8 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=400_000)
     parser.add_argument("--rounds", type=int, default=3)
     arguments = parser.parse_args()
+    # As `servotap decode` does.
+    memory.keep()
     framing_rows(arguments.frames, arguments.rounds)
     decode_rows(arguments.frames, arguments.rounds)
 

@@ -248,6 +248,10 @@ def _show(arguments: argparse.Namespace) -> int:
         size = reading.source.size
         whole = not (arguments.follow or reading.time_range.wanted)
         reading.source.in_blocks = whole and size is not None and size >= LONG_CAPTURE
+        if reading.source.in_blocks:
+            from analyzer.columns.memory import keep
+
+            keep()
         table = Table(arguments, wanted, reading.time_range.shown, reading.who_width)
         pipeline = reading.pipeline((table,))
         with contextlib.suppress(_Enough):

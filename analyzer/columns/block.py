@@ -59,9 +59,13 @@ class CanBlock:
         data = np.frombuffer(b"".join([frame.data.ljust(WIDEST_DATA, b"\0") for frame in frames]), dtype=np.uint8)
         return cls(frames[0].port, t_ns, ids, sizes, data.reshape(count, WIDEST_DATA), marks)
 
+    def leads_to(self, other: CanBlock) -> bool:
+        """Say whether another block can stand behind this one, in one block."""
+        return self.port == other.port and bool(self.t_ns[-1] <= other.t_ns[0])
+
     @classmethod
     def joined(cls, blocks: Sequence[CanBlock]) -> CanBlock:
-        """Return blocks of one bus, which follow each other, as one."""
+        """Return blocks of which each leads to the next as one."""
         import numpy as np
 
         if len(blocks) == 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -77,6 +78,13 @@ class Crc16:
         for _ in range(8):
             values = (values >> np.uint16(1)) ^ (values & np.uint16(1)) * np.uint16(cls._POLYNOMIAL)
         return values
+
+
+def rows_of(values: Bytes) -> Iterator[tuple[int, Integers]]:
+    """Yield each value but 0 that occurs, rising, with the rows that have it."""
+    order, ends = np.argsort(values, kind="stable"), np.cumsum(np.bincount(values, minlength=1))
+    for value in (np.flatnonzero(np.diff(ends)) + 1).tolist():
+        yield value, order[ends[value - 1] : ends[value]]
 
 
 def places_of(codes: Bytes, values: bytes, room: int) -> Integers:

@@ -298,7 +298,7 @@ class _ModbusSlicer(Slicer):
     def scan(self, codes: Bytes) -> Found | None:
         import numpy as np
 
-        from analyzer.link.arrays import Crc16, Found
+        from analyzer.link.arrays import Crc16, Found, rows_of
 
         rules: tuple[tuple[frozenset[int], Callable[[Bytes, Integers], tuple[Flags | bool, Bytes | int]]], ...] = (
             (READS, self._of_reads),
@@ -312,16 +312,14 @@ class _ModbusSlicer(Slicer):
         room = max(0, len(codes) - _LONGEST_SCANNED)
         there = kinds.take(codes[1 : room + 1])
         places = np.flatnonzero(there.view(np.bool_) & (codes[:room] <= _MODBUS_HIGHEST))
-        there = there[places]
+        there = there.take(places)
         # Of each place: whether a frame of 8 bytes can begin there, and the other length that one can have, 0 for none.
         eight, other = np.zeros(len(places), dtype=np.bool_), np.zeros(len(places), dtype=np.uint8)
-        for kind, (_, sizes_of) in enumerate(rules, 1):
-            rows = np.flatnonzero(there == kind)
-            eight[rows], other[rows] = sizes_of(codes, places[rows])
+        for kind, rows in rows_of(there):
+            eight[rows], other[rows] = rules[kind - 1][1](codes, places.take(rows))
         crc, sizes = Crc16(codes), np.zeros(len(places), dtype=np.uint8)
-        for size in np.flatnonzero(np.bincount(other, minlength=1)).tolist():
-            rows = np.flatnonzero(other == size) if size else places[:0]
-            sizes[rows[crc.fit(places[rows], size)]] = size
+        for size, rows in rows_of(other):
+            sizes[rows[crc.fit(places.take(rows), size)]] = size
         rows = np.flatnonzero(eight)
         rows = rows[crc.fit(places[rows], 8)]
         # Of two lengths the shorter counts; where they are one apart, it is a tie.

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from analyzer.columns.pairs import Plain
 
 #: Rows of blocks that are packed together: fewer cost more for each kind of frame, more need more memory.
-ROWS = 1 << 16
+ROWS = 1 << 15
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 #: channel and place of its message index, for each;

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from analyzer.sinks.object_table import Table, TablePickler, TableUnpickler
 
 #: Bytes of a slot, and from how many on something stands in one.
-_SIZE, _LARGE = 6 << 20, 4 << 10
+_SIZE, _LARGE = 3 << 20, 4 << 10
 _ALIGNED = 64
 _NUMBER = 4
 _NONE = (1 << 8 * _NUMBER) - 1

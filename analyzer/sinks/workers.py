@@ -32,7 +32,7 @@ MOST = 3
 #: Tasks that a worker has at once: one under way, one in its pipe.
 _AT_ONCE = 2
 #: Slots of shared memory: for blocks under way in the pipeline, and more for each worker.
-_SLOTS, _SLOTS_EACH = 6, 6
+_SLOTS, _SLOTS_EACH = 6, 4
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -49,9 +49,9 @@ _HEAD_LIMIT = 1000
 
 SECOND_NS = 1_000_000_000
 #: Bytes that are read together where records become blocks.
-TOGETHER = 2 << 20
+TOGETHER = 1 << 20
 #: Records that are joined to a block at most, their bytes, and the fewest bytes for which that is worth it.
-_RECORDS, JOINED, SHORTEST_BLOCK = 1 << 16, 1 << 20, 512
+_RECORDS, JOINED, SHORTEST_BLOCK = 1 << 15, 1 << 20, 512
 #: 2100-01-01: what lies behind it is noted.
 FAR_NS = 4_102_444_800 * SECOND_NS
 #: The greatest time that every part of the program can hold.
@@ -405,7 +405,7 @@ def _larger(records: Iterator[Record | CanBlock | ByteBlock]) -> Iterator[Record
     try:
         for record in records:
             block = record if isinstance(record, CanBlock) else None
-            if held and (block is None or block.port != held[-1].port or rows + len(block) > _RECORDS):
+            if held and not (block is not None and rows + len(block) <= _RECORDS and held[-1].leads_to(block)):
                 yield CanBlock.joined(held)
                 held, rows = [], 0
             if block is None:
