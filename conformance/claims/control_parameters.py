@@ -136,7 +136,8 @@ def _limited_speeds(probe: Probe, begin: Callable[[int], object]) -> tuple[_Limi
         rpm, uncertain = motion.mean_speed(probe, _SEEN_NS)
         motion.stand_still(probe)
         set_parameter(probe, "speed_limit", kept or 0)
-        found.append(_Limited(way, abs(rpm), limit / 600, _LIMIT_NEAR + uncertain, exchange, under_way))
+        within = _LIMIT_NEAR + limit / 600 * CLOCK_SHARE + uncertain
+        found.append(_Limited(way, abs(rpm), limit / 600, within, exchange, under_way))
     return tuple(found)
 
 
