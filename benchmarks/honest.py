@@ -1,8 +1,10 @@
-"""How many honest drives a suite accuses: drives drawn from all traits of realism, every claim, in virtual time.
+"""How many honest drives a suite accuses: drives drawn from all traits of realism and all settings, every claim, virtual time.
 
     python -m benchmarks.honest [--drives 200] [--seed 1] [--jobs 2] [--every 1] [--set bench|poor] [--part /motion/]
+                                [--stored 50]
 
-Each drive has a dialect, a model and traits drawn by its number and the seed. Nothing may be refuted; the exit status says so.
+Each drive has a dialect, a model, traits and stored settings drawn by its number and the seed. Every second drive that cannot
+tell its settings is one of a user who tells them. Nothing may be refuted; the exit status says so.
 """
 
 from __future__ import annotations
@@ -13,13 +15,17 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
+from fractions import Fraction
 from multiprocessing import get_context
 
 from analyzer import dialects
+from analyzer.catalogue import Dialect, all_fields
+from analyzer.layout import Field
 from conformance.claim import Outcome
 from conformance.drives import make
-from conformance.suite import engine
+from conformance.suite import engine, set_otherwise
 from conformance.suite import plan as suite
+from conformance.suite.rig_emulated import EmulatedRig
 from conformance.suite.target import parse
 
 #: Each trait but the encoder's noise: how many drives of a hundred have it, and what it is drawn from.
@@ -45,8 +51,35 @@ TRAITS: tuple[tuple[str, int, tuple[str, ...]], ...] = (
 )
 
 
-def drawn(number: int, seed: int) -> str:
-    """Return an honest drive by its number, as people name it."""
+#: Of a hundred settings that a drive can store, how many are not the usual ones; how many drives keep a zero or a run.
+STORED, _KEEP = 20, 10
+#: What a number that is stored is of its default, or of its range where that is 0.
+_SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(5, 4), Fraction(2))
+#: Without any current no shaft turns.
+_LEAST = {"current": 400}
+
+
+def stored(dialect: Dialect, model: str, chance: random.Random, share: int = STORED) -> list[str]:
+    """Return settings that a user may have stored in a drive, several together, as people write them."""
+    usual = make.plain_drive(dialect.name, model).settings
+    held: dict[str, int] = {}
+    for name, field in sorted(set_otherwise.names(dialect.for_model(model) if model else dialect).items()):
+        if name in usual.held and chance.randrange(100) < share:
+            held[name] = max(_LEAST.get(name, field.low), min(field.high, _value(field, usual.held[name], chance)))
+    if share and chance.randrange(100) < _KEEP:
+        held |= {n: v for n, v in chance.choice(set_otherwise.TOGETHER).items() if n in usual.held}
+    return [f"{name}={usual.text(name, value)}" for name, value in held.items() if value != usual.held[name]]
+
+
+def _value(field: Field, usual: int, chance: random.Random) -> int:
+    if field.choice_names or field.values:
+        return chance.choice(tuple(field.choice_names or field.values or ()))
+    ends = (field.low, field.high) if field.low >= 0 else ()
+    return chance.choice((*ends, *(int((usual or field.high) * share) for share in _SHARES)))
+
+
+def drawn(number: int, seed: int, share: int = STORED) -> str:
+    """Return an honest drive by its number, as people name it. `share`: of a hundred settings, how many are stored."""
     chance = random.Random(f"{seed} honest {number}")
     names = sorted(make.KINDS)
     dialect = dialects.get(names[number % len(names)])
@@ -59,14 +92,28 @@ def drawn(number: int, seed: int) -> str:
         value = chance.choice(values)
         if chance.randrange(100) < share:
             words.append(f"{name}={value}" if value else name)
+    model = next((word.partition("=")[2] for word in words if word.startswith("model=")), "")
+    # Its own chance: the traits of a drive stay those that they were.
+    words += stored(dialect, model, random.Random(f"{seed} stored {number}"), share)
     return ",".join(words)
 
 
-def accused(text: str, seed: int = 0, every: int = 1, part: str = "") -> tuple[str, Counter[str], list[str]]:
-    """Run each so many of the claims on a drive, those with a part in their id; return what came out, and what was refuted."""
+def accused(
+    text: str, seed: int = 0, every: int = 1, part: str = "", tells: bool = True
+) -> tuple[str, Counter[str], list[str]]:
+    """Run each so many of the claims on a drive, those with a part in their id; return what came out, and what was refuted.
+
+    `tells`: the user tells what the drive cannot tell of its settings.
+    """
     target = parse(text)
     plan = suite.Plan((target,), seed=seed)
-    rig = suite.open_rig(plan, target)
+    assert target.specification is not None  # it is emulated
+    usual = make.plain_drive(target.dialect.name, target.model).settings.held
+    held = {**usual, **make.settings_of(target.specification, {})}
+    # What is stored in another dialect cannot be told.
+    own = {name for command in target.dialect.commands for name in all_fields(command.request_forms)}
+    told = {name: value for name, value in held.items() if tells and name in own}
+    rig = EmulatedRig(target.specification, seed=seed, told=told)
     counts: Counter[str] = Counter()
     refuted = []
     wanted = [claim for claim in plan.selected(target) if part in claim.id]
@@ -77,18 +124,21 @@ def accused(text: str, seed: int = 0, every: int = 1, part: str = "") -> tuple[s
     return text, counts, refuted
 
 
-def _numbered(given: tuple[str, int, int, str]) -> tuple[str, Counter[str], list[str]]:
+def _numbered(given: tuple[str, int, int, str, bool]) -> tuple[str, Counter[str], list[str]]:
     return accused(*given)
 
 
-def drives(count: int, seed: int, every: int, of: str = "", part: str = "") -> Iterator[tuple[str, int, int, str]]:
+def drives(
+    count: int, seed: int, every: int, of: str = "", part: str = "", share: int = STORED
+) -> Iterator[tuple[str, int, int, str, bool]]:
     """Yield drives with the seed of each and which claims it tries; all with one set of traits where it is named."""
     for number in range(count):
-        text = drawn(number, seed)
+        text = drawn(number, seed, share)
         if of:
             text = ",".join([*(word for word in text.split(",")[:2] if "@" in word or "model=" in word), f"real={of}"])
         # Drives of one dialect follow each other by the number of dialects: all claims are tried in turn.
-        yield text, seed * 100_000 + number // len(make.KINDS), every, part
+        turn = number // len(make.KINDS)
+        yield text, seed * 100_000 + turn, every, part, turn % 2 == 0
 
 
 def main() -> int:
@@ -100,17 +150,20 @@ def main() -> int:
         "--every", type=int, default=1, help="of the claims only each so many on each drive, others on the next"
     )
     parser.add_argument("--set", default="", help="bench or poor: this set for all, in place of traits drawn")
+    parser.add_argument("--stored", type=int, default=STORED, help="of a hundred settings, how many are not the usual ones")
     parser.add_argument("--part", default="", help="only claims with this in their id, such as /motion/")
     arguments = parser.parse_args()
     began, guilty = time.monotonic(), 0
     total: Counter[str] = Counter()
     with get_context("spawn").Pool(arguments.jobs) as pool:
         for text, counts, refuted in pool.imap(
-            _numbered, drives(arguments.drives, arguments.seed, arguments.every, arguments.set, arguments.part)
+            _numbered,
+            drives(arguments.drives, arguments.seed, arguments.every, arguments.set, arguments.part, arguments.stored),
         ):
             total += counts
             guilty += bool(refuted)
             if refuted:
+                # Of a user who tells its settings, or of one who does not: as drawn.
                 print(text, *refuted, sep="\n    ", flush=True)
     shown = ", ".join(f"{count} {name}" for name, count in total.most_common())
     print(f"{arguments.drives} honest drives, {guilty} accused; {shown}; {time.monotonic() - began:.0f} s")

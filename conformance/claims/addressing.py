@@ -186,7 +186,8 @@ def _setting_of_another(probe: Probe, command: Command) -> None:
         probe.expect("off", holds=motion.is_on(probe) is not False, expected="on", refutes=text, exchange=sent)
     went = motion.follow(probe, move, _DEGREES, acceleration=motion.QUICK)
     text = f"{command.name} to other addresses changes the pulses of {own}"
-    probe.expect(went.degrees, near=went.asked, unit="degrees", refutes=text, exchange=went.exchange)
+    # Which way is not judged: it may be set.
+    probe.expect(abs(went.degrees), near=went.asked, unit="degrees", refutes=text, exchange=went.exchange)
     probe.do(command, {"subdivision": _FINER})
     if abs(motion.follow(probe, move, _DEGREES, acceleration=motion.QUICK).degrees) > went.asked * 3 / 4:
         raise Inconclusive(f"{command.name} to the drive itself changes nothing either")

@@ -29,6 +29,7 @@ from conformance.claims.motion_told import expect_states, states
 from conformance.model import covering
 from conformance.motion import course, motion, ramp
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
+from conformance.talk import settings
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
@@ -127,6 +128,8 @@ def taken_over(probe: Probe) -> tuple[Tried, ...]:
     """Carry out all rows and return what was seen."""
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
     motion.stand_still(probe)
+    # One that turns some motions round and not others would make other rows of the table.
+    settings.to_defaults(probe, "motor_direction")
     probe.do(Verb.SET_ZERO)
     zero = rest = motion.position(probe)
     found = []
@@ -188,7 +191,10 @@ def _cases(dialect: Dialect) -> Iterator[Case]:
     for command in every:
         # What becomes of the rest of the older way no manual says.
         certainty = Certainty.OPEN if command.verb is Verb.MOVE_RELATIVE_AXIS else Certainty.LIKELY
-        yield Case(dialect, command, facts={"risks": motion.risks(dialect, *risks, Risk.UNBOUNDED), "at_best": certainty})
+        facts = {"risks": motion.risks(dialect, *risks, Risk.UNBOUNDED), "at_best": certainty}
+        told = any(c.verb is Verb.SET_DIRECTION and c.readable for c in dialect.commands)
+        facts |= {"settings": motion.settings(dialect, *(("motor_direction",) if told else ()))}
+        yield Case(dialect, command, facts=facts)
 
 
 @of_motion(each=_cases, name="{command}/takes-over", refuted_by="a shaft that goes on as before, or elsewhere, or a refusal")

@@ -25,6 +25,7 @@ from conformance.claims.motion_claim import of_motion
 from conformance.motion import motion
 from conformance.motion.course import Trend
 from conformance.motion.motion import MOVES, MS
+from conformance.talk import settings
 from conformance.talk.noise import CLOCK_SHARE, COUNT, TOLD_LATE_NS
 from conformance.talk.probe import Probe
 
@@ -111,6 +112,8 @@ def _crossed_first(probe: Probe, command: Command) -> None:
 
 def _judge(probe: Probe, command: Command, *, few: bool) -> None:
     judge = _JUDGES[command.verb]
+    if judge is _ports and _divides(probe):
+        judge = _ports_but_pend
     for seen in _looks(probe, command, few=few):
         when = "at rest after" if seen.rests else "on the way of"
         text = f"{command.name} is not answered {'at rest' if seen.rests else 'while the shaft turns'}, twice"
@@ -214,9 +217,19 @@ def _as_at_rest(probe: Probe, seen: _Seen, when: str) -> None:
     )
 
 
-def _ports(probe: Probe, seen: _Seen, when: str) -> None:
+def _divides(probe: Probe) -> bool:
+    """Say whether a user has set the drive to show its pulses on the port that tells whether the shaft is in place."""
+    command = probe.dialect.by_verb.get(Verb.SET_PULSE_DIVISION)
+    return command is not None and bool((settings.read_back(probe, command)[0] or {}).get("division_period"))
+
+
+def _ports_but_pend(probe: Probe, seen: _Seen, when: str) -> None:
+    _ports(probe, seen, when, but=_IN_PLACE)
+
+
+def _ports(probe: Probe, seen: _Seen, when: str, but: str = "") -> None:
     rest = next(look for look in seen.tried.before if look.read.name == seen.look.read.name)
-    wanted = dict(rest.values or {})
+    wanted = {name: value for name, value in (rest.values or {}).items() if name != but}
     if _IN_PLACE in wanted and not seen.rests:
         on, (first_ns, last_ns) = seen.tried.spans(seen.look)
         slow, fast = on.rpm(first_ns - TOLD_LATE_NS, last_ns)

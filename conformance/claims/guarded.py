@@ -467,6 +467,8 @@ def _that_stay(dialect: Dialect) -> Iterator[Case]:
 )
 def _stay(probe: Probe, chosen: list[ReadableSetting], deeds: list[tuple[str, Mapping[str, int]]]) -> None:
     """What is stored stays while the motor runs, stops, is switched off and on, and its errors, turns and zero are set."""
+    if Verb.SET_WORK_MODE in probe.dialect.by_verb:
+        probe.do(Verb.SET_WORK_MODE, {"work_mode": _FULL_CONTROL})
     motion.ready_to_move(probe)
     for each in chosen:
         was = each.read(probe)

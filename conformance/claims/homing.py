@@ -52,7 +52,10 @@ def _of_homing(
 
 
 def set_home(probe: Probe, **values: int) -> None:
-    """Set how the drive homes; what is not given: clockwise, at 60 rpm, a low pin, no end limit, by a switch."""
+    """Set how the drive homes; what is not given: clockwise, at 60 rpm, a low pin, no end limit, by a switch.
+
+    What a user has set of it is not told by all drives, so that all of it is set.
+    """
     wanted = {"home_trigger": 0, "home_direction": _CW, "home_speed": 60, "end_limit": 0, "home_mode": 0, **values}
     for verb in _WITH_WAY_BACK:
         command = probe.dialect.by_verb.get(verb)
@@ -60,10 +63,11 @@ def set_home(probe: Probe, **values: int) -> None:
             continue
         named = command.request_forms[0].layout.named
         given: dict[str, Any] = {n: v for n, v in wanted.items() if n in named}
-        if verb is Verb.SET_HOME or "return_angle" in values:
-            if "home_current" in named:
-                given["home_current"] = 400
-            probe.do(command, given)
+        if "home_current" in named:
+            given["home_current"] = 400
+        if "return_angle" in named:
+            given.setdefault("return_angle", named["return_angle"].default)
+        probe.do(command, given)
 
 
 def find_home(probe: Probe, limit_ns: int = _LIMIT_NS) -> Exchange:

@@ -21,6 +21,7 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
+from conformance.talk import settings
 from conformance.talk.probe import Probe
 from conformance.talk.restarts import restart
 
@@ -394,17 +395,25 @@ def _enable_ports(dialect: Dialect) -> Iterator[Case]:
 _of_enable_port = partial(of_motion, each=_enable_ports, refuted_by="the other level, or always the same")
 
 
-@_of_enable_port(emulated=True)
+def _not_remapped(probe: Probe) -> None:
+    """Take the limit switches off the ports of the pulse interface; they are remapped in a bus mode alone."""
+    motion.set_mode(probe, motion.bus_modes(probe.dialect)[-1])
+    settings.to_defaults(probe, "limit_remap")
+
+
+@_of_enable_port(emulated=True, settings=("limit_remap",))
 def _shows_enable_pin(probe: Probe, command: Command) -> None:
     """in_2 of a 42E is the level of the En pin."""
+    _not_remapped(probe)
     for level in (1, 0, 1):
         bench.enable_pin(probe, level)
         probe.expect(probe.read(command, "in_2"), equal=level, refutes="in_2 is not the level of the En pin")
 
 
-@_of_enable_port(settings=("enable_level",), risks=risks_by(Verb.SET_ENABLE_LEVEL), at_best=Certainty.LIKELY)
+@_of_enable_port(settings=("enable_level", "limit_remap"), risks=risks_by(Verb.SET_ENABLE_LEVEL), at_best=Certainty.LIKELY)
 def _is_enable_pin(probe: Probe, command: Command) -> None:
     """In a pulse mode in_2 of a 42E is the level at which the motor is enabled."""
+    _not_remapped(probe)
     names = motion.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
     motion.set_mode(probe, next(name for name in names if name not in motion.bus_modes(probe.dialect)))
     for level in (0, 1):

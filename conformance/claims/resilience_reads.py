@@ -50,7 +50,8 @@ def _conditions(dialect: Dialect) -> Iterator[Case]:
 )
 def _reads(probe: Probe, state: Condition) -> None:
     """Every read is answered by its own reply {when}, what is stored reads as before, and the run behind it is as asked for."""
-    motion.ready_to_move(probe, state.mode)
+    # Some conditions set the subdivision of the suite: what is stored is looked at behind that.
+    motion.ready_to_move(probe, state.mode, subdivision=motion.SUBDIVISION)
     at_rest = [(c, values, probe.ask(c, values, quiet_ns=0)) for c, values in every_read(probe.dialect)]
     readable = [(c, values, e) for c, values, e in at_rest if _tells(probe, e) and c.verb not in state.without]
     if not readable:

@@ -536,7 +536,7 @@ def _come_back(probe: Probe, command: Command, back: _Back, sense: int) -> _Came
     probe.do(command, values)
     away = back.turns * (sense if by_direction else 1)
     setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 120, "acceleration": STEEP, "position": round(away * turn)})
-    exchange = restart(probe)
+    exchange = restart(probe, arrives=False)
     rpm = _on_its_way(probe)
     motion.wait_standing(probe)
     status, now = probe.read(Verb.READ_ZERO_STATUS), probe.read(Verb.READ_ENCODER_CARRY, "encoder")
@@ -559,15 +559,16 @@ def _on_its_way(probe: Probe) -> float | None:
 def _returns_to_none(probe: Probe, command: Command) -> None:
     """With its zero cleaned the shaft stays where it is after a restart."""
     turn = probe.dialect.counts_per_turn
-    # A zero that was set by a command is forgotten: the angle of before is to count from where that of after does.
+    values = {"zero_mode": 2, "zero_speed": 2, "zero_direction": 0}
+    # A zero that was set by a command or kept before is forgotten: the angle counts from where that of after does.
+    probe.do(command, {**values, "set_zero": 0})
     restart(probe)
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    values = {"zero_mode": 2, "zero_speed": 2, "zero_direction": 0}
     probe.do(command, {**values, "set_zero": 1})
     setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 120, "acceleration": STEEP, "position": turn // 4})
     probe.do(command, {**values, "set_zero": 0})
     before = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
-    exchange = restart(probe)
+    exchange = restart(probe, arrives=False)
     # One that goes back is under way by then.
     probe.wait(400 * MS)
     motion.wait_standing(probe)

@@ -239,6 +239,11 @@ class Settings:
             raise UsageError(refused or f"{name}: got bytes, expected a number")
         return value
 
+    def text(self, name: str, value: int) -> str:
+        """Return a value as sent as `value` reads it."""
+        field = self._fields.get(name)
+        return str(value if field is None else field.physical(value))
+
     def of_speed(self, speed: int) -> dict[str, int]:
         """Return the setting that makes the drive listen at a speed."""
         return {self._speed: self.value(self._speed, str(speed))} if self._speed in self.held else {}
@@ -269,9 +274,22 @@ def make(
     `settings`: as sent, by field name; the specification's own win over them. `reply_delay_ns`: what a drive without a
     fault takes to answer, in place of its own time. Raises UsageError for a setting that the drive does not have.
     """
-    plain = plain_drive(specification.dialect.name, specification.model)
-    names = plain.settings
-    given = dict(settings or {})
+    given = settings_of(specification, settings or {})
+    changes: dict[str, Any] = {"quirks": specification.quirks, "faults": specification.faults, "realism": specification.realism}
+    drive = _made(specification, settings=given, seed=seed, **changes)
+    if reply_delay_ns is not None:
+        changed_ns = drive.reply_delay_ns - plain_drive(specification.dialect.name, specification.model).reply_delay_ns
+        drive.reply_delay_ns = max(0, reply_delay_ns + changed_ns)
+    return drive
+
+
+def settings_of(specification: Specification, settings: Mapping[str, int]) -> dict[str, int]:
+    """Return what the drive of a specification holds that was said of it, as sent, by field; its own win over `settings`.
+
+    Raises UsageError for a setting that the drive does not have.
+    """
+    names = plain_drive(specification.dialect.name, specification.model).settings
+    given = dict(settings)
     if specification.speed is not None:
         given |= names.of_speed(specification.speed)
     for word, text in specification.settings:
@@ -280,12 +298,7 @@ def make(
             known = near(word, [*names.names, *_WORDS, "real", *realism.BY_NAME])
             raise UsageError(f"{specification.name} has no setting {quote(word)}{known}")
         given[name] = names.value(name, text)
-    changes: dict[str, Any] = {"quirks": specification.quirks, "faults": specification.faults, "realism": specification.realism}
-    drive = _made(specification, settings=given, seed=seed, **changes)
-    if reply_delay_ns is not None:
-        changed_ns = drive.reply_delay_ns - plain.reply_delay_ns
-        drive.reply_delay_ns = max(0, reply_delay_ns + changed_ns)
-    return drive
+    return given
 
 
 class Plain(NamedTuple):

@@ -112,6 +112,8 @@ class Walk:
         #: Fields that differed at the begin: the drive's own.
         self._own: set[tuple[str, str]] = set()
         self._missing: set[Verb] = set()
+        #: Settings, by field, that the drive does not tell and the walk has not set.
+        self._untold = set() if Verb.READ_PARAMETER in self.dialect.by_verb else {_EN_LEVEL}
         #: The codes whose statuses are compared when the shaft has come to rest: what ends is told unasked.
         self._codes = {c.code for c in self.dialect.commands if c.motion is not None and c.motion.tells_end}
         #: What the twin said of them since the shaft stood last; since when the drive may have.
@@ -217,6 +219,8 @@ class Walk:
         exchange = probe.ask_built(built, until=until, timeout_ns=timeout_ns, quiet_ns=0)
         told = self.twin.hear(built.item(), self._twin_ns(exchange.sent_ns))
         self._compare_reply(command, exchange, told)
+        if not silent and not probe.refused(exchange):
+            self._untold -= values.keys()
         self._follow(command, given, was_turning, before)
         if command.verb in (Verb.SET_SUBDIVISION, Verb.SET_DIRECTION):
             self._rescaled(scale)
@@ -509,8 +513,14 @@ class Walk:
             if (command.name, name) not in self._own
             and field.unit not in _UNPROMISED
             and name not in _UNPROMISED_FIELDS
+            and not (name == "enabled" and self._by_pin(twin))
             and not self._same(command, field, answer.values, every, spare, twin.drive)
         ]
+
+    def _by_pin(self, twin: Twin) -> bool:
+        """Say whether the motor is enabled by a pin whose level nobody has told, as it is in pulse modes."""
+        drive: Any = twin.drive
+        return _EN_LEVEL in self._untold and Verb.SET_ENABLE_LEVEL in self.dialect.by_verb and not drive.by_bus
 
     def _same(
         self, command: Command, field: Field, got: Mapping[str, int], every: list[Mapping[str, int]], spare: float, drive: Any
@@ -586,6 +596,8 @@ class Walk:
         )
 
 
+#: At which level of its pin a motor is enabled in pulse modes.
+_EN_LEVEL = "enable_level"
 _UNPROMISED_FIELDS = frozenset(
     {"power", "torque_current", "phase_a_current", "phase_b_current", "phase_c_current", "temperature", "current"}
 )

@@ -11,6 +11,7 @@ from analyzer.protocols.mks_shared import Protection
 from conformance.claim import Claim, Inconclusive
 from conformance.gate.gate import Refused
 from conformance.motion import motion
+from conformance.talk import restarts
 from conformance.talk.noise import LOOP_DEGREES, QUIET, Noise
 from conformance.talk.probe import Until
 
@@ -61,6 +62,24 @@ def measure(probe: Probe) -> Noise:
     latency_ns = max((ns for _, ns in probe.latencies), default=0)
     degrees, rpm = _half_span(places), max(map(abs, speeds))
     return replace(probe.noise, degrees=degrees, loop=max(loop), rpm=rpm, supply=supply, latency_ns=latency_ns)
+
+
+def let_stand(probe: Probe) -> bool:
+    """Bring a shaft to rest that turns since power came on: a way back to zero ends, a kept run is stopped and forgotten.
+
+    Returns whether a run was forgotten. Raises Inconclusive where the shaft does not come to rest, Refused where that is not
+    allowed.
+    """
+    if max(abs(motion.speed(probe).value) for _ in range(2)) < _RESTS:
+        return False
+    restarts.wait_for_arrival(probe, probe.address)
+    if abs(motion.speed(probe).value) < _RESTS:
+        return False
+    motion.stand_still(probe)
+    command = probe.dialect.by_verb.get(Verb.SAVE_SPEED)
+    if command is not None:
+        probe.do(command, {"save_state": motion.choice(command, "save_state", "clean")})
+    return command is not None
 
 
 def in_motion(probe: Probe) -> Noise:

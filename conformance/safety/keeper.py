@@ -223,6 +223,11 @@ class Keeper:
     # --- putting back -------------------------------------------------------------------------------------------------
 
     @property
+    def before(self) -> dict[str, int]:
+        """The values of all settings that were changed and are not put back, by field."""
+        return {name: value for kept in self._kept.values() for name, value in kept.before.items()}
+
+    @property
     def changed(self) -> bool:
         """Whether something is to be put back."""
         return bool(self._kept)

@@ -5,6 +5,9 @@ reason says so. Where the claim was a sequence of steps (a walk), emulated drive
 manual has it, and one with each known fault. Where the steps refute one of them in the same way, they are shortened there,
 which costs no motion. What is left is confirmed on the real drive.
 
+A user's settings may spoil a claim that was written for others. So a claim that refutes a drive is tried on ideal ones that
+are set as the drive is, as far as that is known, or may be: what refutes them too is inconclusive, and says what to set.
+
 A known quirk may spoil a claim that does not name it. So the claim is tried on emulated drives that follow the manual except
 for the quirks that the real drive has shown. If it refutes one of them in the same way, the quirk is named as the reason.
 """
@@ -17,14 +20,16 @@ import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from analyzer.catalogue import Certainty
+from analyzer.catalogue import Certainty, Risk
 from conformance import claims as registry
 from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, Observed, Outcome, Refuted, RigFault, Theme, Verdict
 from conformance.drives import make
 from conformance.drives.drive import Quirk
 from conformance.gate.gate import Refused
 from conformance.safety.stopping import MAY_MOVE
+from conformance.suite import set_otherwise
 from conformance.suite.rig import ClaimRig
 from conformance.talk.probe import Probe, Rig
 
@@ -54,7 +59,7 @@ def run_claim(claim: Claim, rig: ClaimRig) -> Verdict:
     if claim.hasty and verdict.outcome is Outcome.CONFIRMED:
         rig.drop_write_gap()
     rig.shown |= set(verdict.quirks)
-    return _explained(claim, rig, verdict)
+    return _unless_set_otherwise(claim, rig, _explained(claim, rig, verdict))
 
 
 def _once(claim: Claim, rig: ClaimRig) -> Verdict:
@@ -221,6 +226,37 @@ def _as_the_manual(rig: ClaimRig) -> make.Specification:
 
 def _of(verdict: Verdict, error: Refuted, steps: tuple[object, ...]) -> Verdict:
     return replace(verdict, reason=error.text, expected=error.expected, got=error.got, exchange=error.exchange, steps=steps)
+
+
+# --- what the drive's settings explain --------------------------------------------------------------------------------
+
+
+def _unless_set_otherwise(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
+    """Return the verdict of a claim; where it refutes an ideal drive with the same settings too, an inconclusive one."""
+    if verdict.outcome is not Outcome.REFUTED or verdict.quirks:
+        return verdict
+    from conformance.suite.rig_emulated import EmulatedRig
+
+    begun = time.monotonic()
+    for held in set_otherwise.every(rig):
+        searched = 0.0 if rig.emulated else rig.searched + time.monotonic() - begun
+        if not held.known and (claim.risks <= {Risk.READ} or searched > _SEARCH_SECONDS):
+            # What is only read of a shaft at rest does not depend on what else is stored.
+            break
+        if held not in rig.set_alike:
+            rig.set_alike[held] = EmulatedRig(_as_the_manual(rig), seed=rig.seed, settings=dict(held.values))
+        found = _once(claim, rig.set_alike[held])
+        if found.outcome is Outcome.REFUTED and (held.known or found.key == verdict.key):
+            text = (
+                f"the drive is set to {held}, and this claim refutes an ideal drive that is set so"
+                if held.known
+                else f"a drive with {held} does so too: say in --settings FILE what it is set to"
+            )
+            nothing: dict[str, Any] = {"expected": "", "got": "", "key": "", "exchange": None, "steps": ()}
+            verdict = replace(verdict, outcome=Outcome.INCONCLUSIVE, reason=f"{text} ({verdict.reason})", **nothing)
+            break
+    rig.searched += time.monotonic() - begun
+    return verdict
 
 
 # --- what a known quirk explains --------------------------------------------------------------------------------------

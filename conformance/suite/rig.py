@@ -7,6 +7,7 @@ put back behind it (`conformance.safety`).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Hashable, Mapping
 
 from analyzer.catalogue import Dialect, Risk
 from conformance.claim import Claim
@@ -19,7 +20,9 @@ class ClaimRig(Rig, ABC):
 
     `named`: claims that the user named. `began_ns`: when its line was opened. `shown`: known quirks that the drive has shown,
     by name; `looked_for`: quirks that the run tested for in addition to the claims. `searched`: for how
-    long (s) it searched for emulated drives that fail alike.
+    long (s) it searched for emulated drives that fail alike. `set_alike`: ideal drives, by the settings that this one has or
+    may have. `untold`: settings, by field, that neither the drive nor the
+    user tells.
     """
 
     name: str
@@ -27,6 +30,7 @@ class ClaimRig(Rig, ABC):
     alone: bool
     began_ns: int = 0
     named: frozenset[str] = frozenset()
+    untold: frozenset[str] = frozenset()
 
     def __init__(self, dialect: Dialect, address: int) -> None:
         super().__init__(dialect, address)
@@ -34,6 +38,7 @@ class ClaimRig(Rig, ABC):
         self.shown: set[str] = set()
         self.looked_for: set[str] = set()
         self.searched = 0.0
+        self.set_alike: dict[Hashable, ClaimRig] = {}
 
     @property
     @abstractmethod
@@ -66,6 +71,11 @@ class ClaimRig(Rig, ABC):
 
     def forbid_motion(self, reason: str) -> None:
         """Refuse every request from now on that may move the drive."""
+
+    @property
+    @abstractmethod
+    def held(self) -> Mapping[str, int]:
+        """The settings of the drive before the run, as sent, by field: those that it or the user tells."""
 
     @abstractmethod
     def probe(self, claim: Claim) -> Probe:

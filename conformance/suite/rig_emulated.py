@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -15,6 +17,7 @@ from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
 from conformance.motion import answering, motion, resting
 from conformance.safety.stopping import MAY_MOVE
+from conformance.suite import set_otherwise
 from conformance.suite.rig import ClaimRig
 from conformance.talk.noise import Noise
 from conformance.talk.probe import MS, SECOND_NS, Probe, plain_probe
@@ -35,11 +38,21 @@ class EmulatedRig(ClaimRig):
     """A rig that makes the drive of a specification for each claim. Nothing can break, so everything is allowed.
 
     `allowance`: what may be sent all the same, to try a bounded run; by default everything. Waits cost nothing and are long.
+    `settings`: what the drive holds, as sent; the specification's own win over them. `told`: settings that the user tells,
+    where the rig is not to know the others that its drive cannot tell; None: it knows all.
     """
 
     emulated = True
 
-    def __init__(self, specification: Specification, *, seed: int = 0, allowance: Allowance | None = None) -> None:
+    def __init__(
+        self,
+        specification: Specification,
+        *,
+        seed: int = 0,
+        allowance: Allowance | None = None,
+        settings: Mapping[str, int] | None = None,
+        told: Mapping[str, int] | None = None,
+    ) -> None:
         dialect = specification.dialect
         super().__init__(dialect.for_model(specification.model) if specification.model else dialect, specification.address)
         self.specification = specification
@@ -48,9 +61,14 @@ class EmulatedRig(ClaimRig):
         self.seed = seed
         #: Whether its drive answers motion only after it is set to.
         self._to_set = False
-        given = specification
+        given, self._settings = specification, settings or {}
+        self._held = make.settings_of(specification, self._settings)
+        if told is not None:
+            named = set_otherwise.names(self.dialect)
+            self.untold = set_otherwise.unreadable(self.dialect) - told.keys()
+            self._held = {n: v for n, v in self._held.items() if n in named and n not in self.untold}
         #: Whether it is as the manual has it in everything, so that a motion shows no noise.
-        self._ideal = not (given.realism or given.faults or given.quirks or given.settings)
+        self._ideal = not (given.realism or given.faults or given.quirks or given.settings or self._settings)
         self._allowance = allowance or Allowance(EVERYTHING, alone=True, budget=Budget(wear=UNLIMITED))
         self.allowed = self._allowance.risks
         self.alone = self._allowance.alone
@@ -60,7 +78,11 @@ class EmulatedRig(ClaimRig):
 
     def make_drive(self) -> Drive:
         """Return a new drive of the specification."""
-        return make.make(self.specification, seed=self.seed)
+        return make.make(self.specification, settings=self._settings, seed=self.seed)
+
+    @property
+    def held(self) -> Mapping[str, int]:
+        return self._held
 
     @cached_property
     def group(self) -> int | None:
@@ -79,7 +101,15 @@ class EmulatedRig(ClaimRig):
         return _quiet[key]
 
     def _plain_probe(self) -> Probe:
-        return plain_probe(self.dialect, self.address, Gate(EmulatedLine([self.make_drive()]), self._allowance))
+        return plain_probe(self.dialect, self.address, self._gate_to(self.make_drive()))
+
+    def _gate_to(self, drive: Drive) -> Gate:
+        """Return the gate of a line to a drive; a shaft that turns since power came on is let stand, as on a bench."""
+        gate = Gate(EmulatedLine([drive]), self._allowance)
+        if drive.rest.since_ns < 0:
+            with contextlib.suppress(Inconclusive, Refused):
+                resting.let_stand(plain_probe(self.dialect, self.address, gate))
+        return gate
 
     def probe(self, claim: Claim) -> Probe:
         if not self._ideal and self._in_motion is None and claim.risks & MAY_MOVE and motion.can_move(self.dialect):
@@ -90,8 +120,7 @@ class EmulatedRig(ClaimRig):
             measuring.noise = self._at_rest
             self._in_motion = resting.in_motion(measuring)
         drive = self.make_drive()
-        line = EmulatedLine([drive])
-        self.gate = Gate(line, self._allowance)
+        self.gate = self._gate_to(drive)
         if self._to_set and claim.risks & MAY_MOVE:
             answering.set_loud(plain_probe(self.dialect, self.address, self.gate))
         return Probe(self, claim, drive)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -35,6 +35,7 @@ from conformance.safety.journal import Entry, Journal
 from conformance.safety.keeper import Keeper
 from conformance.safety.signals import undisturbed
 from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, stop_or_cut
+from conformance.suite import set_otherwise
 from conformance.suite.preflight import check, find_drive
 from conformance.suite.rig import ClaimRig
 from conformance.suite.target import Target
@@ -83,6 +84,7 @@ class RealRig(ClaimRig):
         self.named = frozenset(plan.claims)
         self._plan, self._target = plan, target
         known = self._known = settings.known(self.dialect, self.name, plan.settings)
+        self.untold = set_otherwise.unreadable(self.dialect) - known.keys()
         if self._allowance.subdivision is None and "subdivision" in known:
             # What the user says the drive is set to also says how fast a speed is.
             self._allowance = replace(self._allowance, subdivision=known["subdivision"] or 256)
@@ -181,6 +183,21 @@ class RealRig(ClaimRig):
         if command is not None and "group_address" not in self._known and settings.readable(self.dialect, command):
             return (settings.read(plain_probe(self.dialect, self.address, self.gate), command, {}) or {}).get("group_address")
         return self._known.get("group_address")
+
+    @cached_property
+    def held(self) -> Mapping[str, int]:
+        """The settings before the run, as the drive tells them, the keeper knows them, or the user tells them."""
+        found, probe = dict(self._known), plain_probe(self.dialect, self.address, self.gate)
+        for command in self.dialect.commands:
+            if not settings.readable(self.dialect, command) or not settings.changes(command):
+                continue
+            for values in settings.every_selector(command):
+                try:
+                    found |= settings.read(probe, command, values) or {}
+                except Inconclusive:
+                    # What a drive does not tell now is judged by claims of its own.
+                    continue
+        return found | self.keeper.before
 
     @cached_property
     def _at_rest(self) -> Noise:

@@ -3,6 +3,7 @@
 Rules kept here:
 - No manual says how long a restart takes; real drives were seen to take two seconds. Ten seconds are waited for.
 - A drive that does not come back raises Inconclusive.
+- A drive that keeps a zero for power-on goes back to it first, and tells so: what comes behind a restart waits for the end.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Verb
+from analyzer.protocols.mks_shared import ZeroStatus
 from conformance.claim import Inconclusive
 from conformance.talk import settings
 from conformance.talk.acceptance import plain_read
@@ -24,10 +26,17 @@ DEAF_NS = 300_000_000
 LIMIT_NS = 10 * _SECOND_NS
 
 
-def restart(probe: Probe) -> Exchange:
-    """Restart the drive and wait until it answers. Raises Inconclusive where it refuses or does not come back."""
+#: How long the way back to a kept zero may take: less than a turn, at 30 rpm at the slowest. Between two looks at it.
+BACK_NS, _LOOK_NS = 5 * _SECOND_NS, 20_000_000
+
+
+def restart(probe: Probe, *, arrives: bool = True) -> Exchange:
+    """Restart the drive and wait until it answers. Raises Inconclusive where it refuses or does not come back.
+
+    `arrives`: wait for the end of the way back to a kept zero, too.
+    """
     exchange = probe.do(Verb.RESTART)
-    wait_for_answer(probe)
+    wait_for_answer(probe, arrives=arrives)
     return exchange
 
 
@@ -39,8 +48,13 @@ def power_cycle(probe: Probe) -> None:
     wait_for_answer(probe, deaf_ns=0)
 
 
-def wait_for_answer(probe: Probe, *addresses: int, deaf_ns: int = DEAF_NS, limit_ns: int = LIMIT_NS) -> None:
-    """Wait until a drive that restarts answers, at its address or one of these. Raises Inconclusive where it does not."""
+def wait_for_answer(
+    probe: Probe, *addresses: int, deaf_ns: int = DEAF_NS, limit_ns: int = LIMIT_NS, arrives: bool = True
+) -> None:
+    """Wait until a drive that restarts answers, at its address or one of these. Raises Inconclusive where it does not.
+
+    `arrives`: as `restart` takes it.
+    """
     read = plain_read(probe.dialect)
     begun_ns = probe.gate.now_ns()
     probe.wait(deaf_ns)
@@ -48,8 +62,21 @@ def wait_for_answer(probe: Probe, *addresses: int, deaf_ns: int = DEAF_NS, limit
         for address in addresses or (probe.address,):
             exchange = probe.ask(read, address=address, timeout_ns=probe.rig.silence_ns, quiet_ns=0)
             if any(a.message.frame.checksum_ok and a.command is not None for a in exchange.answers):
+                if arrives:
+                    wait_for_arrival(probe, address)
                 return
     raise Inconclusive(f"the drive does not answer within {limit_ns // _SECOND_NS} s of a restart")
+
+
+def wait_for_arrival(probe: Probe, address: int) -> None:
+    """Wait while a drive says that it is on the way back to a kept zero."""
+    read = probe.dialect.by_verb.get(Verb.READ_ZERO_STATUS)
+    until_ns = probe.gate.now_ns() + BACK_NS
+    while read is not None and probe.gate.now_ns() < until_ns:
+        answer = probe.ask(read, address=address, quiet_ns=0).reply
+        if answer is None or answer.values.get("status") != ZeroStatus.GOING:
+            return
+        probe.wait(_LOOK_NS)
 
 
 def need_axis_lock(probe: Probe) -> None:

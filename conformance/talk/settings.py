@@ -20,6 +20,16 @@ def changes_link(command: Command) -> bool:
     return any(command.sets(effect) for effect in LINK_EFFECTS)
 
 
+def to_defaults(probe: Probe, *names: str) -> None:
+    """Set fields that a claim rests on to their defaults, where the drive tells that they have other values."""
+    for command in probe.dialect.commands:
+        fields = command.request_forms[0].layout.named if command.readable else {}
+        usual = {n: int(d) for n in names if n in fields and (d := fields[n].default) is not None}
+        held = (read_back(probe, command)[0] or {}) if usual else {}
+        if any(held.get(n, value) != value for n, value in usual.items()):
+            probe.do(command, held | usual)
+
+
 def read_back(probe: Probe, command: Command, quiet_ns: int | None = None) -> tuple[dict[str, int] | None, Exchange]:
     """Read a setting back; return its fields as sent, and the exchange.
 

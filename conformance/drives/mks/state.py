@@ -169,7 +169,9 @@ class MksState(Drive):
             field = self.fields.get(name)
             if field is None and not 0 <= value <= KEPT[name]:
                 raise UsageError(f"{name}: got {value}, expected 0..{KEPT[name]}")
-            if field is not None and not field.allows(value) and value != self.factory[name]:
+            spoken = (catalogued(responder.dialect).fields.get(name) for responder in self.responders)
+            allowed = any(each is not None and each.allows(value) for each in spoken)
+            if field is not None and not allowed and value != self.factory[name]:
                 raise UsageError(f"{name}: got {value}, expected {field.low}..{field.high} or what the manual lists")
         return {**self.factory, **given}
 
