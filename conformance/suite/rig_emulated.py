@@ -29,6 +29,8 @@ EVERYTHING = frozenset(Risk)
 #: An emulated flash does not wear.
 UNLIMITED = 1 << 60
 
+#: How long power has been on when a claim begins, of a drive that turns by itself since.
+_POWERED_NS = 3 * SECOND_NS
 
 #: What ideal drives show at rest, by dialect, address, model and speed.
 _quiet: dict[tuple[str, int, str, int | None], Noise] = {}
@@ -107,6 +109,7 @@ class EmulatedRig(ClaimRig):
         """Return the gate of a line to a drive; a shaft that turns since power came on is let stand, as on a bench."""
         gate = Gate(EmulatedLine([drive]), self._allowance)
         if drive.rest.since_ns < 0:
+            gate.wait(_POWERED_NS)
             with contextlib.suppress(Inconclusive, Refused):
                 resting.let_stand(plain_probe(self.dialect, self.address, gate))
         return gate

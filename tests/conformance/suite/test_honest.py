@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import islice
 
 import pytest
 
 from analyzer import dialects
+from benchmarks import honest
 from conformance import claims as registry
 from conformance.claim import Outcome
 from conformance.drives import make
@@ -200,3 +202,65 @@ def test_an_honest_drive_that_was_accused_once_is_not_accused(drive, seed, claim
     found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claim)]
     assert found
     assert [v.reason for v in found if v.outcome is Outcome.REFUTED] == []
+
+
+#: Drives that hold what a user has set, and claims that took it for a fault of theirs.
+STORED = [
+    ("mks-can@1,model=42E,subdivision=32", "reads/move_relative_pulses"),
+    ("mks-can@1,model=42E,motor_direction=ccw", "other/set_subdivision"),
+    ("mks-can@1,model=42E,work_mode=4", "settings/stay"),
+    ("mks-can@1,model=42E,work_mode=0x14", "broadcast/settings"),
+    ("mks-can@1,model=42E,limit_remap=1", "read_io/is-enable-pin"),
+    ("mks-can@1,model=42E,limit_remap=1,work_mode=0x14", "read_io/shows-enable-pin"),
+    ("mks-rs485@1,model=42D,home_mode=1", "home/finds-switch-cw"),
+    ("mks-rs485@1,model=42D,zero_mode=2,zero_kept=1,zero_point=5000", "restart/motion-as-before"),
+    ("mks-rs485@1,model=42D,zero_mode=1,zero_kept=1,zero_point=5000", "read-back/set_zero_mode/clean"),
+    ("mks-modbus@1,work_mode=sr_vfoc,saved_run=1,saved_speed=100,saved_acceleration=100", "restart/ends-motion"),
+]
+
+
+@pytest.mark.parametrize(("drive", "claim"), STORED)
+@pytest.mark.parametrize("told", [True, False], ids=["told", "untold"])
+def test_a_drive_that_a_user_has_set_is_judged_as_any_other(drive, claim, told):
+    target = parse(drive)
+    rig = EmulatedRig(target.specification, told=None if told else {})
+    found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claim)]
+    assert [(v.outcome, v.reason) for v in found] == [(Outcome.CONFIRMED, "")]
+
+
+@pytest.mark.parametrize(
+    ("told", "reason"),
+    [
+        (None, "the drive is set to home_mode 1, and this claim refutes an ideal drive that is set so"),
+        ({}, "a drive with home_mode 1 does so too: say in --settings FILE what it is set to"),
+    ],
+)
+def test_a_claim_that_an_ideal_drive_with_the_same_settings_fails_judges_nothing_and_says_what_to_set(told, reason):
+    target = parse("mks-rs485@1,model=42D,home_mode=1")
+    rig = EmulatedRig(target.specification, told=told)
+    found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith("set_home/home_trigger")]
+    assert [v.outcome for v in found] == [Outcome.INCONCLUSIVE]
+    assert reason in found[0].reason
+
+
+@pytest.mark.parametrize(
+    ("drive", "claim"),
+    [
+        ("mks-can@1,subdivision=32,motor_direction=ccw,fault=move-pulses-doubled", "move_relative_pulses/distance"),
+        ("mks-rs485@1,enable_level=1,home_direction=1,fault=set-zero-ignored", "motion/set_zero/position"),
+    ],
+)
+@pytest.mark.parametrize("told", [None, {}], ids=["told", "untold"])
+def test_settings_excuse_no_fault(drive, claim, told):
+    target = parse(drive)
+    rig = EmulatedRig(target.specification, told=told)
+    found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claim)]
+    assert [v.outcome for v in found] == [Outcome.REFUTED], [v.reason for v in found]
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_drawn_drives_with_drawn_settings_are_not_accused(number):
+    text, seed, every, part, tells = next(islice(honest.drives(8, 3, 90), number + 4, None))
+    _, counts, refuted = honest.accused(text, seed, every, part, tells)
+    assert refuted == []
+    assert counts[Outcome.CONFIRMED.value] > counts[Outcome.INCONCLUSIVE.value]
