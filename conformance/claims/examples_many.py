@@ -70,7 +70,7 @@ def _to_many(dialect: Dialect) -> Iterator[Case]:
 def _turns(probe: Probe, command: Command, vector: Vector, grouped: bool) -> None:
     """The printed request {printed} turns the motor and is not answered."""
     to = _address(probe.dialect, vector)
-    motion.ready_to_move(probe)
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     if grouped:
         probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": to})
     before = motion.position(probe).value
