@@ -217,6 +217,7 @@ class RealRig(ClaimRig):
             read_drive_state(Dialogue(self.gate, [self.dialect]), self.dialect, self.address)
             self._tell(say.ReadState())
         if MAY_MOVE & claim.risks:
+            self._let_stand(claim)
             self._be_heard(claim)
         if self._in_motion is None and resting.can_turn(self.dialect, claim):
             self._in_motion = self._at_rest
@@ -224,6 +225,20 @@ class RealRig(ClaimRig):
             self._in_motion = resting.in_motion(Probe(self, claim))
             self.settle()
         return Probe(self, claim)
+
+    def _let_stand(self, claim: Claim) -> None:
+        """Stop and forget a run that was kept for power-on, before the first claim that moves: each restart would begin it."""
+        if self._ever_moved or not motion.can_move(self.dialect):
+            return
+        probe = Probe(self, claim)
+        try:
+            if resting.let_stand(probe):
+                print(f"servotap: {self.name}: it turned by a run kept for power-on, which is forgotten", file=sys.stderr)
+        except (Inconclusive, Refused, NotRun):
+            # What turns on is judged by claims, and said by the stop behind each.
+            return
+        finally:
+            self.settle(probe)
 
     def _be_heard(self, claim: Claim, is_loud: Callable[[Probe], bool] = answering.answers) -> None:
         """Set a drive to answer motion that a user has set not to. Raises NotRun where that cannot be put back."""

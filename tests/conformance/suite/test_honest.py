@@ -264,3 +264,14 @@ def test_drawn_drives_with_drawn_settings_are_not_accused(number):
     _, counts, refuted = honest.accused(text, seed, every, part, tells)
     assert refuted == []
     assert counts[Outcome.CONFIRMED.value] > counts[Outcome.INCONCLUSIVE.value]
+
+
+def test_a_run_that_was_kept_for_power_on_is_stopped_and_forgotten_before_the_first_motion(tmp_path, capsys):
+    kept = "saved_run=1,saved_speed=100,saved_acceleration=200"
+    rig = EmulatedPort(f"mks-rs485@1,work_mode=sr_vfoc,{kept}", tmp_path, settings=KNOWN | {"work_mode": "sr_vfoc"})
+    rig.gate.wait(motion.SECOND_NS)
+    found = [engine.run_claim(c, rig).outcome for c in every_claim(rig._target) if c.id.endswith("restart/ends-motion")]
+    rig.close()
+    assert found == [Outcome.CONFIRMED]
+    assert "a run kept for power-on, which is forgotten" in capsys.readouterr().err
+    assert rig.setting("saved_run") == 0
