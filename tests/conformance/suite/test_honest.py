@@ -260,7 +260,7 @@ def test_settings_excuse_no_fault(drive, claim, told):
 
 @pytest.mark.parametrize("number", range(4))
 def test_drawn_drives_with_drawn_settings_are_not_accused(number):
-    text, seed, every, part, tells = next(islice(honest.drives(8, 3, 90), number + 4, None))
+    text, seed, every, part, tells = next(islice(honest.drives(8, 3, 240), number + 4, None))
     _, counts, refuted = honest.accused(text, seed, every, part, tells)
     assert refuted == []
     assert counts[Outcome.CONFIRMED.value] > counts[Outcome.INCONCLUSIVE.value]
