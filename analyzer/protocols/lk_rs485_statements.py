@@ -375,7 +375,11 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "13/max-speed",
         "It turns no faster than max_speed.",
-        ("motion/move_multi_turn_limited/max-speed", "motion/move_multi_turn_limited/crossed-speed"),
+        (
+            "motion/move_multi_turn_limited/max-speed",
+            "motion/move_multi_turn_limited/crossed-speed",
+            "motion/move_multi_turn_limited/newer-speed",
+        ),
     ),
     S("13/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_multi_turn_limited/max_speed/*",)),
     S("13/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_multi_turn_limited/max-speed",)),
@@ -440,7 +444,11 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "15/max-speed",
         "It turns no faster than max_speed.",
-        ("motion/move_single_turn_limited/max-speed", "motion/move_single_turn_limited/crossed-speed"),
+        (
+            "motion/move_single_turn_limited/max-speed",
+            "motion/move_single_turn_limited/crossed-speed",
+            "motion/move_single_turn_limited/newer-speed",
+        ),
     ),
     S("15/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_single_turn_limited/max_speed/*",)),
     S("15/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_single_turn_limited/max-speed",)),
@@ -487,7 +495,11 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "17/max-speed",
         "It turns no faster than max_speed.",
-        ("motion/move_increment_limited/max-speed", "motion/move_increment_limited/crossed-speed"),
+        (
+            "motion/move_increment_limited/max-speed",
+            "motion/move_increment_limited/crossed-speed",
+            "motion/move_increment_limited/newer-speed",
+        ),
     ),
     S("17/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_increment_limited/max_speed/*",)),
     S("17/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_increment_limited/max-speed",)),

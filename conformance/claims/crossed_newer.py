@@ -33,9 +33,9 @@ from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
 
-#: Another speed than that of the older motion; its way, which the rows do not come to, and that of the newer move (degrees),
+#: Other speeds than that of the older motion; its way, which the rows do not come to, and that of the newer move (degrees),
 #: with what it goes too far on the way round.
-_OTHER, _FAR, _NEAR, _SPARE = 90, 720, 30, 18
+_OTHER, _LOWER, _FAR, _NEAR, _SPARE = 90, 30, 720, 30, 18
 #: From the older command to the newer one; until a run has its speed, or a move has surely got going.
 _GOING_NS, _RUNS_NS = 80 * MS, 110 * MS
 #: What a shaft may lag behind a command.
@@ -118,8 +118,9 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
         ],
     )
     rows = {Row(**row) for row in found}
-    # Over itself each field is changed alone, too.
-    rows |= {Row(name, name, way, turn, CALM, False, QUICK) for name in known for way in (1, -1) for turn in (1, -1)}
+    # Over itself each field is changed alone, too, and the speed is lowered: a drive may take up higher ones alone.
+    for rpm in (CALM, _LOWER):
+        rows |= {Row(name, name, way, turn, rpm, False, QUICK) for name in known for way in (1, -1) for turn in (1, -1)}
     return tuple(sorted(rows, key=lambda row: (not row.zero, row)))
 
 
@@ -318,8 +319,9 @@ def _again_and_again(probe: Probe, command: Command) -> None:
     expect_speed(seen, speed, exchange, f"{text}: its speed", share=2 * CLOCK_SHARE)
 
 
-#: Where each of them leads (degrees from where the first one began), and how fast (rpm).
-_UPDATES = ((300, 60), (350, 110), (280, 70), (310, 40), (260, 90))
+#: Where each of them leads (degrees from where the first one began), and how fast (rpm): a shaft that keeps the highest
+#: speed is not at the end either when its speed is looked at.
+_UPDATES = ((700, 60), (750, 110), (680, 70), (710, 40), (660, 90))
 #: So far before its end a shaft may slow down, in degrees.
 _ENDS = 15
 

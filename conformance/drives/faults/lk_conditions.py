@@ -16,7 +16,7 @@ from conformance.drives.drive import Drive, Request, Values
 from conformance.drives.faults.lk_behaviour import INCREMENTS, MULTI_TURN, SINGLE_TURN, lk, replaced, tuned
 from conformance.drives.faults.places import LK, Change, Row, Rows, faults, result, together
 from conformance.drives.lk.drive import Act, LkDrive
-from conformance.drives.lk.motor import Limits, Position, Speed
+from conformance.drives.lk.motor import Goal, Limits, Position, Speed
 from conformance.drives.lk.paths import Motion, Ramps, Stretch
 
 _FLAGS = tuple(field.name for field in ERROR_BITS)
@@ -98,6 +98,21 @@ def _falls(before: float, after: float) -> bool:
     return math.isclose(after, 0.0, abs_tol=1e-9) and abs(before) > 0
 
 
+def _keeps_faster(drive: LkDrive) -> None:
+    """Turn on at the speed of the older motion where the top of a newer one is lower."""
+    go = drive.motor.go
+
+    def faster(goal: Goal) -> None:
+        older = drive.motor.goal
+        if _turning(drive) and isinstance(goal, Position) and isinstance(older, Position) and older.top and goal.top:
+            goal = replace(goal, top=max(goal.top, older.top))
+        elif _turning(drive) and isinstance(goal, Speed) and isinstance(older, Speed) and goal.speed:
+            goal = replace(goal, speed=math.copysign(max(abs(goal.speed), abs(older.speed)), goal.speed))
+        go(goal)
+
+    drive.motor.go = faster  # type: ignore[method-assign]
+
+
 # --- error flags ------------------------------------------------------------------------------------------------------
 
 
@@ -173,6 +188,7 @@ CONDITIONS: Rows = {
         Row("lk-silent-when-stalled", "a stalled motor answers 0x9A and 0x9B alone", _silent_with("stalled")),
     ),
     "ramp": (
+        Row("lk-newer-keeps-faster", "a motion that takes over from a faster one keeps its speed", tuned(_keeps_faster)),
         Row("lk-changed-move-steep", "a move that changes another motion has twice the ramp", _steeper(_MOVES, 2.0, _turning)),
         Row(
             "lk-changed-run-flat",

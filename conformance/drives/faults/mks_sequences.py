@@ -166,6 +166,20 @@ def _keeps_ramp(drive: MksCore) -> None:
     drive.hooks.request.append(ask)
 
 
+def _keeps_faster(drive: MksCore) -> None:
+    """Turn on at the speed of the older motion where that of a newer one is lower; a stop has none."""
+    older = 0
+
+    def ask(_: Drive, command: Command, values: Values) -> Values:
+        nonlocal older
+        if command.verb in MOTIONS and values["speed"]:
+            older = max(values["speed"], older if drive.motor.speed(drive.now_ns) else 0)
+            return values | {"speed": older}
+        return values
+
+    drive.hooks.request.append(ask)
+
+
 def _told_behind(settings: bool, verb: Verb, **told: int) -> Change:
     """Tell something else behind a setting, or a newer motion, that came while the shaft turned, until the next one at rest."""
 
@@ -227,6 +241,7 @@ SEQUENCES: Rows = {
     ),
     "behind what came on the way": (
         Row("newer-keeps-ramp", "a motion that takes over from another one keeps its acceleration", tuned(_keeps_ramp)),
+        Row("newer-keeps-faster", "a motion that takes over from a faster one keeps its speed", tuned(_keeps_faster)),
         Row(
             "off-behind-settings",
             "3A reads 0 behind a setting that came while the shaft turned",
