@@ -35,6 +35,7 @@ from conformance.drives.faults.places import (
 from conformance.drives.mks.core import MOTIONS, STOPS, Activity, MksCore
 from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, divided
+from conformance.drives.mks.state import SUBDIVISION
 
 #: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
@@ -180,6 +181,24 @@ def _keeps_faster(drive: MksCore) -> None:
     drive.hooks.request.append(ask)
 
 
+def _speeds_as_before(drive: MksCore) -> None:
+    """Reckon speeds by the subdivision of before where one is set while the shaft turns, until the next one at rest."""
+    used, real, obey = 0, drive.real_speed, drive.behaviours[Verb.SET_SUBDIVISION]
+
+    def obeys(core: MksCore, request: Request) -> Values | None:
+        nonlocal used
+        used = (used or core.settings["subdivision"]) if core.motor.speed(core.now_ns) else 0
+        return obey(core, request)
+
+    def as_before(speed: int) -> Number:
+        if not used:
+            return real(speed)
+        return speed if used in SUBDIVISION.plain else divided(speed * SUBDIVISION.counted_at, used)
+
+    drive.behaviours[Verb.SET_SUBDIVISION] = obeys
+    drive.real_speed = as_before  # type: ignore[method-assign]
+
+
 def _told_behind(settings: bool, verb: Verb, **told: int) -> Change:
     """Tell something else behind a setting, or a newer motion, that came while the shaft turned, until the next one at rest."""
 
@@ -242,6 +261,7 @@ SEQUENCES: Rows = {
     "behind what came on the way": (
         Row("newer-keeps-ramp", "a motion that takes over from another one keeps its acceleration", tuned(_keeps_ramp)),
         Row("newer-keeps-faster", "a motion that takes over from a faster one keeps its speed", tuned(_keeps_faster)),
+        Row("speeds-as-before", "84 while the shaft turns changes the length of moves, and no speed", tuned(_speeds_as_before)),
         Row(
             "off-behind-settings",
             "3A reads 0 behind a setting that came while the shaft turned",

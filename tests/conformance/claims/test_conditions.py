@@ -16,6 +16,7 @@ REFUTED_BY = {
     "refused-aloud": "motion/set_respond/0-silences-refusals",
     "newer-keeps-ramp": "motion/run_speed/takes-over",
     "newer-keeps-faster": "motion/move_absolute_axis/again-and-again",
+    "speeds-as-before": "resilience/settings/run_speed",
     "off-behind-settings": "resilience/settings/run_speed",
     "protected-behind-motions": "motion/run_speed/again-and-again",
     "protection-slows": "resilience/settings/leave-motion",
