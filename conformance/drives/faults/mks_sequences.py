@@ -219,20 +219,29 @@ def _told_behind(settings: bool, verb: Verb, **told: int) -> Change:
     return tuned(change, having(verb))
 
 
-def _stops_of_all(drive: MksCore) -> None:
-    """Stop at once where a stop is for all drives."""
-    shared = False
+def _stops_of_all(change: Callable[[int, int], int]) -> Callable[[MksCore], None]:
+    """Stop by another acceleration where a stop is for all drives: made of the one that is sent, and that of the motion."""
 
-    def note(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-        nonlocal shared
-        shared = message.address == drive.dialect.broadcast
-        return wanted
+    def install(drive: MksCore) -> None:
+        shared, moved = False, 0
 
-    def stop(_: Drive, command: Command, values: Values) -> Values:
-        return values | {"acceleration": 0} if shared and command.verb in STOPS else values
+        def note(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+            nonlocal shared
+            shared = message.address == drive.dialect.broadcast
+            return wanted
 
-    drive.hooks.accept.append(note)
-    drive.hooks.request.append(stop)
+        def stop(_: Drive, command: Command, values: Values) -> Values:
+            nonlocal moved
+            if command.verb in MOTIONS:
+                moved = values["acceleration"]
+            if shared and command.verb in STOPS:
+                return values | {"acceleration": change(values["acceleration"], moved)}
+            return values
+
+        drive.hooks.accept.append(note)
+        drive.hooks.request.append(stop)
+
+    return install
 
 
 def _slow_if_protected(drive: MksCore) -> None:
@@ -297,7 +306,16 @@ SEQUENCES: Rows = {
     ),
     "few send it": (
         Row("address-fa-refused", "the address FA is refused", limit("new_address", numbers.refuses(0xFA)), NATIVE),
-        Row("stops-of-all-at-once", "stops by broadcast are at once, at any acceleration", tuned(_stops_of_all)),
+        Row(
+            "stops-of-all-at-once",
+            "stops by broadcast are at once, at any acceleration",
+            tuned(_stops_of_all(lambda sent, moved: 0)),
+        ),
+        Row(
+            "stops-of-all-by-ramp",
+            "a stop by broadcast with acceleration 0 slows the shaft down by the ramp of its motion",
+            tuned(_stops_of_all(lambda sent, moved: sent or moved)),
+        ),
         Row(
             "short-moves-undone",
             f"moves by fewer than {_SHORTEST} units turn nothing",

@@ -22,6 +22,7 @@ REFUTED_BY = {
     "protection-slows": "resilience/settings/leave-motion",
     "way-back-untold": "motion/read_zero_status/tells-cw",
     "address-fa-refused": "ranges/set_address/new_address/inside",
+    "stops-of-all-by-ramp": "addressing/broadcast/run_speed/stop_speed",
     "stops-of-all-at-once": "addressing/broadcast/as-sent",
     "fine-subdivision-lost": "read-back/settings/restart",
     "home-speed-byte": "read-back/settings/restart",
