@@ -264,11 +264,7 @@ STATEMENTS: tuple[S, ...] = (
     *_tables("8", "brake", "8Ch", 1, 1),
     S("8/power-off", "00h takes the brake's power away, and the brake holds.", ("motion/brake/holds*", "motion/brake/is-read")),
     S("8/release", "01h powers the brake, and it lets go.", ("motion/brake/holds", "motion/brake/is-read")),
-    S(
-        "8/stays",
-        "It alone switches the brake.",
-        unclaimed="observed by motion/brake/stays: what 80h, 81h and 88h do to the brake is not said",
-    ),
+    S("8/stays", "It alone switches the brake: no motion releases it.", ("motion/brake/stays-applied",)),
     S("8/read", "10h reads the brake and leaves it as it is.", ("motion/brake/read-only", "motion/brake/is-read")),
     S("8/unlisted", "Other values are none of its commands.", ("ranges/brake/brake_control/unlisted",)),
     S("8/state", "The reply is 00h where the brake holds, 01h where it is released.", ("motion/brake/is-read",)),

@@ -13,7 +13,7 @@ from dataclasses import replace
 from analyzer.catalogue import Command, Verb
 from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.drives.drive import Drive, Request, Values
-from conformance.drives.faults.lk_behaviour import INCREMENTS, MULTI_TURN, SINGLE_TURN, lk, replaced, tuned
+from conformance.drives.faults.lk_behaviour import INCREMENTS, MULTI_TURN, SINGLE_TURN, lk, moving, replaced, tuned
 from conformance.drives.faults.places import LK, Change, Row, Rows, faults, result, together
 from conformance.drives.lk.drive import Act, LkDrive
 from conformance.drives.lk.motor import Goal, Limits, Position, Speed
@@ -113,6 +113,10 @@ def _keeps_faster(drive: LkDrive) -> None:
     drive.motor.go = faster  # type: ignore[method-assign]
 
 
+def _letting_go(drive: LkDrive, request: Request) -> None:
+    drive.motor.hold(braked=False)
+
+
 # --- error flags ------------------------------------------------------------------------------------------------------
 
 
@@ -167,6 +171,14 @@ CONDITIONS: Rows = {
             "an angle limit of more than a turn has no effect",
             _limits(lambda limits: replace(limits, angle=limits.angle if limits.angle <= 360 else 1e9)),
         ),
+    ),
+    "brake": tuple(
+        Row(f"lk-{kind}-release-brake", f"{text} releases a brake that holds", moving(names, _letting_go, after=True))
+        for kind, text, names in (
+            ("runs", "a run at a speed", ("run_speed",)),
+            ("moves", "a move over several turns", MULTI_TURN),
+            ("increments", "an increment", INCREMENTS),
+        )
     ),
     "error flags": (
         Row(

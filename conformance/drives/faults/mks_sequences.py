@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
 from analyzer.decoder import Slot
-from analyzer.protocols import mks_shared
+from analyzer.protocols import mks_rs485, mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Request, Values
 from conformance.drives.faults import numbers
@@ -40,6 +40,7 @@ from conformance.drives.mks.state import SUBDIVISION
 #: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
 _SCALED, _SAFE_RPM = 32, 1200
+_MOTION_CODES = frozenset(command.code for command in mks_rs485.DIALECT.commands if command.verb in MOTIONS)
 
 
 def _short(drive: Drive, command: Command, values: Values) -> Values:
@@ -103,6 +104,12 @@ def _homes(drive: MksCore) -> bool:
 def _by_code(address: int, every: list[Slot], wanted: list[Slot]) -> list[Slot]:
     """Return the first slot of each code."""
     return list({slot.code: slot for slot in reversed(mine(address, every))}.values())[::-1]
+
+
+def _first_motion(address: int, every: list[Slot], wanted: list[Slot]) -> list[Slot]:
+    """Return the first slot that is a motion, and the first slot where none is."""
+    own = mine(address, every)
+    return [slot for slot in own if slot.code in _MOTION_CODES][:1] or own[:1]
 
 
 def _kept_at_rest(drive: MksCore, request: Request) -> Values | None:
@@ -284,6 +291,7 @@ SEQUENCES: Rows = {
     ),
     "one of many": (
         Row("third-target-lost", "of targets that follow one another the third is lost", _few_updates(Verb.MOVE_ABSOLUTE_AXIS)),
+        Row("package-first-motion", "of the own slots of a package the first motion is executed", slots(_first_motion)),
         Row("package-of-two-codes", "of the own slots of a package the first of each code is executed", slots(_by_code)),
     ),
     "undone": (
