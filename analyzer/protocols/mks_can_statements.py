@@ -754,6 +754,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.2.1/stopped",
         "1: the motor stands.",
         "motion/read_status/standing",
+        "motion/read_status/behind-emergency",
         "motion/read_status/after-a-move",
         "motion/read_status/slow-*",
     ),

@@ -443,11 +443,11 @@ def _ends_of_homing(dialect: Dialect) -> Iterator[Case]:
 
 @of_motion(each=_ends_of_homing, name="{command}/ends-{home}", refuted_by="a shaft that goes on", at_best=Certainty.LIKELY)
 def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str, int]) -> None:
-    """{command} ends homing in both directions: the shaft stands."""
+    """{command} ends homing in both directions: the shaft stands, and no success is told."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     for direction in (0, 1):
         homing.set_home(probe, home_speed=_HOME_RPM, home_direction=direction)
-        first = motion.position(probe)
+        first, since = motion.position(probe), len(probe.traffic)
         begun = probe.ask(home, quiet_ns=0)
         probe.wait(begun.sent_ns + _RUNS_NS - probe.gate.now_ns())
         turning = abs(motion.position(probe).value - first.value) > 1 + first.noise
@@ -463,3 +463,6 @@ def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str
         most = motion.same(probe) + probe.noise.swing
         text = f"{command.name} does not end homing"
         probe.expect(abs(went), at_most=most, unit="degrees", refutes=text, exchange=exchange)
+        told = motion.statuses(probe.traffic[since:], home) if motion.tells_end(probe.dialect) else []
+        text = f"homing that {command.name} ended is told as success"
+        probe.expect(told, holds=homing.HOMED not in told, expected="no 2", refutes=text, exchange=exchange)

@@ -5,7 +5,7 @@ Also those that need a value that few send: a step of a few units, a frame in th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from msgspec.structs import replace
 
@@ -15,7 +15,7 @@ from analyzer.protocols import mks_rs485, mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Request, Values
 from conformance.drives.faults import numbers
-from conformance.drives.faults.mks_behaviour import OK, before, tuned
+from conformance.drives.faults.mks_behaviour import OK, before, tuned, wrapped
 from conformance.drives.faults.mks_conditions import refused_when, undone_when
 from conformance.drives.faults.mks_frames import mine, slots
 from conformance.drives.faults.places import (
@@ -32,7 +32,7 @@ from conformance.drives.faults.places import (
     result,
     storing,
 )
-from conformance.drives.mks.core import MOTIONS, STOPS, Activity, MksCore
+from conformance.drives.mks.core import MOTIONS, STOPS, Activity, Behaviour, MksCore, Script
 from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, divided
 from conformance.drives.mks.state import SUBDIVISION
@@ -251,6 +251,52 @@ def _stops_of_all(change: Callable[[int, int], int]) -> Callable[[MksCore], None
     return install
 
 
+def _emergency_completes(kind: Activity, status: int, verbs: Collection[Verb]) -> Change:
+    """Tell what the emergency stop ended as done when it would have been: a move, or homing at once."""
+
+    def wrap(stop: Behaviour) -> Behaviour:
+        def act(drive: MksCore, request: Request) -> Values | None:
+            task, until = drive.task, drive.motor.settled if kind is Activity.MOVE else drive.now_ns
+            result = stop(drive, request)
+            if task is not None and task.kind is kind and task.request is not None and task.request.command.verb in verbs:
+                drive.begin(kind, _told_later(drive, until, status), task.request)
+            return result
+
+        return act
+
+    return Change(wrapped(Verb.EMERGENCY_STOP, wrap).install, TELLING)
+
+
+def _told_later(drive: MksCore, until: Number, status: int) -> Script:
+    yield lambda: until
+    drive.finish(status)
+
+
+def _status_of_before(wanted: Collection[int]) -> Callable[[MksCore], None]:
+    """Tell on behind an emergency stop the status that it ended, one of these, until the next motion."""
+
+    def change(drive: MksCore) -> None:
+        kept: Values | None = None
+
+        def wrap(behaviour: Behaviour) -> Behaviour:
+            def act(core: MksCore, request: Request) -> Values | None:
+                nonlocal kept
+                before = core.behaviours[Verb.READ_STATUS](core, request)
+                kept = before if request.command.verb is Verb.EMERGENCY_STOP and before and before["status"] in wanted else None
+                return behaviour(core, request)
+
+            return act
+
+        for verb in (Verb.EMERGENCY_STOP, Verb.HOME, *MOTIONS):
+            if verb in drive.behaviours:
+                drive.behaviours[verb] = wrap(drive.behaviours[verb])
+        drive.hooks.result.append(
+            lambda _, command, asked, values: kept if kept and command.verb is Verb.READ_STATUS else values
+        )
+
+    return change
+
+
 def _slow_if_protected(drive: MksCore) -> None:
     """Turn no faster than a limit while the protection is on."""
     highest = drive.highest_speed
@@ -268,6 +314,26 @@ SEQUENCES: Rows = {
     "behind a stop": (
         Row("stops-lose-pulses", f"33 loses {_LOST} pulses at each stop of a turning shaft", before(STOPS, _loses_pulses)),
         Row("homing-unstopped", "F7 says success and does not end homing", undone_when(_homes, Verb.EMERGENCY_STOP)),
+        Row(
+            "emergency-completes-pulses",
+            "a move by pulses that F7 ended is told as complete when it would have been",
+            _emergency_completes(Activity.MOVE, mks_shared.RunStatus.COMPLETE, (Verb.MOVE_RELATIVE_PULSES,)),
+        ),
+        Row(
+            "emergency-completes-home",
+            "homing that F7 ended is told as success",
+            _emergency_completes(Activity.HOME, mks_shared.HomeStatus.SUCCESS, (Verb.HOME,)),
+        ),
+        Row(
+            "status-behind-emergency-ramp",
+            "behind F7 on a ramp F1 reads the ramp on",
+            tuned(_status_of_before((mks_shared.MotorStatus.SPEEDING_UP, mks_shared.MotorStatus.SLOWING_DOWN))),
+        ),
+        Row(
+            "status-behind-emergency-home",
+            "behind F7 while homing F1 reads homing on",
+            tuned(_status_of_before((mks_shared.MotorStatus.HOMING,)), having(Verb.HOME)),
+        ),
         Row(
             "cleaned-turning-alone",
             "FF CA cleans the kept run while the shaft turns alone",
