@@ -533,7 +533,7 @@ STATEMENTS: tuple[S, ...] = (
         "The first value is the encoder: its raw value less the zero offset.",
         ("motion/read_encoder/difference", "motion/read_encoder/below-offset"),
     ),
-    S("20/raw", "The second value is the raw value.", ("motion/read_encoder/follows", "motion/set_zero/answers-raw")),
+    S("20/raw", "The second value is the raw value.", ("motion/read_encoder/follows", "motion/set_zero/fits-behind")),
     S("20/offset", "The third value is the offset of the zero.", ("motion/read_encoder/difference", "motion/set_zero/offset")),
     S("20/initial-zero", "That offset is the zero from power-up.", ("motion/set_zero/offset",)),
     S("20/ranges", "A value has 14, 15 or 16 bits; of 18 bits the upper 16 are sent.", ("motion/read_encoder/*",)),
@@ -543,7 +543,11 @@ STATEMENTS: tuple[S, ...] = (
     S("21/not-at-once", "The zero is that of the next power-up.", ("motion/set_zero/not-at-once",)),
     S("21/kept", "The zero is kept without power.", ("motion/set_zero/at-power-up",)),
     S("21/wear", "Each use wears the flash.", unclaimed="the wear of a chip is not seen by a few writes"),
-    S("21/raw", "The reply tells the raw value where the shaft stands, low byte first.", ("motion/set_zero/answers-raw",)),
+    S(
+        "21/raw",
+        "The reply tells the raw value where the shaft stands, low byte first.",
+        ("motion/set_zero/fits-behind", "motion/set_zero/answers-raw"),
+    ),
     # --- 22 to 25: positions ---
     *_tables("22", "read_position", "92h", 0, 8),
     S(

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from analyzer.catalogue import Command, Verb
-from analyzer.protocols.lk_rs485 import ERROR_BITS
+from analyzer.protocols.lk_rs485 import ERROR_BITS, MotorState
 from conformance.drives.drive import Drive, Request, Values
 from conformance.drives.faults.lk_behaviour import INCREMENTS, MULTI_TURN, SINGLE_TURN, lk, moving, replaced, tuned
 from conformance.drives.faults.places import LK, Change, Row, Rows, faults, result, together
@@ -117,6 +117,32 @@ def _letting_go(drive: LkDrive, request: Request) -> None:
     drive.motor.hold(braked=False)
 
 
+# --- what is told -----------------------------------------------------------------------------------------------------
+
+
+def _on_while_it_turns(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Tell a motor that is off as on while its shaft runs out."""
+    return values | {"state": int(MotorState.ON)} if _turning(lk(drive)) and "state" in values else values
+
+
+def _offset_of_next(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Tell the offset that is stored, not the one that is used until power comes on again."""
+    return values | {"encoder_offset": drive.settings["encoder_zero"]}
+
+
+def _raw_of_before(drive: LkDrive) -> None:
+    """Answer 0x19 with the raw value that 0x90 told last."""
+    last = 0
+
+    def tell(_: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:
+        nonlocal last
+        if values is not None and command.verb is Verb.READ_ENCODER:
+            last = values["encoder_raw"]
+        return values | {"encoder_zero": last} if values is not None and command.verb is Verb.SET_ZERO else values
+
+    drive.hooks.result.append(tell)
+
+
 # --- error flags ------------------------------------------------------------------------------------------------------
 
 
@@ -179,6 +205,11 @@ CONDITIONS: Rows = {
             ("moves", "a move over several turns", MULTI_TURN),
             ("increments", "an increment", INCREMENTS),
         )
+    ),
+    "what is told": (
+        Row("lk-on-while-turning", "0x9A tells a motor that is off as on while it turns", result(_on_while_it_turns, _STATE_1)),
+        Row("lk-offset-of-next", "0x90 tells the offset of 0x19 before it is used", result(_offset_of_next, Verb.READ_ENCODER)),
+        Row("lk-zero-raw-stale", "0x19 is answered with the raw value that 0x90 told last", tuned(_raw_of_before)),
     ),
     "error flags": (
         Row(
