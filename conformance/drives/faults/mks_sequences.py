@@ -39,7 +39,7 @@ from conformance.drives.mks.state import SUBDIVISION
 
 #: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
-_SCALED, _SAFE_RPM = 32, 1200
+_SCALED, _SAFE_RPM, _FASTEST_BACK = 32, 1200, 4
 _MOTION_CODES = frozenset(command.code for command in mks_rs485.DIALECT.commands if command.verb in MOTIONS)
 
 
@@ -116,6 +116,17 @@ def _kept_at_rest(drive: MksCore, request: Request) -> Values | None:
     """Say that the run is cleaned, and keep it, where the shaft stands."""
     cleans = request.values["save_state"] == mks_shared.SaveState.CLEAN
     return dict(OK) if cleans and not drive.motor.speed(drive.now_ns) else None
+
+
+def _slower_back(direction: int) -> Callable[[Drive, Command, Values], Values]:
+    """Turn the scale of the speed round for the way back by a direction."""
+
+    def ask(drive: Drive, command: Command, values: Values) -> Values:
+        if values["zero_mode"] == mks_shared.ZeroMode.DIRECTION and values["zero_direction"] == direction:
+            return values | {"zero_speed": _FASTEST_BACK - values["zero_speed"]}
+        return values
+
+    return ask
 
 
 def _leave_group(drive: MksCore, request: Request) -> None:
@@ -373,6 +384,15 @@ SEQUENCES: Rows = {
         Row("respond-0-needs-active", "respond 0 silences nothing with active 0", tuned(_silent_if_active), NATIVE),
         Row("refused-aloud", "with respond 0 a refusal is answered", tuned(_refuses_aloud), TELLING),
         Row("protection-slows", f"with the protection on nothing turns faster than {_SAFE_RPM} rpm", tuned(_slow_if_protected)),
+        *(
+            Row(
+                f"way-back-slower-{name}",
+                f"a higher 0_Speed brings the shaft back {name} more slowly",
+                request(_slower_back(direction), Verb.SET_ZERO_MODE),
+                SERIAL,
+            )
+            for name, direction in (("cw", mks_shared.ConfigDirection.CW), ("ccw", mks_shared.ConfigDirection.CCW))
+        ),
         Row("way-back-untold", "3B reads 1 on the way back by a direction", result(_way_back, Verb.READ_ZERO_STATUS), SERIAL),
     ),
     "in one mode": (
