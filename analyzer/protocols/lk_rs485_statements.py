@@ -264,11 +264,7 @@ STATEMENTS: tuple[S, ...] = (
     *_tables("8", "brake", "8Ch", 1, 1),
     S("8/power-off", "00h takes the brake's power away, and the brake holds.", ("motion/brake/holds*", "motion/brake/is-read")),
     S("8/release", "01h powers the brake, and it lets go.", ("motion/brake/holds", "motion/brake/is-read")),
-    S(
-        "8/stays",
-        "It alone switches the brake.",
-        unclaimed="observed by motion/brake/stays: what 80h, 81h and 88h do to the brake is not said",
-    ),
+    S("8/stays", "It alone switches the brake: no motion releases it.", ("motion/brake/stays-applied",)),
     S("8/read", "10h reads the brake and leaves it as it is.", ("motion/brake/read-only", "motion/brake/is-read")),
     S("8/unlisted", "Other values are none of its commands.", ("ranges/brake/brake_control/unlisted",)),
     S("8/state", "The reply is 00h where the brake holds, 01h where it is released.", ("motion/brake/is-read",)),
@@ -375,7 +371,11 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "13/max-speed",
         "It turns no faster than max_speed.",
-        ("motion/move_multi_turn_limited/max-speed", "motion/move_multi_turn_limited/crossed-speed"),
+        (
+            "motion/move_multi_turn_limited/max-speed",
+            "motion/move_multi_turn_limited/crossed-speed",
+            "motion/move_multi_turn_limited/newer-speed",
+        ),
     ),
     S("13/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_multi_turn_limited/max_speed/*",)),
     S("13/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_multi_turn_limited/max-speed",)),
@@ -440,7 +440,11 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "15/max-speed",
         "It turns no faster than max_speed.",
-        ("motion/move_single_turn_limited/max-speed", "motion/move_single_turn_limited/crossed-speed"),
+        (
+            "motion/move_single_turn_limited/max-speed",
+            "motion/move_single_turn_limited/crossed-speed",
+            "motion/move_single_turn_limited/newer-speed",
+        ),
     ),
     S("15/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_single_turn_limited/max_speed/*",)),
     S("15/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_single_turn_limited/max-speed",)),
@@ -487,7 +491,11 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "17/max-speed",
         "It turns no faster than max_speed.",
-        ("motion/move_increment_limited/max-speed", "motion/move_increment_limited/crossed-speed"),
+        (
+            "motion/move_increment_limited/max-speed",
+            "motion/move_increment_limited/crossed-speed",
+            "motion/move_increment_limited/newer-speed",
+        ),
     ),
     S("17/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_increment_limited/max_speed/*",)),
     S("17/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_increment_limited/max-speed",)),
@@ -525,7 +533,7 @@ STATEMENTS: tuple[S, ...] = (
         "The first value is the encoder: its raw value less the zero offset.",
         ("motion/read_encoder/difference", "motion/read_encoder/below-offset"),
     ),
-    S("20/raw", "The second value is the raw value.", ("motion/read_encoder/follows", "motion/set_zero/answers-raw")),
+    S("20/raw", "The second value is the raw value.", ("motion/read_encoder/follows", "motion/set_zero/fits-behind")),
     S("20/offset", "The third value is the offset of the zero.", ("motion/read_encoder/difference", "motion/set_zero/offset")),
     S("20/initial-zero", "That offset is the zero from power-up.", ("motion/set_zero/offset",)),
     S("20/ranges", "A value has 14, 15 or 16 bits; of 18 bits the upper 16 are sent.", ("motion/read_encoder/*",)),
@@ -535,7 +543,11 @@ STATEMENTS: tuple[S, ...] = (
     S("21/not-at-once", "The zero is that of the next power-up.", ("motion/set_zero/not-at-once",)),
     S("21/kept", "The zero is kept without power.", ("motion/set_zero/at-power-up",)),
     S("21/wear", "Each use wears the flash.", unclaimed="the wear of a chip is not seen by a few writes"),
-    S("21/raw", "The reply tells the raw value where the shaft stands, low byte first.", ("motion/set_zero/answers-raw",)),
+    S(
+        "21/raw",
+        "The reply tells the raw value where the shaft stands, low byte first.",
+        ("motion/set_zero/fits-behind", "motion/set_zero/answers-raw"),
+    ),
     # --- 22 to 25: positions ---
     *_tables("22", "read_position", "92h", 0, 8),
     S(

@@ -653,11 +653,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "ranges/set_pulse_division/*",
         "read-back/restore/settings",
     ),
-    unseen(
-        "3.5/flips",
-        "From a period of 100 on PEND flips once for so many pulses.",
-        "observed by motion/set_pulse_division/divides: whether 34 shows the port or the signal of the drive is not said",
-    ),
+    said("3.5/flips", "From a period of 100 on PEND flips once for so many pulses.", "motion/set_pulse_division/flips"),
     unseen(
         "3.5/cancel",
         "A period below 100, or 0, gives PEND back to its signal.",
@@ -754,6 +750,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.2.1/stopped",
         "1: the motor stands.",
         "motion/read_status/standing",
+        "motion/read_status/behind-emergency",
         "motion/read_status/after-a-move",
         "motion/read_status/slow-*",
     ),

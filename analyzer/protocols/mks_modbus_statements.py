@@ -122,7 +122,13 @@ _READS = (
         "motion/read_protection/at-first",
     ),
     said("8.1.9/reserved", "The high byte of a value of one byte is 0.", "shape/read_*/reserved"),
-    read("8.1.10", "read_status", "F1h reads what the motor does.", "motion/read_status/follows"),
+    read(
+        "8.1.10",
+        "read_status",
+        "F1h reads what the motor does.",
+        "motion/read_status/follows",
+        "motion/read_status/behind-emergency",
+    ),
     said(
         "8.1.10/stopped",
         "1: it stands.",

@@ -483,6 +483,7 @@ _MOTION = (
         "6.2.1/stopped",
         "1: it stands.",
         "motion/read_status/standing",
+        "motion/read_status/behind-emergency",
         "motion/read_status/slow-*",
         "motion/read_status/after-a-move",
     ),

@@ -34,6 +34,8 @@ _GROUP, _OTHER_GROUP, _BYTE = 0x50, 0x60, 0xFF
 _HIGH_GROUP = 0xE0
 #: How long a motion or a stop is listened to: its ramp takes 24 ms.
 _TURNS_NS = 100_000_000
+#: A ramp of 2.5 ms for a rpm, by which a shaft rises in a while; how long a stop at once may take, and is then looked at.
+_HALTED_RAMP, _RISES_NS, _HALTS_NS, _LOOK_NS = 206, 160_000_000, 15_000_000, 40_000_000
 #: What a drive is told behind all else.
 _LAST = (Verb.RESTART,)
 #: How long a setting is listened to; that a setting by several addresses is silent shows with the first of them too.
@@ -268,13 +270,25 @@ def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> 
     """{run} by {what} turns the shaft, {stop} by it lets it stand, and neither is answered, then or at its end."""
     motion.prepare(probe, run)
     to = many.join(probe)
-    values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run))
-    begun = probe.send(probe.build(run, values, address=to).item(), timeout_ns=_TURNS_NS)
+    # By its ramp the shaft would go on for 0.15 s.
+    ramp_of = {"acceleration": _HALTED_RAMP} if motion.of(run).acceleration else {}
+    values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run), **ramp_of)
+    begun = probe.send(probe.build(run, values, address=to).item(), timeout_ns=_RISES_NS if ramp_of else _TURNS_NS)
     text = f"{run.name} by {many.what} does not turn the shaft"
     probe.expect(abs(motion.turning(probe).value), at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
-    how = {"acceleration": motion.QUICK} if motion.of(stop).acceleration else {}
-    ended = probe.send(probe.build(stop, how, address=to).item(), timeout_ns=_TURNS_NS)
-    expect_standing(probe, ended, f"{stop.name} by {many.what} does not stop the shaft")
+    at_once = motion.of(stop).acceleration or stop.verb is Verb.EMERGENCY_STOP
+    how = {"acceleration": 0} if motion.of(stop).acceleration else {}
+    ended = probe.send(probe.build(stop, how, address=to).item(), timeout_ns=_HALTS_NS if at_once else _TURNS_NS)
+    text = f"{stop.name} by {many.what} does not stop the shaft"
+    if at_once:
+        # A shaft that settles swings behind a halt.
+        probe.wait(_LOOK_NS if probe.noise.live else 0)
+        halted = motion.position(probe).value
+        probe.wait(_LOOK_NS)
+        went, most = abs(motion.position(probe).value - halted), motion.same(probe) + probe.noise.swing
+        expected = "a shaft that stands at once"
+        probe.expect(went, at_most=most, unit="degrees", expected=expected, refutes=text, exchange=ended)
+    expect_standing(probe, ended, text)
     for sent in (begun, ended):
         _expect_silence(probe, sent, many.what)
     if many is _GROUPS and stop is probe.dialect.stops_of(run)[0]:

@@ -30,6 +30,8 @@ EMPTY: Slot = {}
 _ONE, _OTHER = 1, 3
 #: Three steps take 0.09 s, and as many pulses as a step has counts 0.11 s: a ramp up, and one down.
 _STEPS_NS = 160_000_000
+#: A value that enabling does not have.
+_NO_CHOICE = 2
 #: How long the effect of a slot is waited for.
 _EFFECT_NS = 150_000_000
 #: How long a motion or a stop is listened to: its ramp takes 24 ms.
@@ -145,6 +147,19 @@ def _two_kinds_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot
     return [_move(dialect, own), {"address": own, **pulses}, EMPTY, EMPTY, {"address": own, **pulses}]
 
 
+def _behind_no_motion(first: Callable[[Dialect], Slot]) -> Slots:
+    """Return a slot of something that is no motion, and a move behind it."""
+    return lambda dialect, package, own: [{"address": own, **first(dialect)}, EMPTY, _move(dialect, own)]
+
+
+def _a_read(dialect: Dialect) -> Slot:
+    return {"command": plain_read(dialect).name}
+
+
+def _enabling(value: int) -> Callable[[Dialect], Slot]:
+    return lambda dialect: {"command": dialect.by_verb[Verb.ENABLE].name, "enabled": value}
+
+
 def _for_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     assert package.slots is not None
     return [_move(dialect, a) for a in _others(dialect, own, package.slots.count)]
@@ -198,6 +213,21 @@ _ROWS: tuple[tuple[str, Slots, int, str, str, Certainty], ...] = (
         "the effect of another slot, or of all",
         Certainty.CERTAIN,
     ),
+    *(
+        (
+            f"behind_{kind}",
+            _behind_no_motion(first),
+            0,
+            f"Of two slots for one drive only the first is executed, where that is {what} and the second a move too.",
+            "a move",
+            Certainty.CERTAIN,
+        )
+        for kind, what, first in (
+            ("read", "a read", _a_read),
+            ("setting", "a setting", _enabling(1)),
+            ("refused", "a command that is refused", _enabling(_NO_CHOICE)),
+        )
+    ),
     ("others", _for_others, 0, "A package for other drives is not executed.", "a move", Certainty.CERTAIN),
     (
         "broadcast_slot",
@@ -225,11 +255,14 @@ def _slots(dialect: Dialect) -> Iterator[Case]:
         assert case.command.slots is not None
         for number in range(1, case.command.slots.count + 1):
             statement = f"A command in slot {number} of a package is executed, with the other slots unused."
-            facts = {"statement": statement, "refuted_by": "no move", "at_best": Certainty.CERTAIN}
+            facts: dict[str, Any] = {"statement": statement, "refuted_by": "no move", "at_best": Certainty.CERTAIN}
             given = {"kind": f"slot_{number}", "slots": _in_slot(number), "steps": _ONE}
             yield Case(dialect, case.command, given, facts)
         for kind, slots, steps, statement, refuted_by, at_best in _ROWS:
-            facts = {"statement": statement, "refuted_by": refuted_by, "at_best": at_best}
+            # A value that enabling does not have is unknown.
+            more = (Risk.UNKNOWN,) if kind == "behind_refused" else ()
+            risks = motion.risks(dialect, *dialect.by_verb[Verb.ENABLE].all_risks, *more)
+            facts = {"statement": statement, "refuted_by": refuted_by, "at_best": at_best, "risks": risks}
             yield Case(dialect, case.command, {"kind": kind, "slots": slots, "steps": steps}, facts)
 
 

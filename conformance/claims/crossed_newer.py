@@ -34,9 +34,9 @@ from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
 
-#: Another speed than that of the older motion; its way, which the rows do not come to, and that of the newer move (degrees),
+#: Other speeds than that of the older motion; its way, which the rows do not come to, and that of the newer move (degrees),
 #: with what it goes too far on the way round.
-_OTHER, _FAR, _NEAR, _SPARE = 90, 720, 30, 18
+_OTHER, _LOWER, _FAR, _NEAR, _SPARE = 90, 30, 720, 30, 18
 #: From the older command to the newer one; until a run has its speed, or a move has surely got going.
 _GOING_NS, _RUNS_NS = 80 * MS, 110 * MS
 #: What a shaft may lag behind a command.
@@ -119,8 +119,9 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
         ],
     )
     rows = {Row(**row) for row in found}
-    # Over itself each field is changed alone, too.
-    rows |= {Row(name, name, way, turn, CALM, False, QUICK) for name in known for way in (1, -1) for turn in (1, -1)}
+    # Over itself each field is changed alone, too, and the speed is lowered: a drive may take up higher ones alone.
+    for rpm in (CALM, _LOWER):
+        rows |= {Row(name, name, way, turn, rpm, False, QUICK) for name in known for way in (1, -1) for turn in (1, -1)}
     return tuple(sorted(rows, key=lambda row: (not row.zero, row)))
 
 
@@ -324,8 +325,9 @@ def _again_and_again(probe: Probe, command: Command) -> None:
     expect_speed(seen, speed, exchange, f"{text}: its speed", share=2 * CLOCK_SHARE)
 
 
-#: Where each of them leads (degrees from where the first one began), and how fast (rpm).
-_UPDATES = ((300, 60), (350, 110), (280, 70), (310, 40), (260, 90))
+#: Where each of them leads (degrees from where the first one began), and how fast (rpm): a shaft that keeps the highest
+#: speed is not at the end either when its speed is looked at.
+_UPDATES = ((700, 60), (750, 110), (680, 70), (710, 40), (660, 90))
 #: So far before its end a shaft may slow down, in degrees.
 _ENDS = 15
 
@@ -447,11 +449,11 @@ def _ends_of_homing(dialect: Dialect) -> Iterator[Case]:
 
 @of_motion(each=_ends_of_homing, name="{command}/ends-{home}", refuted_by="a shaft that goes on", at_best=Certainty.LIKELY)
 def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str, int]) -> None:
-    """{command} ends homing in both directions: the shaft stands."""
+    """{command} ends homing in both directions: the shaft stands, and no success is told."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     for direction in (0, 1):
         homing.set_home(probe, home_speed=_HOME_RPM, home_direction=direction)
-        first = motion.position(probe)
+        first, since = motion.position(probe), len(probe.traffic)
         begun = probe.ask(home, quiet_ns=0)
         probe.wait(begun.sent_ns + _RUNS_NS - probe.gate.now_ns())
         turning = abs(motion.position(probe).value - first.value) > 1 + first.noise
@@ -467,3 +469,6 @@ def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str
         most = motion.same(probe) + probe.noise.swing
         text = f"{command.name} does not end homing"
         probe.expect(abs(went), at_most=most, unit="degrees", refutes=text, exchange=exchange)
+        told = motion.statuses(probe.traffic[since:], home) if motion.tells_end(probe.dialect) else []
+        text = f"homing that {command.name} ended is told as success"
+        probe.expect(told, holds=homing.HOMED not in told, expected="no 2", refutes=text, exchange=exchange)

@@ -47,6 +47,9 @@ def _switch_off_going(probe: Probe) -> None:
     set_going(probe, probe.command(Verb.RUN_SPEED))
     exchange = probe.ask(*motion.switching(probe.dialect, False))
     expect_taken(probe, exchange, "switching a turning motor off is refused")
+    seen = motion.is_on(probe)
+    text = "a motor that was switched off reads as on while it runs out"
+    probe.expect("on", holds=seen is False, expected="off", refutes=text, exchange=exchange, key="off at once")
     # Without torque the shaft runs out, and slowly in the end.
     motion.wait_until(probe, lambda: abs(motion.speed(probe).value) < 1 + probe.noise.rpm, limit_ns=3 * SECOND_NS // 2)
     probe.wait(SECOND_NS // 2)
@@ -55,7 +58,7 @@ def _switch_off_going(probe: Probe) -> None:
 
 @of_motion(each=_off, refuted_by="a shaft that is still driven", risks=risks_by(Verb.RUN_SPEED), at_best=Certainty.LIKELY)
 def _ends_motion(probe: Probe) -> None:
-    """Switching the motor off ends a motion."""
+    """Switching the motor off ends a motion, and it reads as off at once."""
     _switch_off_going(probe)
 
 

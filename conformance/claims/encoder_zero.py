@@ -341,6 +341,25 @@ def _answers_raw(probe: Probe, command: Command) -> None:
         _power_cycle(probe)
 
 
+@of_motion(each=named("set_zero"), refuted_by="values that do not fit one another", at_best=Certainty.LIKELY)
+def _fits_behind(probe: Probe, command: Command) -> None:
+    """19 is answered with the raw value that 90 tells, and 90 behind it tells an encoder that is raw - offset."""
+    motion.ready_to_move(probe)
+    widths = set(_WIDTHS)
+    for degrees in (77, 50):
+        _encoder(probe)
+        turn_by(probe, degrees)
+        told = probe.reply(probe.do(command)).values["encoder_zero"]
+        values, exchange = _encoder(probe)
+        widths = {w for w in widths if _fits(values, w)}
+        text, raw = "19 is answered with another value than the raw one", values["encoder_raw"]
+        probe.expect(told, near=raw, unit="encoder", refutes=text, exchange=exchange, key="19 raw")
+        text = "behind 19 the encoder is not its raw value less the offset"
+        got = f"{values['encoder']} beside raw {raw} and offset {values['encoder_offset']}"
+        expected = "raw - offset, around 14, 15 or 16 bits"
+        probe.expect(got, holds=bool(widths), expected=expected, refutes=text, exchange=exchange, key="behind 19")
+
+
 @_zero(refuted_by="another angle", at_best=Certainty.OPEN)
 def _not_at_once(probe: Probe, command: Command) -> None:
     """19 leaves the angle as it is until power comes on again; it goes on with the shaft."""

@@ -26,7 +26,7 @@ from conformance.talk.probe import Probe, Until
 
 _CW, _CCW = 0, 1
 _SWITCH = 3000
-HOMING = 5
+HOMING, HOMED = 5, 2
 _LIMIT_NS = 20 * SECOND_NS
 _WAYS = {_CW: -1, _CCW: 1}
 _DIRECTIONS = {"cw": _CW, "ccw": _CCW}

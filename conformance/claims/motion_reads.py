@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
+from itertools import pairwise
+from typing import NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Verb
 from conformance.claim import Aspect, Inconclusive, NotRun, Theme
@@ -427,23 +429,34 @@ def _is_enable_pin(probe: Probe, command: Command) -> None:
 # --- the divided pulses -----------------------------------------------------------------------------------------------
 
 
-@of_motion(
-    each=commands(Verb.SET_PULSE_DIVISION),
-    refuted_by="a port that does not follow the pulses",
-    at_best=Certainty.OPEN,
-    risks=risks_by(Verb.SET_PULSE_DIVISION, Verb.MOVE_RELATIVE_PULSES, Verb.WRITE_IO, Verb.SET_ZERO, Verb.RESTART),
-    settings=("division_level", "division_period"),
-)
-def _divides(probe: Probe, command: Command) -> None:
-    """PEND flips once for every so many pulses either way, from its starting level, also after a restart; never below 100."""
+class _Look(NamedTuple):
+    """PEND behind a move, beside the count of pulses. `anew`: the drive was restarted before it."""
+
+    level: int
+    period: int
+    anew: bool
+    pulses: int
+    pend: int
+
+    @property
+    def flips(self) -> int:
+        """How often PEND has flipped from the zero on."""
+        return self.pulses // self.period if self.period >= _LEAST_PERIOD else 0
+
+
+def _divided(probe: Probe) -> tuple[tuple[_Look, ...], ...]:
+    """Return three looks at PEND for each period that is tried."""
     _give_ports_back(probe)
-    move = probe.command(Verb.MOVE_RELATIVE_PULSES)
+    move, command = probe.command(Verb.MOVE_RELATIVE_PULSES), probe.command(Verb.SET_PULSE_DIVISION)
+    found = []
     for level, period, way, subdivision in _DIVIDED:
         motion.ready_to_move(probe, subdivision=subdivision % _FINEST)
         probe.do(Verb.SET_ZERO)
         probe.do(command, {"division_level": level, "division_period": period})
+        looks = []
         for number in range(3):
-            if number == 1 and level and way > 0:
+            anew = bool(number == 1 and level and way > 0)
+            if anew:
                 restart(probe)
                 motion.ready_to_move(probe, subdivision=subdivision % _FINEST)
                 probe.do(Verb.SET_ZERO)
@@ -451,9 +464,38 @@ def _divides(probe: Probe, command: Command) -> None:
             rpm = min(_QUICK_RPM, _FINE_RPM)
             motion.follow(probe, move, degrees, rpm=rpm, acceleration=QUICK, subdivision=subdivision)
             pulses = abs(probe.read(Verb.READ_PULSES, "pulses"))
-            wanted = level ^ (pulses // period & 1) if period >= _LEAST_PERIOD else 1
-            text = f"PEND with a period of {period} is not {wanted} after {pulses} pulses"
-            probe.expect(probe.read(Verb.READ_IO, "pend"), equal=wanted, refutes=text)
+            looks.append(_Look(level, period, anew, pulses, probe.read(Verb.READ_IO, "pend")))
+        found.append(tuple(looks))
+    return tuple(found)
+
+
+_of_division = partial(
+    of_motion,
+    each=commands(Verb.SET_PULSE_DIVISION),
+    refuted_by="a port that does not follow the pulses",
+    risks=risks_by(Verb.SET_PULSE_DIVISION, Verb.MOVE_RELATIVE_PULSES, Verb.WRITE_IO, Verb.SET_ZERO, Verb.RESTART),
+    settings=("division_level", "division_period"),
+)
+
+
+@_of_division(at_best=Certainty.OPEN)
+def _divides(probe: Probe) -> None:
+    """PEND flips where so many pulses have come since the zero, from its starting level, also after a restart."""
+    for look in (look for looks in probe.recorded(_divided) for look in looks):
+        wanted = look.level ^ (look.flips & 1) if look.period >= _LEAST_PERIOD else 1
+        text = f"PEND with a period of {look.period} is not {wanted} after {look.pulses} pulses"
+        probe.expect(look.pend, equal=wanted, refutes=text)
+
+
+@_of_division(at_best=Certainty.LIKELY)
+def _flips(probe: Probe) -> None:
+    """PEND flips once for every so many pulses either way, wherever it begins, and never with a period below 100."""
+    if len({look.pend for looks in probe.recorded(_divided) for look in looks}) == 1:
+        # Whether 34 shows the port or the signal of the drive is not said.
+        raise Inconclusive("no pulses change PEND as 34 tells it")
+    for before, after in (pair for looks in probe.recorded(_divided) for pair in pairwise(looks) if not pair[1].anew):
+        text = f"PEND with a period of {after.period} flips otherwise between {before.pulses} and {after.pulses} pulses"
+        probe.expect(before.pend ^ after.pend, equal=(before.flips ^ after.flips) & 1, refutes=text, key="division")
 
 
 #: Starting levels and periods, the way, and the subdivision at which the pulses are counted; the part of a period of each move.

@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from analyzer.catalogue import Dialect, Verb
+from analyzer.catalogue import Certainty, Dialect, Risk, Verb
 from conformance.claim import Inconclusive
+from conformance.claims import homing
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion_claim import of_motion, risks_by
@@ -132,3 +133,57 @@ def _follows(probe: Probe) -> None:
     motion.stop(probe, _RAMP)
     _expect_slowing(probe)
     _expect_soon_stopped(probe, "has stopped")
+
+
+def _ended_at_once(dialect: Dialect) -> Iterator[Case]:
+    """Yield the status of drives that home and have an emergency stop."""
+    verbs = (Verb.EMERGENCY_STOP, Verb.HOME, Verb.SET_HOME, Verb.RUN_SPEED, Verb.MOVE_RELATIVE_AXIS)
+    needed = [command for verb in verbs if (command := dialect.by_verb.get(verb)) is not None]
+    if len(needed) == len(verbs):
+        risks = frozenset[Risk]().union(*(command.all_risks for command in needed)) - {Risk.UNKNOWN}
+        known = [c for v in (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME) if (c := dialect.by_verb.get(v)) is not None]
+        settings = motion.settings(dialect, *(name for c in known for name in c.request_forms[0].layout.named))
+        facts = {"risks": motion.risks(dialect, *risks, Risk.UNBOUNDED, Risk.TORQUE), "settings": settings}
+        for case in commands(Verb.READ_STATUS)(dialect):
+            yield Case(dialect, case.command, facts=facts)
+
+
+@of_motion(
+    each=_ended_at_once,
+    name="{command}/behind-emergency",
+    refuted_by="another status",
+    quirks=may_meet("status-stays-slowing"),
+    at_best=Certainty.LIKELY,
+)
+def _behind_emergency(probe: Probe) -> None:
+    """Behind an emergency stop the status is 1, whatever it ended: a ramp up or down of a run or a move, or homing."""
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    homing.set_home(probe, home_speed=_RPM)
+    move = probe.command(Verb.MOVE_RELATIVE_AXIS)
+    for what, begin, for_ns in (
+        ("speeds up in a run", lambda: motion.run_at(probe, _RPM, _RAMP), 300 * MS),
+        ("speeds up in a move", lambda: motion.begin(probe, move, 720, rpm=_RPM, acceleration=_RAMP), 300 * MS),
+        ("turns at full speed", lambda: motion.run_at(probe, -_RPM, QUICK), 150 * MS),
+        ("slows down", lambda: _slow_down(probe), 200 * MS),
+        ("homes", lambda: probe.ask(Verb.HOME, quiet_ns=0), 150 * MS),
+    ):
+        begin()
+        probe.wait(for_ns)
+        turned = abs(motion.speed(probe).value)
+        exchange = probe.ask(Verb.EMERGENCY_STOP)
+        seen = _status(probe)
+        if seen == _DOWN and "status-stays-slowing" in probe.claim.quirks:
+            probe.wait(_STAYS_NS)
+            seen = _status(probe)
+            probe.meets("status-stays-slowing")
+        motion.wait_standing(probe)
+        if turned < 2:
+            raise Inconclusive(f"the shaft does not turn before the emergency stop: it {what}")
+        text = f"the emergency stop ends a shaft that {what}, and its status is {seen}"
+        probe.expect(seen, equal=_STOPPED, refutes=text, exchange=exchange)
+
+
+def _slow_down(probe: Probe) -> None:
+    motion.run_at(probe, _RPM, QUICK)
+    probe.wait(150 * MS)
+    motion.stop(probe, _RAMP)

@@ -25,7 +25,7 @@ from conformance.claims.motion_claim import (
     risks_by,
     that_tell_their_end,
 )
-from conformance.claims.moves import takes_angle, takes_counts, without_max_speed
+from conformance.claims.moves import takes_angle, takes_counts, with_max_speed, without_max_speed
 from conformance.motion import motion
 from conformance.motion.motion import CALM, FORCE, MOVES, MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
@@ -90,15 +90,23 @@ def _newer_target(probe: Probe, command: Command) -> None:
     )
 
 
-@of_motion(each=_not_crossed(_moves), refuted_by="a shaft that keeps the older speed", at_best=_certainty)
+def _with_speed(dialect: Dialect) -> Iterator[Case]:
+    yield from with_max_speed(dialect)
+    yield from motions(MotionKind.RUN)(dialect)
+
+
+@of_motion(each=_not_crossed(_with_speed), refuted_by="a shaft that keeps the older speed", at_best=Certainty.LIKELY)
 def _newer_speed(probe: Probe, command: Command) -> None:
-    """{command} that comes while one is under way gives the shaft its own speed."""
-    _under_way(probe, command)
-    exchange = _newer(probe, command, _DEGREES)
-    probe.wait(200 * MS)
-    seen = motion.speed(probe)
-    motion.stand_still(probe)
-    expect_speed(seen, CALM, exchange, f"{command.name}: a newer one does not give the shaft its speed")
+    """{command} that comes while one is under way gives the shaft its own speed, a higher one and a lower one."""
+    motion.ready_to_move(probe)
+    for older, newer in ((_RPM, CALM), (CALM, _RPM)):
+        for rpm in (older, newer):
+            exchange = _begin_way(probe, command, 1, rpm)
+            # Within a turn there is no room for more; a shaft that takes longer to its speed is looked at when it has it.
+            probe.wait(_WHEN_NS)
+        seen = motion.speed(probe)
+        motion.stand_still(probe)
+        expect_speed(seen, newer, exchange, f"{command.name}: a newer one does not give the shaft its speed")
 
 
 #: A ramp by which 60 rpm take a while: 5 ms for one rpm.

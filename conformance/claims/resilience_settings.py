@@ -322,6 +322,10 @@ def expect_effects(
     motion.ready_to_move(probe)
     if Verb.SET_SUBDIVISION in shown or Verb.SET_RESPOND in shown:
         _expect_move(probe, shown, when)
+    for each in {
+        each.name: each for each in chosen if each.command.verb is Verb.SET_SUBDIVISION and each.name in held
+    }.values():
+        _expect_run(probe, held[each.name]["subdivision"], when)
     if Verb.SET_HOME in shown:
         # Its speed goes by the subdivision too.
         motion.ready_to_move(probe, subdivision=SUBDIVISION)
@@ -334,8 +338,23 @@ def expect_effects(
             probe.expect(seen.way, equal=before.way, refutes=f"a refused set_home {when} turns homing round")
 
 
-#: Speeds that are one.
-_SPEED_SHARE = 0.06
+#: Speeds that are one; a speed that a coarse subdivision reaches too, and when it is reached.
+_SPEED_SHARE, _RUN_RPM, _RUN_NS = 0.06, 60, 100 * MS
+
+
+def _expect_run(probe: Probe, subdivision: int, when: str) -> None:
+    """Refute unless a run has the speed that the subdivision makes of the one that is sent."""
+    law, run = probe.dialect.subdivision, probe.command(Verb.RUN_SPEED)
+    assert law is not None  # there is a subdivision to set
+    values = motion.values_of(probe.dialect, run, rpm=_RUN_RPM, acceleration=STEEP, subdivision=subdivision)
+    # `respond` may silence it.
+    exchange = probe.ask(run, values, until=Until.TIMEOUT, timeout_ns=_RUN_NS)
+    seen, sent = motion.speed(probe), values[motion.of(run).speed]
+    probe.ask(Verb.STOP_SPEED, {"acceleration": STEEP}, until=Until.TIMEOUT, timeout_ns=_SILENT_NS)
+    motion.wait_standing(probe)
+    wanted = sent if subdivision in law.plain else sent * law.counted_at / subdivision
+    text = f"a run has another speed than its subdivision says, which was set {when}"
+    probe.expect(abs(seen.value), near=wanted, within=_SPEED_SHARE * wanted + 2, unit="rpm", refutes=text, exchange=exchange)
 
 
 def _expect_move(probe: Probe, shown: Mapping[Verb, Mapping[str, int]], when: str) -> None:

@@ -483,7 +483,13 @@ class _Came(NamedTuple):
 
 _NEARER, _BY_DIRECTION, _CLOCKWISE, _COUNTER = 2, 1, 0, 1
 #: By the shorter way though the direction says the other one; by the direction the longer way.
-_BACKS = (_Back(_NEARER, _COUNTER, 0, 0.3), _Back(_BY_DIRECTION, _CLOCKWISE, 4, 0.3), _Back(_BY_DIRECTION, _COUNTER, 2, -0.3))
+#: Each direction has the fastest way back, for which no other speed could be taken, and one of them the slowest too.
+_BACKS = (
+    _Back(_NEARER, _COUNTER, 0, 0.3),
+    _Back(_BY_DIRECTION, _CLOCKWISE, 4, 0.3),
+    _Back(_BY_DIRECTION, _COUNTER, 4, -0.3),
+    _Back(_BY_DIRECTION, _COUNTER, 0, -0.3),
+)
 #: Between two looks at a shaft on its way back, and the speed of one that surely turns.
 _ON_WAY_NS, _TURNS_RPM = 25 * MS, 10
 

@@ -358,7 +358,7 @@ BY_VERB: Mapping[Verb, SettingEffect] = {
         expected=_expected_counts,
         sends=(_MOVE,),
         moves=True,
-        values=tuple({"subdivision": n} for n in (200, 64, 8, 1, 128, 32)),
+        values=tuple({"subdivision": n} for n in (200, 8, 64, 1, 128, 32)),
         words=lambda seen: f"{PULSES} pulses turn the shaft by {abs(seen)} counts",
     ),
     Verb.SET_RESPOND: SettingEffect(

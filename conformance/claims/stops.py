@@ -31,9 +31,9 @@ _SLOW_RAMP, _RPM, _RAMP_NS = 136, 120, 720 * MS
 _SET_OFF_NS, _LOOK_NS = 250 * MS, 150 * MS
 #: How long a shaft that was stopped has to come to rest.
 _RESTS_NS = 500 * MS
-#: The turns of a motion that is stopped so, and how long they last at 120 rpm. A move of a few turns at 60 rpm, here of one,
-#: lasts as many seconds.
-_RAMP_TURNS, _LEFT_NS, _FEW = 3.5, 1750 * MS, 1
+#: The turns of a motion that is stopped so, and how long they last at 120 rpm. A move at 60 rpm lasts a second for each
+#: turn; how long it is listened for its end.
+_RAMP_TURNS, _LEFT_NS, _HALF, _TOLD_NS = 3.5, 1750 * MS, 0.5, 300 * MS
 #: The replies to a stop: when it begins, and when the shaft stands.
 _BOTH = 2
 _emergency = commands(Verb.EMERGENCY_STOP)
@@ -278,15 +278,18 @@ def _emergencies(dialect: Dialect) -> Iterator[Case]:
     at_best=Certainty.LIKELY,
 )
 def _emergency_replies(probe: Probe, command: Command) -> None:
-    """The emergency stop is answered by status 1, and a move that it ends is not told as complete."""
-    move = probe.command(Verb.MOVE_ABSOLUTE_AXIS)
-    set_going(probe, move, turns=_FEW)
-    exchange = probe.ask(command)
-    status = probe.reply(exchange).values.get("status")
-    probe.expect(status, equal=1, refutes="the emergency stop is not answered by 1", exchange=exchange)
-    probe.wait(_FEW * SECOND_NS)
-    text = "a move that the emergency stop ended is told as complete"
-    probe.expect(motion.statuses(probe.traffic, move), equal=[1], refutes=text, exchange=exchange)
+    """The emergency stop is answered by status 1, and no move that it ends is told as complete."""
+    for move in probe.dialect.motions(*MOVES):
+        since = len(probe.traffic)
+        begun = set_going(probe, move, turns=_HALF)
+        exchange = probe.ask(command)
+        status = probe.reply(exchange).values.get("status")
+        probe.expect(status, equal=1, refutes="the emergency stop is not answered by 1", exchange=exchange)
+        # Longer than the move would have gone on.
+        probe.wait(begun.sent_ns + int(_HALF * SECOND_NS) + _TOLD_NS - probe.gate.now_ns())
+        text = f"{move.name} that the emergency stop ended is told as complete"
+        told = motion.statuses(probe.traffic[since:], move)
+        probe.expect(told, equal=[1], refutes=text, exchange=exchange, key="told as complete")
 
 
 def _stops_and_emergency(dialect: Dialect) -> Iterator[Case]:

@@ -268,6 +268,31 @@ def _brake_stays(probe: Probe) -> None:
         probe.expect([seen, _brake(probe, _READ_BRAKE)], equal=[control] * 2, refutes=text, exchange=exchange)
 
 
+@_of_brake(refuted_by="a brake that is released, or a shaft that turns", risks=_by_all_motions, at_best=Certainty.LIKELY)
+def _stays_applied(probe: Probe) -> None:
+    """A brake that holds (00h) is released by no motion: it reads 00h during each, and a shaft that it holds stays."""
+    motion.ready_to_move(probe)
+    went = []
+    for command, way in _ways(probe):
+        _brake(probe, _POWER_OFF)
+        before = motion.position(probe)
+        _begin(probe, command, way)
+        exchange = probe.traffic[-1]
+        probe.wait(150 * MS)
+        seen, now = _brake(probe, _READ_BRAKE), motion.position(probe)
+        motion.stop(probe)
+        left = _brake(probe, _READ_BRAKE)
+        _brake(probe, _RELEASE)
+        motion.wait_standing(probe)
+        went.append((command, exchange, before, now))
+        text = f"{command.name} releases the brake"
+        probe.expect([seen, left], equal=[_POWER_OFF] * 2, refutes=text, exchange=exchange, key="released")
+    # A motor may have none: then each motion with a speed turns its shaft.
+    held = [abs(now.value - before.value) <= 1 + motion.same(probe) for c, _, before, now in went if motion.of(c).speed]
+    for command, exchange, before, now in went if any(held) else ():
+        expect_stays(before, now, exchange, f"{command.name} turns the shaft against the brake", 1 + motion.same(probe))
+
+
 @_of_brake(refuted_by="the state before", rests_on=(Doubt.REPLY_VALUES,))
 def _answers_new(probe: Probe) -> None:
     """Switching the brake is answered with the state after it."""

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from analyzer.catalogue import Command, Verb
-from analyzer.protocols.lk_rs485 import ERROR_BITS
+from analyzer.protocols.lk_rs485 import ERROR_BITS, MotorState
 from conformance.drives.drive import Drive, Request, Values
-from conformance.drives.faults.lk_behaviour import INCREMENTS, MULTI_TURN, SINGLE_TURN, lk, replaced, tuned
+from conformance.drives.faults.lk_behaviour import INCREMENTS, MULTI_TURN, SINGLE_TURN, lk, moving, replaced, tuned
 from conformance.drives.faults.places import LK, Change, Row, Rows, faults, result, together
 from conformance.drives.lk.drive import Act, LkDrive
-from conformance.drives.lk.motor import Limits, Position, Speed
+from conformance.drives.lk.motor import Goal, Limits, Position, Speed
 from conformance.drives.lk.paths import Motion, Ramps, Stretch
 
 _FLAGS = tuple(field.name for field in ERROR_BITS)
@@ -98,6 +98,51 @@ def _falls(before: float, after: float) -> bool:
     return math.isclose(after, 0.0, abs_tol=1e-9) and abs(before) > 0
 
 
+def _keeps_faster(drive: LkDrive) -> None:
+    """Turn on at the speed of the older motion where the top of a newer one is lower."""
+    go = drive.motor.go
+
+    def faster(goal: Goal) -> None:
+        older = drive.motor.goal
+        if _turning(drive) and isinstance(goal, Position) and isinstance(older, Position) and older.top and goal.top:
+            goal = replace(goal, top=max(goal.top, older.top))
+        elif _turning(drive) and isinstance(goal, Speed) and isinstance(older, Speed) and goal.speed:
+            goal = replace(goal, speed=math.copysign(max(abs(goal.speed), abs(older.speed)), goal.speed))
+        go(goal)
+
+    drive.motor.go = faster  # type: ignore[method-assign]
+
+
+def _letting_go(drive: LkDrive, request: Request) -> None:
+    drive.motor.hold(braked=False)
+
+
+# --- what is told -----------------------------------------------------------------------------------------------------
+
+
+def _on_while_it_turns(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Tell a motor that is off as on while its shaft runs out."""
+    return values | {"state": int(MotorState.ON)} if _turning(lk(drive)) and "state" in values else values
+
+
+def _offset_of_next(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    """Tell the offset that is stored, not the one that is used until power comes on again."""
+    return values | {"encoder_offset": drive.settings["encoder_zero"]}
+
+
+def _raw_of_before(drive: LkDrive) -> None:
+    """Answer 0x19 with the raw value that 0x90 told last."""
+    last = 0
+
+    def tell(_: Drive, command: Command, asked: Values, values: Values | None) -> Values | None:
+        nonlocal last
+        if values is not None and command.verb is Verb.READ_ENCODER:
+            last = values["encoder_raw"]
+        return values | {"encoder_zero": last} if values is not None and command.verb is Verb.SET_ZERO else values
+
+    drive.hooks.result.append(tell)
+
+
 # --- error flags ------------------------------------------------------------------------------------------------------
 
 
@@ -153,6 +198,19 @@ CONDITIONS: Rows = {
             _limits(lambda limits: replace(limits, angle=limits.angle if limits.angle <= 360 else 1e9)),
         ),
     ),
+    "brake": tuple(
+        Row(f"lk-{kind}-release-brake", f"{text} releases a brake that holds", moving(names, _letting_go, after=True))
+        for kind, text, names in (
+            ("runs", "a run at a speed", ("run_speed",)),
+            ("moves", "a move over several turns", MULTI_TURN),
+            ("increments", "an increment", INCREMENTS),
+        )
+    ),
+    "what is told": (
+        Row("lk-on-while-turning", "0x9A tells a motor that is off as on while it turns", result(_on_while_it_turns, _STATE_1)),
+        Row("lk-offset-of-next", "0x90 tells the offset of 0x19 before it is used", result(_offset_of_next, Verb.READ_ENCODER)),
+        Row("lk-zero-raw-stale", "0x19 is answered with the raw value that 0x90 told last", tuned(_raw_of_before)),
+    ),
     "clear errors": (
         Row(
             "lk-short-circuit-stays",
@@ -172,6 +230,7 @@ CONDITIONS: Rows = {
         Row("lk-lowest-flag-alone", "of several flags the lowest is told", result(_lowest_alone, _STATE_1)),
         Row("lk-silent-when-stalled", "a stalled motor answers 0x9A and 0x9B alone", _silent_with("stalled")),
     ),
+    "ramp": (Row("lk-newer-keeps-faster", "a motion that takes over from a faster one keeps its speed", tuned(_keeps_faster)),),
     "one slope": (
         Row("lk-changed-move-steep", "a move that changes another motion has twice the ramp", _steeper(_MOVES, 2.0, _turning)),
         Row(

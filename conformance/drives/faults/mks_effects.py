@@ -122,8 +122,8 @@ def _closed_start_by_low_pins(drive: MksCore) -> None:
 # --- a threshold within a range ---------------------------------------------------------------------------------------
 
 
-def _division(change: Callable[[int], int]) -> Change:
-    """Divide the pulses by another period than was set; what is read back is what was set."""
+def _division(change: Callable[[int], int], counted: Callable[[int], int] = abs) -> Change:
+    """Divide the pulses, or what is `counted` of them, by another period than was set; what is read back is what was set."""
 
     def tell(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
         settings, core = drive.settings, mks(drive)
@@ -131,7 +131,9 @@ def _division(change: Callable[[int], int]) -> Change:
         if core.memory.pend_mask:
             return values
         level = (
-            settings["division_level"] ^ (abs(core.pulses) // period & 1) if period else int(core.motor.speed(core.now_ns) == 0)
+            settings["division_level"] ^ (counted(core.pulses) // period & 1)
+            if period
+            else int(core.motor.speed(core.now_ns) == 0)
         )
         return values | {"pend": level}
 
@@ -198,8 +200,22 @@ EFFECTS: Rows = {
     ),
     "within a range": (
         Row("division-from-50", "PEND divides the pulses from a period of 50 on", _division(lambda n: n if n >= 50 else 0)),
-        Row("division-not-above-5000", "PEND divides no pulses by more than 5000", _division(lambda n: n if n <= 5000 else 0)),
-        Row("division-of-16-bits", "PEND divides pulses by 16 bits of the period", _division(lambda n: n & 0xFFFF)),
+        Row(
+            "division-not-above-5000",
+            "PEND divides no pulses by more than 5000",
+            _division(lambda n: n if 100 <= n <= 5000 else 0),
+        ),
+        Row(
+            "division-of-16-bits",
+            "PEND divides pulses by 16 bits of the period",
+            _division(lambda n: n & 0xFFFF if n >= 100 else 0),
+        ),
+        Row("division-above-100", "PEND divides no pulses by 100", _division(lambda n: n if n > 100 else 0)),
+        Row(
+            "division-of-positive",
+            "PEND divides the pulses of one way alone",
+            _division(lambda n: n if n >= 100 else 0, lambda pulses: max(pulses, 0)),
+        ),
         Row(
             "current-of-steps",
             "currents of 256 to 1023 mA are stored as 256",

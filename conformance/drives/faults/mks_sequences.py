@@ -5,17 +5,17 @@ Also those that need a value that few send: a step of a few units, a frame in th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
 from analyzer.decoder import Slot
-from analyzer.protocols import mks_shared
+from analyzer.protocols import mks_rs485, mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Request, Values
 from conformance.drives.faults import numbers
-from conformance.drives.faults.mks_behaviour import OK, before, tuned
+from conformance.drives.faults.mks_behaviour import OK, before, tuned, wrapped
 from conformance.drives.faults.mks_conditions import refused_when, undone_when
 from conformance.drives.faults.mks_frames import mine, slots
 from conformance.drives.faults.places import (
@@ -32,13 +32,15 @@ from conformance.drives.faults.places import (
     result,
     storing,
 )
-from conformance.drives.mks.core import MOTIONS, STOPS, Activity, MksCore
+from conformance.drives.mks.core import MOTIONS, STOPS, Activity, Behaviour, MksCore, Script
 from conformance.drives.mks.motion import TARGETS
 from conformance.drives.mks.paths import Number, divided
+from conformance.drives.mks.state import SUBDIVISION
 
 #: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
-_SCALED, _SAFE_RPM = 32, 1200
+_SCALED, _SAFE_RPM, _FASTEST_BACK = 32, 1200, 4
+_MOTION_CODES = frozenset(command.code for command in mks_rs485.DIALECT.commands if command.verb in MOTIONS)
 
 
 def _short(drive: Drive, command: Command, values: Values) -> Values:
@@ -104,10 +106,27 @@ def _by_code(address: int, every: list[Slot], wanted: list[Slot]) -> list[Slot]:
     return list({slot.code: slot for slot in reversed(mine(address, every))}.values())[::-1]
 
 
+def _first_motion(address: int, every: list[Slot], wanted: list[Slot]) -> list[Slot]:
+    """Return the first slot that is a motion, and the first slot where none is."""
+    own = mine(address, every)
+    return [slot for slot in own if slot.code in _MOTION_CODES][:1] or own[:1]
+
+
 def _kept_at_rest(drive: MksCore, request: Request) -> Values | None:
     """Say that the run is cleaned, and keep it, where the shaft stands."""
     cleans = request.values["save_state"] == mks_shared.SaveState.CLEAN
     return dict(OK) if cleans and not drive.motor.speed(drive.now_ns) else None
+
+
+def _slower_back(direction: int) -> Callable[[Drive, Command, Values], Values]:
+    """Turn the scale of the speed round for the way back by a direction."""
+
+    def ask(drive: Drive, command: Command, values: Values) -> Values:
+        if values["zero_mode"] == mks_shared.ZeroMode.DIRECTION and values["zero_direction"] == direction:
+            return values | {"zero_speed": _FASTEST_BACK - values["zero_speed"]}
+        return values
+
+    return ask
 
 
 def _leave_group(drive: MksCore, request: Request) -> None:
@@ -166,6 +185,38 @@ def _keeps_ramp(drive: MksCore) -> None:
     drive.hooks.request.append(ask)
 
 
+def _keeps_faster(drive: MksCore) -> None:
+    """Turn on at the speed of the older motion where that of a newer one is lower; a stop has none."""
+    older = 0
+
+    def ask(_: Drive, command: Command, values: Values) -> Values:
+        nonlocal older
+        if command.verb in MOTIONS and values["speed"]:
+            older = max(values["speed"], older if drive.motor.speed(drive.now_ns) else 0)
+            return values | {"speed": older}
+        return values
+
+    drive.hooks.request.append(ask)
+
+
+def _speeds_as_before(drive: MksCore) -> None:
+    """Reckon speeds by the subdivision of before where one is set while the shaft turns, until the next one at rest."""
+    used, real, obey = 0, drive.real_speed, drive.behaviours[Verb.SET_SUBDIVISION]
+
+    def obeys(core: MksCore, request: Request) -> Values | None:
+        nonlocal used
+        used = (used or core.settings["subdivision"]) if core.motor.speed(core.now_ns) else 0
+        return obey(core, request)
+
+    def as_before(speed: int) -> Number:
+        if not used:
+            return real(speed)
+        return speed if used in SUBDIVISION.plain else divided(speed * SUBDIVISION.counted_at, used)
+
+    drive.behaviours[Verb.SET_SUBDIVISION] = obeys
+    drive.real_speed = as_before  # type: ignore[method-assign]
+
+
 def _told_behind(settings: bool, verb: Verb, **told: int) -> Change:
     """Tell something else behind a setting, or a newer motion, that came while the shaft turned, until the next one at rest."""
 
@@ -186,20 +237,75 @@ def _told_behind(settings: bool, verb: Verb, **told: int) -> Change:
     return tuned(change, having(verb))
 
 
-def _stops_of_all(drive: MksCore) -> None:
-    """Stop at once where a stop is for all drives."""
-    shared = False
+def _stops_of_all(change: Callable[[int, int], int]) -> Callable[[MksCore], None]:
+    """Stop by another acceleration where a stop is for all drives: made of the one that is sent, and that of the motion."""
 
-    def note(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-        nonlocal shared
-        shared = message.address == drive.dialect.broadcast
-        return wanted
+    def install(drive: MksCore) -> None:
+        shared, moved = False, 0
 
-    def stop(_: Drive, command: Command, values: Values) -> Values:
-        return values | {"acceleration": 0} if shared and command.verb in STOPS else values
+        def note(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+            nonlocal shared
+            shared = message.address == drive.dialect.broadcast
+            return wanted
 
-    drive.hooks.accept.append(note)
-    drive.hooks.request.append(stop)
+        def stop(_: Drive, command: Command, values: Values) -> Values:
+            nonlocal moved
+            if command.verb in MOTIONS:
+                moved = values["acceleration"]
+            if shared and command.verb in STOPS:
+                return values | {"acceleration": change(values["acceleration"], moved)}
+            return values
+
+        drive.hooks.accept.append(note)
+        drive.hooks.request.append(stop)
+
+    return install
+
+
+def _emergency_completes(kind: Activity, status: int, verbs: Collection[Verb]) -> Change:
+    """Tell what the emergency stop ended as done when it would have been: a move, or homing at once."""
+
+    def wrap(stop: Behaviour) -> Behaviour:
+        def act(drive: MksCore, request: Request) -> Values | None:
+            task, until = drive.task, drive.motor.settled if kind is Activity.MOVE else drive.now_ns
+            result = stop(drive, request)
+            if task is not None and task.kind is kind and task.request is not None and task.request.command.verb in verbs:
+                drive.begin(kind, _told_later(drive, until, status), task.request)
+            return result
+
+        return act
+
+    return Change(wrapped(Verb.EMERGENCY_STOP, wrap).install, TELLING)
+
+
+def _told_later(drive: MksCore, until: Number, status: int) -> Script:
+    yield lambda: until
+    drive.finish(status)
+
+
+def _status_of_before(wanted: Collection[int]) -> Callable[[MksCore], None]:
+    """Tell on behind an emergency stop the status that it ended, one of these, until the next motion."""
+
+    def change(drive: MksCore) -> None:
+        kept: Values | None = None
+
+        def wrap(behaviour: Behaviour) -> Behaviour:
+            def act(core: MksCore, request: Request) -> Values | None:
+                nonlocal kept
+                before = core.behaviours[Verb.READ_STATUS](core, request)
+                kept = before if request.command.verb is Verb.EMERGENCY_STOP and before and before["status"] in wanted else None
+                return behaviour(core, request)
+
+            return act
+
+        for verb in (Verb.EMERGENCY_STOP, Verb.HOME, *MOTIONS):
+            if verb in drive.behaviours:
+                drive.behaviours[verb] = wrap(drive.behaviours[verb])
+        drive.hooks.result.append(
+            lambda _, command, asked, values: kept if kept and command.verb is Verb.READ_STATUS else values
+        )
+
+    return change
 
 
 def _slow_if_protected(drive: MksCore) -> None:
@@ -220,6 +326,26 @@ SEQUENCES: Rows = {
         Row("stops-lose-pulses", f"33 loses {_LOST} pulses at each stop of a turning shaft", before(STOPS, _loses_pulses)),
         Row("homing-unstopped", "F7 says success and does not end homing", undone_when(_homes, Verb.EMERGENCY_STOP)),
         Row(
+            "emergency-completes-pulses",
+            "a move by pulses that F7 ended is told as complete when it would have been",
+            _emergency_completes(Activity.MOVE, mks_shared.RunStatus.COMPLETE, (Verb.MOVE_RELATIVE_PULSES,)),
+        ),
+        Row(
+            "emergency-completes-home",
+            "homing that F7 ended is told as success",
+            _emergency_completes(Activity.HOME, mks_shared.HomeStatus.SUCCESS, (Verb.HOME,)),
+        ),
+        Row(
+            "status-behind-emergency-ramp",
+            "behind F7 on a ramp F1 reads the ramp on",
+            tuned(_status_of_before((mks_shared.MotorStatus.SPEEDING_UP, mks_shared.MotorStatus.SLOWING_DOWN))),
+        ),
+        Row(
+            "status-behind-emergency-home",
+            "behind F7 while homing F1 reads homing on",
+            tuned(_status_of_before((mks_shared.MotorStatus.HOMING,)), having(Verb.HOME)),
+        ),
+        Row(
             "cleaned-turning-alone",
             "FF CA cleans the kept run while the shaft turns alone",
             before(Verb.SAVE_SPEED, _kept_at_rest),
@@ -227,6 +353,8 @@ SEQUENCES: Rows = {
     ),
     "behind what came on the way": (
         Row("newer-keeps-ramp", "a motion that takes over from another one keeps its acceleration", tuned(_keeps_ramp)),
+        Row("newer-keeps-faster", "a motion that takes over from a faster one keeps its speed", tuned(_keeps_faster)),
+        Row("speeds-as-before", "84 while the shaft turns changes the length of moves, and no speed", tuned(_speeds_as_before)),
         Row(
             "off-behind-settings",
             "3A reads 0 behind a setting that came while the shaft turned",
@@ -240,6 +368,7 @@ SEQUENCES: Rows = {
     ),
     "one of many": (
         Row("third-target-lost", "of targets that follow one another the third is lost", _few_updates(Verb.MOVE_ABSOLUTE_AXIS)),
+        Row("package-first-motion", "of the own slots of a package the first motion is executed", slots(_first_motion)),
         Row("package-of-two-codes", "of the own slots of a package the first of each code is executed", slots(_by_code)),
     ),
     "undone": (
@@ -255,6 +384,15 @@ SEQUENCES: Rows = {
         Row("respond-0-needs-active", "respond 0 silences nothing with active 0", tuned(_silent_if_active), NATIVE),
         Row("refused-aloud", "with respond 0 a refusal is answered", tuned(_refuses_aloud), TELLING),
         Row("protection-slows", f"with the protection on nothing turns faster than {_SAFE_RPM} rpm", tuned(_slow_if_protected)),
+        *(
+            Row(
+                f"way-back-slower-{name}",
+                f"a higher 0_Speed brings the shaft back {name} more slowly",
+                request(_slower_back(direction), Verb.SET_ZERO_MODE),
+                SERIAL,
+            )
+            for name, direction in (("cw", mks_shared.ConfigDirection.CW), ("ccw", mks_shared.ConfigDirection.CCW))
+        ),
         Row("way-back-untold", "3B reads 1 on the way back by a direction", result(_way_back, Verb.READ_ZERO_STATUS), SERIAL),
     ),
     "in one mode": (
@@ -262,7 +400,16 @@ SEQUENCES: Rows = {
     ),
     "few send it": (
         Row("address-fa-refused", "the address FA is refused", limit("new_address", numbers.refuses(0xFA)), NATIVE),
-        Row("stops-of-all-at-once", "stops by broadcast are at once, at any acceleration", tuned(_stops_of_all)),
+        Row(
+            "stops-of-all-at-once",
+            "stops by broadcast are at once, at any acceleration",
+            tuned(_stops_of_all(lambda sent, moved: 0)),
+        ),
+        Row(
+            "stops-of-all-by-ramp",
+            "a stop by broadcast with acceleration 0 slows the shaft down by the ramp of its motion",
+            tuned(_stops_of_all(lambda sent, moved: sent or moved)),
+        ),
         Row(
             "short-moves-undone",
             f"moves by fewer than {_SHORTEST} units turn nothing",
