@@ -80,7 +80,7 @@ def _found(word: str, arguments: argparse.Namespace) -> Iterator[tuple[str, Path
         raise UsageError(f"-o {target} is the folder of the captures itself: name another one for their logs")
     found = list(_below(folder, known))
     if not found:
-        raise UnreadableError(f"{folder} is a directory without files, expected captures, or the parts of a recording (*.mcap)")
+        raise UnreadableError(f"{folder} is a folder without files, expected captures, or the parts of a recording (*.mcap)")
     try:
         target.mkdir(exist_ok=True)
     except OSError as error:

@@ -51,12 +51,24 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print(json.dumps(_object(path, names, found) | {"notes": notes}))
         else:
-            for line in lines(found):
+            for line in [*lines(found), *_next(found)]:
                 print(printable(line if len(arguments.files) == 1 else f"{path}: {line}"))
             for note in notes:
                 print(printable(f"note: {note}"), file=sys.stderr)
         status = max(status, 1 if found.causes else 0)
     return status
+
+
+def _next(found: Diagnosis) -> list[str]:
+    """Return what to do where no cause is told, and something is wrong or nothing came."""
+    if found.causes or found.verdict == "ok":
+        return []
+    if found.troubles:
+        return ["   next: `servotap show FILE` marks each with !; record more traffic, of a program that talks to the drive"]
+    return [
+        "   next: Record while a program talks to the drive. If it does, look at the wires (A and B, CAN H and L), the ground "
+        "and the rate"
+    ]
 
 
 def _diagnose(path: str, arguments: argparse.Namespace) -> tuple[str, Diagnosis, list[str]]:

@@ -35,6 +35,8 @@ _LONGEST = 2000
 _DEEPEST = 50
 #: What every number of a message is below, by far.
 _HIGHEST = 1 << 64
+#: One equals sign alone, where a comparison has two.
+_ASSIGNED = re.compile(r"(?<![=<>!])=(?!=)")
 #: A number and the unit behind it, outside of texts: `5ms`, `1.6 A`, `90°`.
 _QUANTITY = re.compile(
     r"""("[^"]*"|'[^']*')|(?<![\w.])((?>0[xXbBoO][0-9a-fA-F]+|(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?))\s*"""
@@ -282,8 +284,9 @@ def parsed(text: str) -> ast.expr:
     try:
         tree = ast.parse(marked, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        equal = "; equality is ==, not =" if _ASSIGNED.search(text) else ""
         place = f" at character {error.offset}" if isinstance(error, SyntaxError) and error.offset and marked == text else ""
-        raise UsageError(f"filter {quote(text)}{place}: expected an expression such as 'address == 1'") from None
+        raise UsageError(f"filter {quote(text)}{place}: expected an expression such as 'address == 1'{equal}") from None
     level: list[ast.AST] = [tree]
     for _ in range(_DEEPEST):
         level = [child for node in level for child in ast.iter_child_nodes(node)]

@@ -30,6 +30,7 @@ from analyzer.values import printable, quote
 EXAMPLES = """\
 examples:
   servotap plot week.mcap speed position -o moves.png
+  servotap plot capture.log                                 says which fields there are
   servotap plot capture.log speed                           in the terminal
   servotap plot week.mcap read_speed.speed --drive left/1 --since +10s --until +20s
   servotap plot week.mcap latency --filter 'command == "read_speed"' -o latency.svg
@@ -45,7 +46,9 @@ _POINTS = 20_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("file", metavar="FILE", help="a capture, a log, or a folder of its parts; - reads standard input")
-    parser.add_argument("names", nargs="+", metavar="NAME", help="what to plot: speed, position, read_speed.speed, latency ...")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="speed, position, read_speed.speed, latency ...; none: say which there are"
+    )
     parser.add_argument("-o", "--output", metavar="OUT", help=f"the picture: a name that ends in {', '.join(_ENDINGS)}")
     parser.add_argument("--force", action="store_true", help="replace a picture that exists")
     parser.add_argument(

@@ -158,7 +158,10 @@ class Question:
         with answering():
             parsed = json.loads(connection.execute("select json_serialize_sql(?)", [query]).fetchall()[0][0])
             if parsed["error"]:
-                raise UsageError(f"the question cannot be read: {printable(parsed['error_message'])}")
+                raise UsageError(
+                    f"the question cannot be read: {printable(parsed['error_message'])}; "
+                    "expected SQL, as in: select count(*) from captures"
+                )
             named = set(_named(parsed, "schema_name", "table_name"))
             own = {name for _, name in _named(parsed, "", "key")}
             for schema, name in sorted(named):

@@ -82,7 +82,7 @@ def series(
 
     `drive`: says of a bus and an address whether it is meant; `wanted`: of a message.
 
-    Raises UsageError for a name that chooses nothing, with those that there are.
+    Raises UsageError for a name that chooses nothing, and where there is no name, with the fields that there are.
     """
     from mcap.records import Channel, Metadata, Schema
 
@@ -136,6 +136,8 @@ def series(
     if every and not any(topic.meant for topic in every):
         there = dict.fromkeys(f"{topic.bus}/{topic.address}" for topic in every)
         raise UsageError(f"no such drive here, there are {_listed(list(there))}")
+    if not names:
+        raise UsageError(f"which field? there are {_listed(_fields(every))}")
     return {name: _chosen(name, every) for name in names}, time_source
 
 
@@ -158,7 +160,7 @@ def _chosen(name: str, topics: Sequence[_Topic]) -> list[Series]:
     found = [(topic, each) for topic in topics for asked, _, _, each in topic.wanted if asked == name and each.values]
     states = [each for topic, each in found if topic.is_state]
     if not found:
-        there = sorted({known for topic in topics for known in topic.fields if topic.meant})
+        there = _fields(topics)
         commands = {f"{topic.command}.{known}" for topic in topics for known in topic.fields}
         if any(asked == name for topic in topics for asked, *_ in topic.wanted):
             raise UsageError(
@@ -166,6 +168,10 @@ def _chosen(name: str, topics: Sequence[_Topic]) -> list[Series]:
             )
         raise UsageError(f"no field here is {quote(name)}{near(name, {*there, *commands})}; there are {_listed(there)}")
     return (states or [each for _, each in found])[:MOST]
+
+
+def _fields(topics: Sequence[_Topic]) -> list[str]:
+    return sorted({known for topic in topics for known in topic.fields if topic.meant})
 
 
 def _listed(words: Sequence[str]) -> str:

@@ -106,8 +106,8 @@ def in_folder(folder: Path) -> tuple[list[Part], list[str]]:
     logs = [look(path) for path in sorted(folder.glob("*.mcap"))]
     if not logs:
         raise UnreadableError(
-            f"{folder} is a directory, expected a capture file, or a folder with the parts of a recording (*.mcap); "
-            "servotap decode reads a folder of captures"
+            f"{folder} is a folder, expected a capture file, or a folder with the parts of a recording (*.mcap); "
+            "servotap decode reads a folder of captures, and FOLDER/* names each file in it"
         )
     recordings: dict[str, list[Part]] = {}
     for part in logs:

@@ -189,7 +189,7 @@ def _open(path: str) -> tuple[int, int | None]:
         raise UnreadableError(f"{path!r} is not a path: {error}") from None
     except OSError as error:
         if Path(path).is_dir():
-            raise UnreadableError(f"{path} is a directory, expected a capture file") from None
+            raise UnreadableError(f"{path} is a folder, expected a capture file") from None
         if Path(path).is_symlink() and error.errno in _LINK_ERRORS:
             raise UnreadableError(f"{path} is a symbolic link {_LINK_ERRORS[error.errno]}, expected a capture file") from None
         raise UnreadableError(f"{path}: {error.strerror}") from None

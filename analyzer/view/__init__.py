@@ -26,7 +26,7 @@ def require_terminal(command: str = "servotap view") -> None:
     others = [name for name, stream in streams.items() if stream is None or not stream.isatty()]
     if others:
         raise UsageError(
-            f"{command} needs a terminal, and {' and '.join(others)} {'is' if len(others) == 1 else 'are'} none; "
+            f"{command} needs a terminal, which {' and '.join(others)} {'is' if len(others) == 1 else 'are'} not; "
             "servotap show prints the same frames as text"
         )
     try:

@@ -30,6 +30,9 @@ try:
 except ImportError:  # a system without them
     termios = None  # type: ignore[assignment]
 
+#: How a port that has gone fails. A terminal's own error is no OSError, and pyserial passes it on.
+_GONE = (OSError, serial.SerialException, *(() if termios is None else (termios.error,)))
+
 _HAS_SELECT = os.name == "posix"
 _MOST_LISTED = 8
 _PSEUDO = "/dev/pts/"
@@ -104,7 +107,7 @@ class SerialLine(StreamLine):
             self._port.flush()
             self._port.baudrate = bits_per_second
             self._port.reset_input_buffer()
-        except (OSError, serial.SerialException) as error:
+        except _GONE as error:
             raise self.lost(str(error)) from None
         except ValueError:
             raise UsageError(f"{self.path} cannot be set to {bits_per_second} baud") from None

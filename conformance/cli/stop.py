@@ -39,6 +39,7 @@ _CAN_BYTES = 8
 EXAMPLES = """\
 examples:
   servotap stop serial:/dev/ttyUSB0,baud=38400                     all that answer at addresses 1 to 32
+  servotap stop serial:/dev/ttyUSB0                                the same at every rate: up to a minute or two
   servotap stop serial:/dev/ttyUSB0,baud=38400 mks-rs485@1 lk-rs485@3
   servotap stop can:socketcan:can0 mks-can@1 --cut-power 'usbrelay OFF_1=1'
   servotap stop arm                                                a drive or a bus of a profile, servotap.toml

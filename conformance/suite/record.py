@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from analyzer.catalogue import Role
+from analyzer.catalogue import Command, Role
 from analyzer.records import CanFrame, Chunk
 from conformance.claim import Curve, Outcome, Verdict
 
@@ -88,6 +88,15 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     notes: tuple[str, ...] = ()
 
 
+def _by_name(value: Any) -> Any:
+    """Return a parameter in which each command is its name: the rest of a command is the catalogue's."""
+    if isinstance(value, Command):
+        return value.name
+    if isinstance(value, Mapping):
+        return {key: _by_name(each) for key, each in value.items()}
+    return [_by_name(each) for each in value] if isinstance(value, (list, tuple)) else value
+
+
 def record(
     verdict: Verdict, target: str, *, firmware: str = "", traffic: bool = False, noise: Mapping[str, float] | None = None
 ) -> VerdictRecord:
@@ -116,7 +125,7 @@ def record(
         fields=claim.fields,
         commands=claim.commands,
         # As JSON has them: a baseline that was written and read again must match.
-        parameters=msgspec.json.decode(msgspec.json.encode(dict(claim.parameters))),
+        parameters=msgspec.json.decode(msgspec.json.encode(_by_name(claim.parameters))),
         measured=dict(verdict.measured),
         series=dict(verdict.series),
         latencies=verdict.latencies,

@@ -95,6 +95,7 @@ def test_texts_do_not_calculate():
         ("speed > 5 furlong", "speed in 'furlong': it is in deg/s or rpm"),
         ("status > 'complete'", "texts are compared by == and !="),
         ("1 in address", "expected a list"),
+        ("speed = 3", "such as 'address == 1'; equality is ==, not ="),
     ],
 )
 def test_what_can_never_match_is_an_error(text, said):

@@ -402,6 +402,19 @@ def test_the_command_tells_people_and_programs(tmp_path, capsys):
     assert missing["verdict"] == "unreadable"
 
 
+@pytest.mark.parametrize(
+    ("capture", "says"),
+    [
+        (bytes(range(1, 200, 7)) * 3, "`servotap show FILE` marks each with !"),
+        (b"(1.0) can0 701#05\n", "Record while a program talks to the drive"),
+    ],
+)
+def test_without_a_cause_the_next_step_is_told(tmp_path, capsys, capture, says):
+    (tmp_path / "x.log").write_bytes(capture)
+    assert main(["diagnose", str(tmp_path / "x.log")]) == 0
+    assert f"   next: {says}" in capsys.readouterr().out
+
+
 def test_nothing_wrong_is_one_line(tmp_path, capsys):
     path = tmp_path / "a.txt"
     path.write_text("> FA 01 30 2B\n< FB 01 30 00 00 00 01 20 00 4D\n")

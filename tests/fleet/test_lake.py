@@ -514,7 +514,13 @@ def test_a_lake_whose_name_delta_lake_reads_otherwise_is_refused(tmp_path, name)
 
 @pytest.mark.parametrize(
     ("query", "told"),
-    [("", "empty"), ("select error('x')", "x"), ("select 'x'::int", "convert"), ("select 'infinity'::timestamp", "range")],
+    [
+        ("", "empty"),
+        ("how many", "expected SQL, as in: select"),
+        ("select error('x')", "x"),
+        ("select 'x'::int", "convert"),
+        ("select 'infinity'::timestamp", "range"),
+    ],
 )
 def test_a_question_without_an_answer_is_told(tmp_path, capsys, query, told):
     lake(tmp_path / "lake")

@@ -67,6 +67,7 @@ def test_a_log_is_decoded_again_with_a_file_of_other_devices(tmp_path, capsys):
     [
         (["spede"], "no field here is 'spede'; did you mean speed"),
         (["qqq"], "there are acceleration, angle_error, carry"),
+        ([], "which field? there are acceleration, angle_error, carry"),
         (["speed", "--drive", "9"], "no such drive here, there are serial/1, serial/2, serial/0, serial/all"),
         (["speed", "--drive", "x"], "--drive: got 'x', expected an address"),
         (["speed", "-o", "x.jpg"], "expected a name that ends in .png, .svg, .pdf"),

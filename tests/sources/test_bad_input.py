@@ -82,7 +82,7 @@ def test_an_empty_file(tmp_path: Path) -> None:
 
 
 def test_a_directory(tmp_path: Path) -> None:
-    with pytest.raises(UnreadableError, match="is a directory, expected a capture file"):
+    with pytest.raises(UnreadableError, match="is a folder, expected a capture file"):
         open_source(tmp_path)
 
 

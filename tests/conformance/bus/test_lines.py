@@ -234,6 +234,8 @@ def test_a_port_that_goes_away():
     try:
         with pytest.raises(LineLost, match="is gone"):
             line.receive(SECOND_NS)
+        with pytest.raises(LineLost, match="is gone"):
+            line.set_speed(9600)
     finally:
         line.close()
 
