@@ -8,7 +8,7 @@ import gc
 import os
 import sys
 
-# Nothing here multiplies matrices; for each core, NumPy would start a thread that waits for some in a loop.
+# For each core, NumPy would start a thread that waits in a loop for matrices to multiply. Nothing here has any.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
@@ -25,7 +25,7 @@ def main() -> int:
     try:
         return command()
     finally:
-        # With the process all memory ends: what is in use needs no search for circles.
+        # The process ends and all its memory with it: a last search for reference cycles would be wasted.
         gc.freeze()
 
 

@@ -266,7 +266,7 @@ class Decoder:
         command = request.command
         if command is None or command.function != head.function:
             return False
-        # A write that the manual does not list is answered by its own register.
+        # A write to a register that the manual does not list is answered with the same register.
         general = self._is_general(command) and request.state is State.WAITING
         return head.code == (self._link.parse(request.frame.data).code if general else command.code)
 

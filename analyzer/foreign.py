@@ -1,6 +1,6 @@
-"""Who on a bus is no drive: frames of other nodes are kept, told apart, and nothing is found wrong with them.
+"""Foreign nodes, which share the bus and are no drives: their frames are kept apart, without findings.
 
-Who is a drive is said by the user (`--ids`), else, on CAN, by the frames:
+The user says who is a drive (`--ids`). Otherwise, on CAN, the frames tell:
 
     good      the check fits, and the data are a request or reply of the catalogue      from here on the node is a drive
     near      a command of the catalogue, with a wrong check, none, or wrong values     a finding, unless the node was odd
@@ -12,10 +12,10 @@ its first good frame may be foreign, too. Of a node that was odd for long, one g
 
 An identifier that a file of messages (DBC) describes is no drive's, unless the user lists it.
 
-On Modbus a slave of another maker shows itself by its answers: it serves registers and functions that no drive has. That these
-are in no manual is then no finding. The finding of such a request waits until its address has answered, or has not.
+On Modbus a slave of another maker shows itself by its answers: it serves registers and functions that no drive has. These then
+make no finding. So the finding of an unlisted request waits until the address has answered, or its time is over.
 
-On other serial lines only the user's word counts: who speaks something else there makes junk or frames with errors.
+On other serial lines only the user's word counts: other traffic there becomes junk or frames with errors.
 """
 
 from __future__ import annotations

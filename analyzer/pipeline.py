@@ -443,7 +443,7 @@ class Pipeline:
         withheld = port.nodes.withheld.pop(message.address, None) if port.nodes.withheld else None
         if withheld is not None:
             if frame.data == withheld.frame.data:
-                # It may be the reply to a write, or the host's once more: that tells nothing.
+                # It may be the reply to a write, or the host's request once more: the two look alike.
                 port.nodes.withheld[message.address] = withheld
             elif unlisted and request is withheld and message.form is not frame.dialect.exception:
                 port.nodes.slaves.add(message.address)

@@ -48,7 +48,7 @@ class AsLog:
 def as_log(path: str, arguments: argparse.Namespace) -> Iterator[AsLog]:
     """Open a capture as a log. Raises UnreadableError, and UsageError for options that do not fit it."""
     otherwise = arguments.dialect != "auto" or any(getattr(arguments, name) for name in _DECODING)
-    # What can be read only once, a pipe, is not looked at before.
+    # A pipe can be read only once, so its format is not detected beforehand.
     again = path != "-" and not Path(path).is_fifo()
     if again and not otherwise and _is_decoded(path):
         with open_source(path) as source:

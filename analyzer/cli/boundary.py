@@ -242,7 +242,7 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
         return FAULT
 
 
-#: What a library in Rust raises for a fault of its own; it is none of Python's exceptions, and has no name to import.
+#: What a library in Rust raises for a fault of its own. It derives from BaseException and cannot be imported by name.
 _PANIC = "PanicException"
 #: How Python tells that the system gives no more threads.
 _NO_THREAD = "can't start new thread"

@@ -207,7 +207,7 @@ class OpenCapture:
         if len(spoken) < len(names):
             others = ", ".join(quote(name) for name in names if name not in {d.name for d in spoken})
             self.source.note(
-                f"{bus} is said to speak {others}, which no {kind} bus does that is known here: passed over. "
+                f"{bus} is said to speak {others}, which is no dialect known here for a {kind} bus: left out. "
                 "Its file, if it has one, is given with --dbc or --modbus-map"
             )
         return spoken
@@ -387,7 +387,7 @@ def showing_progress(
 
 @contextmanager
 def meanwhile(work: Callable[[threading.Event], None]) -> Iterator[None]:
-    """Do something in a thread while this is entered; it is to end when the event is set that it is given."""
+    """Run `work` in a thread for as long as the context lasts. It is given an event, and must end when that is set."""
     done = threading.Event()
     thread = threading.Thread(target=work, args=(done,), daemon=True)
     thread.start()

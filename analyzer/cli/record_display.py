@@ -90,7 +90,7 @@ def seconds_of(supervisor: Supervisor) -> float:
 
 
 class Display:
-    """Shows a recording: a line a second on standard output, notes on standard error. Others show some of it otherwise.
+    """Shows a recording: a line a second on standard output, notes on standard error. Subclasses show it in other ways.
 
     `note` and `snapshot` are called from the supervisor's thread, the others from the main one.
     """

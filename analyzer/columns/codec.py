@@ -17,7 +17,7 @@ Flags = NDArray[np.bool_]
 #: Widest field of any kind. Of whole words the values up to `EXACT` are read: beyond it an integer is not exact as a JSON
 #: number, and the slow way writes a text twin.
 _WIDEST, _WORD = 53, 64
-#: Of how many values a table may say which are allowed.
+#: The most values for which a table of allowed ones is made.
 _DENSE = 1 << 16
 #: Greatest divisor of a word's unit whose fractions are written without an exponent.
 _FINEST = 10_000

@@ -274,9 +274,9 @@ class Pairing:
             return False
         if open_ is None:
             return True
-        # Where requests tell what their replies are, an open one could tell another thing.
+        # Where the request decides what its reply is, another open request could decide otherwise.
         return bool(self._dialect.link.deciding_bytes) and all(
-            # What a drive still does takes no reply of another code; a request that waits is overtaken by any.
+            # A command that is still executing takes no reply of another code; a waiting request is overtaken by any.
             other.state is State.RUNNING
             and not command.moves
             and other.command is not None
@@ -439,9 +439,10 @@ class Pairing:
         return kind.start, kind.stop, len(kind.asking), tuple((id(lane.form), id(lane.command)) for lane in lanes)
 
     def say(self, kind: _Kind, data: Bytes) -> Iterator[NDArray[np.int8]]:
-        """Yield what frames say: 0: it is none. For a request 2 n + 1: it is the n-th that it can be, one more: and in order.
+        """Yield a code for each frame: first what request it is, then, for each possible reply, whether it is that one.
 
-        For each reply that it can be, 1: it is that one, 2: and it ends its exchange well.
+        Request: 0 none, 2 n + 1 the n-th possible one, 2 n + 2 the same and in order. Reply: 0 no, 1 yes, 2 yes, and it ends
+        its exchange well.
         """
         said = np.zeros(len(data), dtype=np.int8)
         for place, number in enumerate(kind.asking):

@@ -32,7 +32,7 @@ _SMALL_DIGITS = 9
 _MINUS = ord("-")
 #: A byte as two hex digits in one word.
 _HEX = np.frombuffer(bytes(range(256)).hex().upper().encode(), dtype=np.uint16)
-#: Where Python writes a number with an exponent: below one, but for 0, and from the other on.
+#: Python writes numbers with an exponent below the first (but for 0), and from the second on.
 _SMALL, _GREAT = 1e-4, 1e16
 _MINUS_ZERO = np.int64(-1 << 63)
 

@@ -90,7 +90,7 @@ def _read(path: str, *, is_map: bool = False) -> DeviceText:
             data = stream.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:
         raise UnreadableError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
-    Text(path, data)  # which raises for what is no text
+    Text(path, data)  # raises for bytes that are not text
     return DeviceText(path, data, is_map)
 
 

@@ -1,6 +1,6 @@
-"""Who answers, and what: a unit that replies under another address, or in another function, than it is asked.
+"""Replies with another address, or another function, than the request.
 
-Both are told from a late reply by what was asked before: who still owes one may send it now.
+A late reply looks the same. So a unit that still owes a reply to an earlier request is not suspected.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def _other_function(scene: Scene) -> Iterator[Suspicion]:
     yield Suspicion(
         "wrong_function", Confidence.LIKELY,
         [t for t in scene.troubles if t.offset in offsets] or [Trouble("unsolicited_reply", r.offset) for _, r in found],
-        f"The unit is asked in function {exchange.request.data[1]:02X}, and answers in function {reply.data[1]:02X}: it does "
-        "not know the one.",
+        f"The unit is asked in function {exchange.request.data[1]:02X}, which it does not know, and answers in function "
+        f"{reply.data[1]:02X}.",
         f"{shown(reply.data)} at byte {reply.offset} follows {shown(exchange.request.data)}; {counted(len(found), 'time')}",
         "Look up which function the register has (03, 04, 06 or 10); many units write one register by 06 alone",
         tuple(Shown(r.offset, shown(r.data)) for _, r in found),
@@ -48,7 +48,7 @@ def _other_function(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _other_address(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect the address where each reply fits its request, but for who sends it."""
+    """Suspect the address where each reply fits its request except for the sender's address."""
     found: list[tuple[Exchange, Turn]] = []
     for chain in chains(scene):
         open_: set[int] = set()
@@ -58,7 +58,7 @@ def _other_address(scene: Scene) -> Iterator[Suspicion]:
             if reply is None:
                 open_ = open_ - {asked} if exchange.received else open_ | {asked}
             elif reply.data[0] not in open_:
-                # Who is still owed a reply may send it late.
+                # A unit that still owes a reply may send it late.
                 found.append((exchange, reply))
     if not found or (len(found) == 1 and not scene.directed):
         return
@@ -68,7 +68,7 @@ def _other_address(scene: Scene) -> Iterator[Suspicion]:
     yield Suspicion(
         "wrong_address", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY,
         [t for t in scene.troubles if t.offset in offsets] or [Trouble("unsolicited_reply", r.offset) for _, r in found],
-        f"The unit is asked as {asked}, and answers as {answers}: that is its address.",
+        f"The unit is asked as {asked}, and answers as {answers}: {answers} is its address.",
         f"{shown(reply.data)} at byte {reply.offset} answers {shown(exchange.request.data)}; {counted(len(found), 'time')}",
         f"Ask it as {answers}"
         + ("; 0 is for all units, and none should answer it" if not asked else f", or set its address to {asked}"),

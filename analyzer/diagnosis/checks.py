@@ -128,7 +128,7 @@ _LOOKED_AT = 200
 _HEAD = 4
 #: Bytes before a frame that are looked for.
 _STRAY = 3
-#: A program's word for how many bytes went out.
+#: How programs print the number of bytes they sent.
 _WRITTEN = re.compile(r"\b(?:written|wrote|sent|write)\b\D{0,12}?(\d{1,3}) bytes?\b", re.IGNORECASE)
 
 

@@ -569,7 +569,7 @@ def _of_replies(garbled: Sequence[_Garbled]) -> Iterator[_Way]:
                 different.add(value)
                 # Of some bits of a byte more must agree.
                 least = max(least, _FEWEST if mask.count(0xFF) == len(mask) else 2 * _FEWEST)
-        # One way has no choice among speeds: of its bytes two are no chance.
+        # Where only one speed is tried, two fitting bytes are no coincidence.
         sure = line.inverted and any(fit.taken >= _ALIKE for fit in fits)
         enough = len(fits) >= max(least, _ALMOST_ALL * len(asked)) and len(different) >= _DISTINCT
         if enough or (sure and len(fits) >= _ALMOST_ALL * len(asked)):

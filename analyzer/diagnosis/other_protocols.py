@@ -1,6 +1,6 @@
 """Protocols that are not known here, by what most protocols have: letters, or a check of a usual kind at the end of frames.
 
-A line that is set up wrongly makes neither: its bytes are few of the letters, and fit no check by more than chance.
+A wrongly set up line shows neither: few of its bytes are letters, and they fit a check only by chance.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Troubl
 from analyzer.link import FUNCTIONS, modbus_crc
 from analyzer.values import counted
 
-#: Bytes of a frame that is looked at, and how many different ones tell.
+#: The fewest and the most bytes of a frame that is looked at, and the fewest different frames.
 _SHORTEST, _LONGEST, _FEWEST = 5, 128, 3
-#: The share of them that fits. One more is no chance; of long checks one less is none.
+#: The share of frames that must fit the check.
 _MOST = 0.8
 #: Frames that are looked at: more of the same shows nothing new.
 _LOOKED_AT = 50
 #: Bytes before and behind what the check is over.
 _BEFORE, _BEHIND = range(3), range(2)
-#: Bytes of text that tell, different ones among them, and the share that are letters: noise changes one here and there.
+#: The fewest bytes of text, the fewest different ones, and the share of letters: noise changes one here and there.
 _TEXT, _DIFFERENT, _PRINTED = 16, 8, 0.9
 _PRINTABLE = frozenset(b"\t\n\r") | frozenset(range(0x20, 0x7F))
 #: Bytes that tell one check from another.

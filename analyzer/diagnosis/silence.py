@@ -242,7 +242,7 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
         if (m := piece.message) is not None and piece.is_request and piece.sound and m.command is not None
         and m.address == m.frame.dialect.broadcast and m.command.reply_forms and (_reads(m) or _only_to_all(scene, m))
     ]  # fmt: skip
-    # What a unit has answered under its own address asks for that address.
+    # Requests that a unit answered under its own address have another cause already.
     if not sent or {at for piece in sent for at in (piece.offset, piece.stop)} & {t.offset for t in scene.explained}:
         return
     message = sent[0].message

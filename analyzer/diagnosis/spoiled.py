@@ -245,7 +245,7 @@ def _cut(scene: Scene, trouble: Trouble, stretch: Stretch) -> _Edge | None:
     asked = replies_to(scene.asked_before(stretch.offset))
     for size in range(1, min(_GLITCH_BYTES, len(stretch.data) - _LEAST_OF_REPLY) + 1):
         stray, rest = stretch.data[:size], stretch.data[size:]
-        # Any bytes can be stray; of those that no pulse makes few are.
+        # Any bytes can be stray. Those that no pulse makes are taken as stray only where they are few.
         if not GLITCHES.issuperset(stray) and size > _STRAY_BYTES:
             return None
         for reply in asked:

@@ -239,7 +239,7 @@ def _signed(piece: Piece, message: Message, word: Word) -> Odd | None:
         if other < 0 and not each.allowed(part):
             values[each.field.name] = -other
     right = codec(message.form.layout).encode({**values, field.name: -value, direction: 1})
-    # Of all values that are allowed some thousandth looks so.
+    # About one in a thousand of the allowed values looks like this by chance.
     sure = fewer >= 3 * _ROUNDER or not word.allowed(data)
     return Odd(piece, message, _text(word, word.value(data)), _text(word, value), right, sure)
 

@@ -55,7 +55,7 @@ class Watch:
         self._near: deque[_Kept | _Rows] = deque(maxlen=_NEAR)
         self._kept: list[_Kept] = []
         self._reads_near: deque[tuple[Chunk, int]] = deque(maxlen=2 * _NEAR)
-        #: Chunks that came since, without their places.
+        #: Chunks that came since the last numbering.
         self._chunks: list[Chunk] = []
         self._reads: list[tuple[Chunk, int]] = []
         #: The last block of bytes: where it begins on its bus, and how many of its chunks are among the reads that are near.

@@ -2,8 +2,8 @@
 
 A table of messages is `"mks-can".read_speed_reply`, or mks_can.read_speed_reply; all others have their own names.
 
-A question may come from anywhere, a page or a chat. So it reads the lake alone: no file, no address, no extension and no
-variable of Python, and it writes none. Its memory is bounded, and so is its time: DuckDB ends it between two steps of its work.
+A question may come from anywhere, a page or a chat. So it reads only the lake: no other file, no URL, no extension and no
+Python variable. It writes nothing. Its memory and its time are bounded: DuckDB ends it between two steps of its work.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Question:
 
     @contextlib.contextmanager
     def bounded(self, seconds: float) -> Iterator[None]:
-        """Bound the time and the memory of what is asked within, and end it. Raises UsageError where it takes more."""
+        """Bound the time and memory of questions asked within, and end them. Raises UsageError where one takes more."""
         late = threading.Event()
 
         def end() -> None:
@@ -117,7 +117,7 @@ class Question:
             raise
         finally:
             timer.cancel()
-            # What still works for an answer that nobody takes would outlive this program, and bring it down.
+            # A query that still runs for an answer nobody takes would outlive this program, and crash it.
             while self._asked:
                 self._asked.pop().close()
 

@@ -3,8 +3,8 @@
     rows of a capture -> as the lake has them -> sorted by day and machine -> a file for each table and partition
 
 The tables are those of `decode --to parquet`, with the columns that a lake needs. Delta Lake knows microseconds, no unsigned
-numbers and no dictionaries, so `time` is exact to a microsecond, `time_ns` to a nanosecond. A time that is none of the epoch
-is in `time_ns` alone. `transactions` are replies with their outcomes, and requests without a reply.
+numbers and no dictionaries, so `time` is exact to a microsecond, `time_ns` to a nanosecond. A time that does not count from
+the epoch is in `time_ns` alone. `transactions` are replies with their outcomes, and requests without a reply.
 
 A small file costs as much as thousands of rows: half a millisecond of work, a request to its store, 4 kB of names and types.
 """
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 GROUP, FILE_BYTES = 1 << 17, 32 << 20
 #: Rows below which zstd costs more work than all the rest of a file.
 _FEW = 1000
-#: Columns whose values hardly repeat and mostly grow: a dictionary of them would cost ten times as much as their differences.
+#: Columns whose values hardly repeat and mostly grow. Stored as a dictionary they cost ten times as much as by differences.
 _RUNNING = ("time", "time_ns", "sequence", "_request_sequence", "request_sequence", "_offset")
 #: What every table but `captures` can be partitioned by.
 PARTITIONS = ("date", "machine")
-#: Findings of a reply that say what became of its request.
+#: Findings of a reply, and the outcome of its request that each means.
 _FAILED = ("failed_status", "modbus_exception", "refused_write")
 
 

@@ -2,8 +2,8 @@
 
 Each drive has quantities by day: the shares of its requests that had no reply, failed or came damaged; the latency of replies;
 temperature and current. Each machine has the share of its bytes that was junk. The last days are compared with the weeks
-before by the median and the median absolute deviation, so a single bad day counts neither way. A share of requests is told
-only if some requests more were hit: one of sixty is 1.7 %, and says nothing.
+before by the median and the median absolute deviation, so one bad day changes neither side. A share of requests is reported
+only if ten more requests were affected: one of sixty is 1.7 %, and proves nothing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ RECENT, BEFORE = 7, 28
 _LEAST_NOW, _LEAST_BEFORE = 2, 5
 #: A change is told from so many deviations on; a deviation of a normal distribution is 1.4826 median absolute ones.
 DEVIATIONS, _NORMAL = 4.0, 1.4826
-#: Requests that have to be hit more than before, in all of the last days.
+#: How many more requests than before must be affected, in the last days together.
 EVENTS = 10
 #: Changes, drives, captures and lines that are shown.
 SHOWN, _LINES = 100, 8
@@ -273,7 +273,7 @@ def compared(who: Who, quantity: Quantity, history: History, last: int) -> Chang
         return None
     before, after = float(np.median(past)), float(np.median(now))
     spread = float(np.median(np.abs(past - before)))
-    # Where nothing varied at all, the smallest change that matters is just told.
+    # Where nothing varied at all, the smallest change that matters is just large enough to be reported.
     deviations = (after - before) / max(_NORMAL * spread, quantity.least / DEVIATIONS)
     low, high = sorted((before, after))
     if abs(deviations) < DEVIATIONS or (low > 0 and high / low < quantity.factor):

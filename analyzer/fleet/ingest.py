@@ -45,7 +45,7 @@ TASK_BYTES, TASK_FILES = 64 << 20, 200
 TASKS_EACH, LEAST_BYTES = 3, 1 << 20
 #: A batch is committed after so many bytes or seconds.
 BATCH_BYTES, BATCH_SECONDS = 1 << 30, 60.0
-#: Data files of which an ingest says that they are too many, and bytes of one that is small.
+#: From how many data files on an ingest calls them too many, and below how many bytes it calls one small.
 _MANY, _SMALL = 1000, 16 << 10
 #: Seconds in which a scheduler has to answer, and the level of logs of Dask that are shown.
 _SECONDS, _QUIET = 30, logging.CRITICAL

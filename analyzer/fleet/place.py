@@ -32,7 +32,7 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 
 
 def again(call: Callable[[], T], wait: Callable[[float], None] = time.sleep) -> T:
-    """Return what a call to a store gives, which may fail now and then. Raises its last error, as OSError."""
+    """Call a store, again and again where it fails, and return the result. Raises its last error, as OSError."""
     for attempt in range(ATTEMPTS):
         try:
             return call()
@@ -88,7 +88,7 @@ class Place:
             raise UsageError(f"{quote(self.url)} cannot be reached: {printable(str(error))}") from error
         # Names of files need not be text; what is shown and stored of them is.
         self.url = _as_text(self.url)
-        #: Folders that could not be listed when `files` last looked: they are not for us.
+        #: Folders that could not be listed when `files` last looked, for want of permission.
         self.closed: list[str] = []
         self.local = "file" in ((self.fs.protocol,) if isinstance(self.fs.protocol, str) else self.fs.protocol)
 

@@ -73,7 +73,7 @@ class Stop:
         threading.Thread(target=self._hold, args=(fd,), daemon=True).start()
 
     def _hold(self, fd: int) -> None:
-        # Nothing is sent on it, and an error is as good as its end. A thread, because not every system can wait for it
+        # Nothing is ever sent on it, so an error means the same as its end. A thread, because not every system can wait for it
         # together with a port.
         with contextlib.suppress(OSError):
             while os.read(fd, 64):

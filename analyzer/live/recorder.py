@@ -314,7 +314,7 @@ def main(words: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(words)
     stop = Stop("the process that had started the recording died")
     stop.on_signals()
-    # A terminal or a file is no leash.
+    # A terminal or a file does not end when the parent dies.
     if stat.S_ISSOCK(mode := os.fstat(LEASH).st_mode) or stat.S_ISFIFO(mode):
         stop.on_leash()
     try:

@@ -266,7 +266,7 @@ class McapFile:
             if self._plain is not plain:
                 self._end_part()
                 if self._rows + len(plain.lane) > ROWS:
-                    # Rather a block is packed whole.
+                    # A block is packed whole, even if the chunk grows larger.
                     self._end_batch()
             left = ROWS - self._rows - (0 if self._plain is None else start - self._first_row)
             if left <= 0:

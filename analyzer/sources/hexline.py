@@ -90,7 +90,7 @@ _DECORATION = r"[\s:=<>|\])→←◇◆：,]*(?:-+[>\s]\s*)?"
 _PAIR = r"(?:0[xX])?[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])"
 #: What is written or read by its number, by name: what stands behind are a number and values, no bytes.
 _VALUES = r"(?:reg|coil|bits?(?![a-z])|float|holding|input)"
-#: What bytes are called behind the word that says who sent: `ReadFrame`, `rx_buffer`, `TX data`.
+#: Words for bytes, behind the word that says who sent: `ReadFrame`, `rx_buffer`, `TX data`.
 _CONTENT = r"(?:data|bytes?|frame|adu|pdu|buffer|buf|packet|msg|message|raw)"
 #: What bytes can begin with.
 _BYTES = rf"(?={_PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*$|(?:[0-9A-Fa-f]{{2}}\.){{5}}|-?\d{{1,3}}[\s,])"

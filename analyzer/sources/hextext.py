@@ -80,7 +80,7 @@ _LONG_LINE = re.compile(r"(?:<[0-9A-F]{2}>){24,}\s*", re.IGNORECASE)
 _WRAPPED = re.compile(r"(?:<[0-9A-F]{2}>)+\s*", re.IGNORECASE)
 #: A library's word for a frame that it goes on with, and has printed before.
 _AGAIN = re.compile(r"\bprocessing\b\W*$", re.IGNORECASE)
-#: What parts a label from its bytes: those of a sentence have none.
+#: What separates a label from its bytes. In a sentence nothing does.
 _LABELLED = re.compile(r"[:=>|]\s*[\[({<'\"`]?\s*$")
 #: A library's word for what it had read before.
 _KEPT = re.compile(r"\bold[_ ]data\s*[:=]\s*$", re.IGNORECASE)
@@ -104,7 +104,7 @@ _COLLECTED = 1 << 16
 #: Frames kept to know them again in words, and bytes of the shortest that has a CRC and something in it.
 _KNOWN, _LEAST_CHECKED = 1000, 5
 _AT_ONCE_NS = 1_000_000_000
-#: Digits without a gap, and an odd number of them; and so many such lines are no slip.
+#: An odd number of digits without a gap, and the number of such lines that is no slip.
 _RUN_OF_DIGITS, _ODD_DIGITS = re.compile(r"\s*[0-9A-F]{5,}\s*"), re.compile(r"\s*[0-9A-F](?:[0-9A-F]{2}){2,}\s*")
 _UNPADDED_LINES = 2
 #: How many bytes a line has: nothing to tell anyone.
@@ -253,7 +253,7 @@ class _Manner(NamedTuple):
     arrow: bool = False
     #: Bytes in `[]` were sent, those in `<>` received, as libmodbus prints them.
     brackets: bool = False
-    #: Every line has the same mark, which tells nothing.
+    #: Every line has the same mark, as in a listener's log: it does not tell who sent.
     deaf: bool = False
     #: A number stands before the bytes of each line.
     led: bool = False
@@ -387,7 +387,7 @@ class _Reader:
         self._above = Role.UNKNOWN
         self._above_words: frozenset[str] = frozenset()
         self._below = False
-        #: Why the bytes below words are no traffic.
+        #: Why the bytes below a sentence are not traffic.
         self._unsent = ""
         self._marks = ReceivedMarks()
         self._printed: tuple[bytes, Role, tuple[str, bool, str], int | None] | None = None
@@ -474,7 +474,7 @@ class _Reader:
             self._above, self._below, self._unsent = role_in_text(line.text), False, unsent(line.text)
             self._above_words = frozenset(_WORDS.findall(line.text))
         if not self._manner.prose:
-            # Programs print again in words what they sent and received; new is what a label with a sender stands before.
+            # Programs repeat in words what they sent and received. Bytes behind a label with a sender are new.
             new = [each for each in said if not each.left and not self._is_known(each.data)]
             said = [e for e in new if e.role is not Role.UNKNOWN and _LABELLED.search(line.text[: e.column - 1]) is not None]
             self._passed += len(new) > len(said)

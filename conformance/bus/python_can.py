@@ -34,12 +34,12 @@ _RETURN_NS = 500_000_000
 _FAILURES = 20
 #: What is slept where an interface does not wait itself: looking again at once would take a whole core.
 _PAUSE_NS = 1_000_000
-#: Bytes that the kernel may keep of what comes: a tenth of a second of a full bus. More would only be old.
+#: Bytes that the kernel may keep for a socket: a tenth of a second of a full bus. More would be out of date when read.
 _ROOM = 1 << 20
 
 
 def _give_room(bus: can.BusABC) -> None:
-    """Let the kernel keep what comes while this process is not on turn, where an interface is a socket."""
+    """Let the kernel keep frames while this process does not run, where an interface is a socket."""
     # Most interfaces have no file, or one that is no socket.
     with contextlib.suppress(NotImplementedError, OSError):
         number = os.dup(bus.fileno())

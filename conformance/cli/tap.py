@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
             from analyzer.live.children import PYTHON, READER_NICE, StoringChild
 
             command = [*PYTHON, "-m", "conformance.tap.process", str(folder), *stems, "--terminal", *map(str, ends)]
-            # It stores both directions of the bus, and is known by the second.
+            # One reader stores both directions of the bus, and bears the name of the second.
             return {stems[1]: StoringChild(stems[1], [*command, *_options(arguments)], heard, READER_NICE, ends)}
 
         duration_ns = asked_duration_ns(arguments)

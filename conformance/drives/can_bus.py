@@ -12,7 +12,7 @@ Rules:
 3. Frames of two senders with one identifier that become ready together are a collision. A comment says so, and they are
    sent one after the other, as after an error frame.
 4. Extended, remote, error and FD frames go over the bus and reach no drive.
-5. No bus carries more than its rate. Of frames that come faster the host's controller keeps some (`room`) and loses the others.
+5. No bus carries more than its rate. If frames come faster, the host's controller keeps `room` of them and loses the others.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ _POWER_SECONDS = 20
 _AGAIN_NS = 1_000_000_000
 #: How long a reply is waited for on a line where others send: it is lost more often than late.
 _BUSY_NS = 150_000_000
-#: Exchanges that tell whether others send now.
+#: How many of the last exchanges tell whether others are sending now.
 _RECENT = 8
 #: Bytes that others send in a second where their traffic is worth a word.
 _FLOOD = 50
@@ -144,7 +144,7 @@ def others_send(traffic: Sequence[Exchange]) -> list[str]:
 
 
 def _moved_by_others(traffic: Sequence[Exchange]) -> list[str]:
-    """Return in words what others sent in these exchanges that sets a shaft in motion."""
+    """Return in words which frames of others in these exchanges set a shaft in motion."""
     orders = [
         answer
         for exchange in traffic
@@ -214,7 +214,7 @@ def prove_standing(
             for command in again:
                 ask(probe, command)
             asked_ns = probe.gate.now_ns()
-            # Where others send, what waits unread would be taken for the next answer.
+            # Where others send, unread frames would be taken for the next answer.
             (probe.wait if patience_ns is None else probe.pass_over)(_LOOK_NS)
             continue
         before = row[-1:]

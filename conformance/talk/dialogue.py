@@ -38,7 +38,7 @@ _OWN_SPANS = 4
 
 
 class Until(Enum):
-    """How long is listened: to the first reply, to a whole one to what was asked, to one that ends it, or to the time-out."""
+    """How long to listen: to the first reply, to a whole one to what was asked, to one that ends it, or to the time-out."""
 
     REPLY = "reply"
     READ = "read"
@@ -46,7 +46,7 @@ class Until(Enum):
     TIMEOUT = "timeout"
 
 
-#: Says whether what is waited for has come, with the answers that came since it was asked last: others may send without an end.
+#: Says whether the wait is over. It is given only the new answers, for others may send without end.
 Ended = Callable[[Exchange, Sequence[Answer]], bool]
 
 #: Each wait and its end, where a reply must pair with a request.
@@ -189,9 +189,9 @@ class Dialogue:
         return exchange
 
     def collect(self, exchange: Exchange, ended: Ended, timeout_ns: int, *, quiet_ns: int = 0, done_ns: int = 0) -> Exchange:
-        """Listen until an exchange has ended, and for the quiet behind it; at most for the time-out. Raises LineLost.
+        """Listen until an exchange has ended, then for `quiet_ns`; at most for the time-out. Raises LineLost.
 
-        A frame that has begun when the time is over is listened to until it ends.
+        A frame that has begun before the time-out is read to its end.
         """
         gate = self.gate
         deadline_ns = exchange.sent_ns + timeout_ns

@@ -133,7 +133,7 @@ class Exchange:
     def reply(self) -> Answer | None:
         """The first answer of the asked command (or the first of all, where none was asked), or None."""
         replies = [a for a in self.answers if a.message.role is not Role.REQUEST]
-        # What an earlier command says at its end may come first, and what others send with its code and a wrong checksum.
+        # The final reply of an earlier command may come first, or a frame of others with its code and a wrong checksum.
         asked = [a for a in replies if self.asked_for(a)]
         for answer in (*(a for a in asked if a.message.frame.checksum_ok), *asked):
             return answer
@@ -143,7 +143,7 @@ class Exchange:
         return self.answers[0] if self.answers else None
 
     def asked_for(self, answer: Answer) -> bool:
-        """Say whether an answer is one to the asked command, and not what an earlier one said at its end."""
+        """Say whether an answer is to the asked command, rather than the final reply of an earlier one."""
         asked = self.command
         return asked is not None and answer.command is not None and answer.command.name == asked.name
 

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
     parser.add_argument("--rows", type=positive, default=100, metavar="N", help="rows that are shown at most (default 100)")
     parser.add_argument(
-        "--seconds", type=positive, default=60, metavar="N", help="seconds after which a question is given up (default 60)"
+        "--seconds", type=positive, default=60, metavar="N", help="seconds after which a question is stopped (default 60)"
     )
     add_store_argument(parser)
 
