@@ -1,8 +1,8 @@
-"""What other libraries load of their own accord, kept out of a process that is the program's own.
+"""Libraries that other libraries import by themselves, kept out of the program's own process.
 
 python-can loads asammdf for MF4 files, and pyarrow loads pandas, wherever these are installed: a second, and 150 MB, for work
 that needs neither. The program reads MF4 files in another process, and makes no data frames on the command line. A process of
-someone else may do both by itself, so there nothing is kept out.
+another program may need both, so nothing is kept out there.
 """
 
 from __future__ import annotations

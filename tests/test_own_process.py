@@ -1,4 +1,4 @@
-"""Libraries load nothing of their own accord into the program's own process, and what they like into one of someone else."""
+"""Other libraries import nothing extra in the program's own process; in a process of another program they may."""
 
 from __future__ import annotations
 

@@ -65,6 +65,6 @@ def running(folder: Path) -> bool:
 
 
 def recorded(log: Path) -> bool | None:
-    """Say whether a log is being recorded; None where no folder of spools beside it tells."""
+    """Say whether a log is being recorded; None where no folder of spools stands beside it."""
     folder = spool_folder(base_of(log))
     return running(folder) if folder.is_dir() else None

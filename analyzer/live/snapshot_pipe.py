@@ -1,6 +1,6 @@
 """Snapshots into a pipe, written without ever waiting.
 
-A line that has been begun is finished before the next one begins; a snapshot that comes while the pipe is full is dropped.
+A line is finished before the next one begins. A snapshot that comes while the pipe is full is dropped.
 """
 
 from __future__ import annotations

@@ -138,7 +138,7 @@ class ParquetTables:
     def __init__(self, target: Callable[[str, pyarrow.Schema], Target], clock: Clock = Clock.UTC) -> None:
         pa = self._pa = needed("pyarrow")
         with without("pandas"):
-            # With the first array, pyarrow looks for it once.
+            # With its first array, pyarrow looks once for pandas.
             pa.array([0])
         self._target = target
         self._time = pa.timestamp("ns", "UTC" if clock is Clock.UTC else None)

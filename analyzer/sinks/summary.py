@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _GRAVITY = (Severity.INFO, Severity.WARNING, Severity.ERROR)
 #: Findings of each rule that are kept to be shown.
 FIRST_FEW = 3
-#: Bits of a double behind its exponent and the first five behind its point.
+#: How far a double is shifted right to keep its exponent and the first five bits of its mantissa.
 _BEHIND_SIX = 52 - 5
 #: Nodes that are counted apart of those that are no drives: there are as many identifiers as one likes.
 MOST_OTHERS = 2000
@@ -83,7 +83,7 @@ def _buckets_of(latencies_ns: Integers) -> Integers:
     """Return the bucket of each time, as for one time."""
     import numpy as np
 
-    # Of a number with a floating point, the highest bits are its exponent and, behind a bit that is always 1, five more.
+    # The highest bits of a double are its exponent, then its mantissa, of which the leading 1 is not stored.
     high = latencies_ns.astype(np.float64).view(np.int64) >> _BEHIND_SIX
     more = (high >> 5) - (1023 + 5)
     buckets: Integers = np.where(more > 0, (more << 6) + 32 + (high & 31), latencies_ns)

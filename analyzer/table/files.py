@@ -89,9 +89,9 @@ def write_xlsx(table: Table, lines: Iterable[list[Any]], stream: IO[bytes]) -> N
 
 
 class _Released:
-    """A file as an archive writes it. Once it is released it keeps nothing, and goes on counting.
+    """A file as an archive writes it. Once released, it drops what is written and only counts it.
 
-    XlsxWriter leaves its archive open where it fails, and that closes itself at any later time.
+    XlsxWriter leaves its archive open when it fails, and the archive closes itself, and writes, at any later time.
     """
 
     def __init__(self, stream: IO[bytes]) -> None:

@@ -33,7 +33,7 @@ def open_line(endpoint: Endpoint) -> Line:
 
 
 def at_default_rate(endpoint: Endpoint, dialect: Dialect) -> Endpoint:
-    """Return a serial port at the rate that a dialect's drives are delivered with, where it names no rate; its text says so."""
+    """Return a serial port without a rate at the dialect's default rate; its text then says so."""
     if endpoint.kind != "serial" or endpoint.speed is not None or endpoint.auto or not dialect.baud_rates:
         return endpoint
     return replace(endpoint, speed=dialect.baud_rates[0], text=f"{endpoint.text},baud={dialect.baud_rates[0]}")

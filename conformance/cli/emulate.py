@@ -46,7 +46,7 @@ examples:
   servotap emulate --list-faults
 """
 SECOND_NS = 1_000_000_000
-#: Frames on CAN that wait for the bus: more than controllers and their drivers keep, and never half a second of it.
+#: CAN frames that may wait for the bus: more than controllers and drivers keep, and less than half a second of traffic.
 _ROOM = 100
 
 

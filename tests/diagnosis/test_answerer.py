@@ -1,4 +1,4 @@
-"""Who answers, and in what function: replies that fit their request but for one of these."""
+"""Replies that fit their request except for the address, or except for the function."""
 
 from __future__ import annotations
 

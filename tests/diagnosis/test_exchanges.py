@@ -303,7 +303,7 @@ def test_another_device_answers_from_its_new_address(mark):
     assert diagnosed([asked, answer]).causes[0].suspicion.cause == "address_changed"
 
 
-# --- sound frames that nobody is to blame for -------------------------------------------------------------------------------
+# --- sound frames, which accuse nobody -------------------------------------------------------------------------------------
 
 LK_POLL = ["> 3E 9A 01 00 D9", "< 3E 9A 01 07 E0 1E 00 00 00 00 00 00 1E"]
 #: A request without its CRC, as some libraries log it, and its sound reply.
@@ -313,11 +313,11 @@ BARE = [(">", bytes.fromhex("11 03 00 6D 00 01")), ("<", rtu("11 03 02 00 1A"))]
 @pytest.mark.parametrize(
     "rows",
     [
-        # A right check bars each story of the line, such as that of a bit 7 that is turned.
+        # A right check rules out every trouble of the line, such as an inverted bit 7.
         [*LK_POLL, "> 3E 12 01 00 51", "< 3E 12 01 02 53 01 02 03"],
         # A function without fields, and its reply.
         [(">", rtu("01 11")), ("<", rtu("01 11 03 0A FF 00"))],
-        # Who is answered has sent a check, whatever the log shows; also where others are not answered.
+        # An answered request had its check, whatever the log shows; also where other requests are not answered.
         BARE,
         [*BARE, (">", bytes.fromhex("12 03 00 6D 00 01")), *BARE],
         [*BARE[:1], ("<", rtu("11 83 02")), (">", bytes.fromhex("11 03 00 6E 00 01"))],

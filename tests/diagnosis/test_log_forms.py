@@ -1,4 +1,4 @@
-"""The same troubles in the logs of many libraries and tools: what is wrong does not depend on who prints it."""
+"""The same troubles in the logs of many libraries and tools: the diagnosis does not depend on the format."""
 
 from __future__ import annotations
 

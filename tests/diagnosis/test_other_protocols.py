@@ -1,4 +1,4 @@
-"""Protocols that are not known here, told by letters or by a usual check; and what is none."""
+"""Unknown protocols, recognised by letters or by a usual check; and traffic that is no protocol."""
 
 from __future__ import annotations
 

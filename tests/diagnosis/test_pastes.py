@@ -135,7 +135,7 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
             "can_extended_id",
         ),
         ("It prints `CanErrorFrame { 00000088#0000040000000000 }` with nothing connected.", "can_wrong_bitrate"),
-        # A device that swaps the CRC of its replies; two writes of a unit with checks of nobody's.
+        # A device that swaps the CRC of its replies; two writes whose checks fit no known rule.
         ("Tx: 05 04 00 10 00 02 71 8A\nRx: 05 04 04 00 00 00 07 86 FF\n", "crc_swapped"),
         ("I tried these:\n\n11 06 0003 0010 7AC4\n\nand then\n\n11 06 0004 0020 4F7B\n", "wrong_checksum"),
         # A read of nothing; requests to units that the host did not ask.

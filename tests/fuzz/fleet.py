@@ -51,7 +51,7 @@ def taken(given: Input, place: Place) -> None:
 
 # --- questions ------------------------------------------------------------------------------------------------------------
 
-#: What stands beside the lake, and is not to be read.
+#: A file beside the lake, which no question may read.
 _SECRET = b"name,value\nnobody,is-to-read-this\n"
 _QUESTIONS = (
     "from captures", "select * from findings where date > '2026-01-01' order by time desc limit 3", "captures",

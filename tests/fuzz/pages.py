@@ -56,7 +56,7 @@ class _Page(HTMLParser):
     def handle_data(self, data: str) -> None:
         if self._data:
             self._data = False
-            # NaN, which Python writes, is none of JSON.
+            # Python writes NaN, which JSON does not have.
             json.loads(data, parse_constant=lambda word: 1 / 0)
 
     def close(self) -> None:
@@ -72,7 +72,7 @@ def reported(given: Input, place: Place) -> None:
     path = place.folder / "out.html"
     if path.exists():
         page = _Page()
-        # What CDATA of a script is, the parser of Python knows; SVG and MathML are not in these pages.
+        # Python's parser knows the CDATA of a script; SVG and MathML are not in these pages.
         page.feed(path.read_text())
         page.close()
 

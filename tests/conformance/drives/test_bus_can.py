@@ -164,7 +164,7 @@ def test_what_comes_faster_than_the_bus_carries_is_lost_and_not_carried_later() 
     bus = CanBus([one], speed=500_000, room=10)
     for _ in range(1000):
         bus.send(1, read(1))
-    assert len(frames(bus)) == 11, "the one that was on the wire, and those that had room"
+    assert len(frames(bus)) == 11, "one frame on the wire, and those that found room"
     assert bus.overrun == 989
     bus.send(1, read(1))
     assert len(frames(bus)) == 1

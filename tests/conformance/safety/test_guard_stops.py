@@ -330,6 +330,6 @@ def test_workers_end_at_once_when_their_controller_is_killed(tmp_path):
         process.kill()
         process.communicate(timeout=20)
         ends = [os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1]) for worker in workers]
-        # Those without a test end by themselves. The one that talks to the drive would go on for seconds, and end otherwise.
+        # Workers without a test end by themselves. The one at the drive would go on for seconds, and end otherwise.
         assert sorted(ends)[-1] == plugin._GONE
         assert set(ends) <= {0, plugin._GONE}

@@ -181,7 +181,7 @@ def test_a_flood_costs_no_more_than_what_a_reply_can_stand_in(flood: bytes, monk
 
 @pytest.mark.parametrize("size", [1, 4, 5])
 def test_a_wait_goes_on_to_the_end_of_a_frame_that_has_begun(size: int):
-    """The time-out is over in the pause within a reply, which is whole all the same, and the reply of this exchange."""
+    """A reply that pauses across the time-out is read whole, and belongs to this exchange."""
     reply = build(MKS, "read_speed", 1, {}, Role.REPLY)
     talk = dialogue(reply[:size], reply[size:], drive="mks-rs485@7")
     exchange = talk.ask(READ, 3 * MS // 2)
@@ -191,7 +191,7 @@ def test_a_wait_goes_on_to_the_end_of_a_frame_that_has_begun(size: int):
 
 
 def test_a_wait_for_the_end_of_a_frame_ends():
-    """What goes on for ever without a frame in it is listened to no longer than the longest frame takes."""
+    """Endless bytes without a frame are listened to for as long as the longest frame takes."""
     exchange = dialogue(*[b"\xfb"] * 2000, drive="mks-rs485@7").ask(READ, 10 * MS)
     assert exchange.replies == []
     assert took_ms(exchange) < 80
