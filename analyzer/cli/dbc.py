@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Role
 from analyzer.cli.option_types import address
-from analyzer.cli.output import free_target, write_whole
+from analyzer.cli.output import add_text_output, deliver
 from analyzer.errors import UsageError
 from analyzer.reference.dbc import dbc, shapes
 
@@ -32,8 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--address", type=address, action="append", metavar="N", help="a drive, 1 by default; several times")
     parser.add_argument("--role", choices=("reply", "request"), default="reply", help="whose frames; reply by default")
     parser.add_argument("--model", metavar="M", help="limits and units of a model: 42E 57E")
-    parser.add_argument("-o", "--output", metavar="OUT", help="the file; standard output by default")
-    parser.add_argument("--force", action="store_true", help="replace a file that exists")
+    add_text_output(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -47,13 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not first <= each <= last:
             raise UsageError(f"--address: {dialect.name} has {first} to {last}, got {each}")
     role = Role(arguments.role)
-    text = dbc(dialect, chosen, role)
-    if arguments.output in (None, "-"):
-        sys.stdout.buffer.write(text.encode())
-        sys.stdout.buffer.flush()
-    else:
-        target = free_target(Path(arguments.output), arguments.force)
-        write_whole(target, text.encode(), replace=arguments.force)
+    deliver(dbc(dialect, chosen, role), arguments)
     print("left out, for DBC cannot express it:", file=sys.stderr)
     if dialect.link.checked:
         print("  checksums: their place depends on the length of the frame", file=sys.stderr)

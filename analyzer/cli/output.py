@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import shutil
 import stat
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -40,6 +42,21 @@ def free_target(path: Path, replace: bool, captures: Iterable[str] = ()) -> Path
         if not replace:
             raise UsageError(f"{target} exists; --force replaces it")
     return target
+
+
+def add_text_output(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a command that prints one file: -o and --force."""
+    parser.add_argument("-o", "--output", metavar="OUT", help="the file; standard output by default")
+    parser.add_argument("--force", action="store_true", help="replace a file that exists")
+
+
+def deliver(text: str, arguments: argparse.Namespace) -> None:
+    """Print a text as UTF-8, or write it to the file of -o. Raises UsageError where that cannot be."""
+    if arguments.output in (None, "-"):
+        sys.stdout.buffer.write(text.encode())
+        sys.stdout.buffer.flush()
+    else:
+        write_whole(free_target(Path(arguments.output), arguments.force), text.encode(), replace=arguments.force)
 
 
 def write_whole(path: Path, data: bytes, *, replace: bool = True) -> None:

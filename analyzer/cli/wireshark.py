@@ -6,15 +6,15 @@ Wireshark 3.6 and newer loads it from the folder of personal Lua plugins (Help, 
 from __future__ import annotations
 
 import argparse
-import sys
 
 from analyzer import dialects as registry
+from analyzer.cli.output import add_text_output, deliver
 from analyzer.errors import UsageError
 from analyzer.reference.wireshark import dissector
 
 EXAMPLES = """\
 examples:
-  servotap wireshark > servotap.lua
+  servotap wireshark -o servotap.lua
   tshark -X lua_script:servotap.lua -r can.pcapng -Y servotap
   tshark -X lua_script:servotap.lua -r lines.pcapng -d rtacser.data,servotap
   tshark -X lua_script:servotap.lua -r lines.pcap -o 'uat:user_dlts:"User 0 (DLT=147)","servotap","0","","0",""'
@@ -25,6 +25,7 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--dialect", metavar="D,...", help="only these dialects; all by default")
+    add_text_output(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -35,6 +36,5 @@ def run(arguments: argparse.Namespace) -> int:
         text = dissector(chosen)
     except ValueError as error:
         raise UsageError(str(error)) from None
-    sys.stdout.buffer.write(text.encode())
-    sys.stdout.buffer.flush()
+    deliver(text, arguments)
     return 0

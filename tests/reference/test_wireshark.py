@@ -130,6 +130,15 @@ def test_the_captures_of_the_project(name: str, words: list[str], script: Path, 
         compare(mine, other)
 
 
+def test_the_dissector_is_printed_or_written_once(tmp_path: Path, capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+    words, target = ["wireshark", "--dialect", "mks-can"], tmp_path / "servotap.lua"
+    assert main([*words, "-o", str(target)]) == 0
+    assert main(words) == 0
+    assert capsysbinary.readouterr().out == target.read_bytes()
+    assert main([*words, "-o", str(target)]) == 2
+    assert b"exists; --force replaces it" in capsysbinary.readouterr().err
+
+
 #: What Wireshark 3.6 has of what the engine uses, read in its sources (epan/wslua), and the library of Lua 5.2.
 OF_3_6 = {
     "functions": {
