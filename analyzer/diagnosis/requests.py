@@ -224,7 +224,7 @@ def _miscounted(scene: Scene) -> Iterator[Suspicion]:
             continue
         own = [t for t in scene.troubles if burst.offset <= t.offset < burst.stop and t not in scene.explained]
         trouble = own[0] if own else None
-        if not own and burst.direction is Role.REQUEST and modbus_crc(data) == 0:
+        if not own and modbus_crc(data) == 0 and (burst.direction is Role.REQUEST or _without_code(scene, burst)):
             # Its drive may have taken it as it is.
             trouble = Trouble("wrong_length", burst.offset, burst)
         if trouble is not None and (said := _other_count(scene, burst)):
@@ -272,9 +272,22 @@ def _other_quantity(scene: Scene) -> Iterator[Suspicion]:
     )  # fmt: skip
 
 
+def _without_code(scene: Scene, burst: Stretch) -> bool:
+    """Say whether a burst refuses the request before it, and does not say why."""
+    data, asked = burst.data, scene.asked_before(burst.offset)
+    refused = asked is not None and asked.stop == burst.offset and data[:2] == bytes((asked.data[0], asked.data[1] | 0x80))
+    return refused and len(data) == _BARE and modbus_crc(data) == 0
+
+
 def _other_count(scene: Scene, burst: Stretch) -> str:
     """Return what is wrong with the count of a burst; empty where it is right, or the bytes are damaged."""
     data, function = burst.data, burst.data[1]
+    if _without_code(scene, burst):
+        return f"an exception has {_SHORTEST} bytes, and this {len(data)}: its code is missing"
+    before = scene.asked_before(burst.offset)
+    if before is not None and before.stop == burst.offset and before.data[:2] == data[:2] and data[2] == len(data) - _SHORTEST:
+        # The log of a device: what it sends are replies.
+        return ""
     if modbus_crc(data) == 0 and function in READS and burst.direction is Role.REQUEST and len(data) < _ANSWER:
         return f"a request to read has {_ANSWER} bytes, and this {len(data)}"
     if modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0 and data[0] <= _LAST_UNIT:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from analyzer.diagnosis.reports import MISFIT, reports
+from analyzer.diagnosis.reports import MISFIT, Checks, checks, reports
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link import READS
+from analyzer.link import READS, modbus_crc
 from analyzer.values import counted
 
 #: Makers and protocols that are not known here, as people write them.
@@ -105,7 +105,7 @@ def _reported(scene: Scene, words: str) -> Iterator[Suspicion]:
     left = [t for t in scene.troubles if t not in scene.explained] if by_bytes else []
     replied = any(p.is_reply and p.sound for p in scene.pieces)
     for report, text, times in found:
-        if report.cause in _OF_LINE and replied and not scene.damaged:
+        if report.cause in _OF_LINE and not scene.damaged and (replied or _misread(scene, checks(words))):
             continue
         yield Suspicion(
             report.cause, Confidence.POSSIBLE if by_bytes else Confidence.LIKELY, left or scene.troubles,
@@ -114,6 +114,16 @@ def _reported(scene: Scene, words: str) -> Iterator[Suspicion]:
             report.next,
             by_words=by_bytes,
         )  # fmt: skip
+
+
+def _misread(scene: Scene, compared: list[Checks]) -> bool:
+    """Say whether all checks that failed are of the start of a sound frame: the library took it for a shorter one."""
+    starts = {
+        (modbus_crc(piece.data[:size]), int.from_bytes(piece.data[size : size + 2], "little"))
+        for piece in scene.pieces if piece.sound and piece.can is None
+        for size in range(2, len(piece.data) - 2)
+    }  # fmt: skip
+    return bool(compared) and starts.issuperset((each.meant, each.got) for each in compared)
 
 
 #: Rules of findings that say that no reply came; causes of damaged replies.

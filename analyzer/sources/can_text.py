@@ -120,7 +120,8 @@ SHAPES: tuple[Shape, ...] = (
     ),
     _shape(
         "candump",
-        rf"(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?(?:0x)?(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})\s+\[(?P<length>\d{{1,2}})\]\s*{_DATA}(?:'.*')?",
+        rf"(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?(?:{_MARK}\s+[-BE]\s+[-BE]\s+)?(?:0x)?(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})\s+"
+        rf"\[(?P<length>\d{{1,2}})\]\s*{_DATA}(?P<remote>remote request)?(?:'.*')?",
     ),
     # Rows of a monitor's window.
     _shape(

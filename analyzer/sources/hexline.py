@@ -212,6 +212,10 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
     text = written.plain(line).strip()
     if not text:
         return HexLine(Shape.BLANK)
+    if ";" in text and _FIELDS.fullmatch(text) is not None:
+        text = _of_record(text)
+        if not text:
+            return HexLine(Shape.COMMENT, text=line.strip())
     if (
         (text[-1] in ")]" or "(0" in text)
         and (twice := _TWICE.fullmatch(text)) is not None
@@ -241,6 +245,20 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
         each = _EACH.match(text)
         return HexLine(Shape.TRAFFIC, plain.data, sign=f"each{each[1]}" if each is not None else "", radix=plain.radix)
     return _as_it_stood(_peeled(text), line)
+
+
+#: A record of named fields, and the field that has a frame.
+_FIELDS = re.compile(r"(?:[A-Za-z_]\w*=[^;=]*;){2,}(?:[A-Za-z_]\w*=[^;=]*)?")
+_FRAME_FIELD = re.compile(rf"(?:(?P<who>{_words})|hex|{_CONTENT})=(?P<bytes>(?:{_PAIR}[ -]?){{2,}})", re.IGNORECASE)
+
+
+def _of_record(text: str) -> str:
+    """Return the time, the mark and the bytes of a record of named fields; empty where none has a frame."""
+    fields = [field.strip() for field in text.split(";")]
+    frames = [found for field in fields if (found := _FRAME_FIELD.fullmatch(field)) is not None]
+    values = [field.partition("=")[2].strip() for field in fields]
+    kept = [value for value in values if re.fullmatch(ANY, value, re.IGNORECASE) or value.lower() in WORDS]
+    return " ".join((*kept, frames[0]["who"] or "", frames[0]["bytes"])) if len(frames) == 1 else ""
 
 
 def _as_it_stood(found: HexLine, line: str) -> HexLine:

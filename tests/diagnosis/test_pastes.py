@@ -280,3 +280,41 @@ def asked_and_answered(request, reply):
 )  # fmt: skip
 def test_sound_exchanges_of_other_devices_are_not_accused(text):
     assert not diagnosed(text).causes
+
+
+def in_brackets(data, brackets):
+    return "".join(f"{brackets[0]}{byte:02X}{brackets[1]}" for byte in data) + "\n"
+
+
+def test_a_device_that_logs_its_own_replies_is_not_accused():
+    asked, replied = bytes.fromhex(checked("11 04 00 10 00 01")), bytes.fromhex(checked("11 04 02 12 34"))
+    log = "Waiting for an indication...\n" + in_brackets(asked, "<>") + in_brackets(replied, "[]")
+    assert not diagnosed(log * 3).causes
+    # The same bytes without a request before them are one that is too short.
+    assert diagnosed(f"Tx: {replied.hex(' ')}\n").causes[0].suspicion.cause == "wrong_length"
+
+
+@pytest.mark.parametrize(("reply", "cause"), [("11 83", "wrong_length"), ("11 83 02", "wrong_register")])
+def test_an_exception_without_its_code(reply, cause):
+    log = f"Tx: {checked('11 03 00 10 00 01')}\nRx: {checked(reply)}\n"
+    assert diagnosed(log).causes[0].suspicion.cause == cause
+
+
+def test_an_answer_to_a_remote_request_is_no_command():
+    asked = " (2024-01-01 10:00:00.000000)  can0  TX - -  002   [0]  remote request\n"
+    answered = " (2024-01-01 10:00:00.000400)  can0  RX - -  002   [2]  00 02\n"
+    frames = [item for item in read_text(asked + asked + answered).traffic if isinstance(item, CanFrame)]
+    assert [(frame.remote, frame.data) for frame in frames] == [(True, b""), (True, b""), (False, b"\x00\x02")]
+    assert not diagnosed(asked + asked + answered).causes
+
+
+def test_records_of_named_fields():
+    """Its last field is a number of the logger, and no byte."""
+    asked, replied = checked("0B 03 20 06 00 02"), checked("0B 03 04 40 9B F8 A1")
+    text = "".join(
+        f"DATE=2024-01-01T10:00:0{second}.100;ERR=NO;FRAME={data.replace(' ', '-').lower()};SLAVE=11\n"
+        for second, data in enumerate((asked, replied))
+    )
+    assert [chunk.data.hex(" ").upper() for chunk in read_text(text).traffic] == [asked, replied]
+    assert not diagnosed(text).causes
+    assert not read_text("DATE=2024-01-01T10:00:01;ERR=NO;SLAVE=11\nSTATE=10;COUNT=12 13 14;SLAVE=11\n").traffic
