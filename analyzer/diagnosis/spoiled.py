@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from itertools import takewhile
 from typing import NamedTuple
@@ -26,6 +27,8 @@ _LEAST_OF_REPLY = 5
 _READ_BYTES, _REGISTERS = 8, (b"\x03", b"\x04")
 #: The last address of a Modbus unit.
 _LAST_UNIT = 247
+#: No frame takes longer.
+_FRAME_NS = 2_000_000_000
 #: A sender's frames of which one with a glitch is no chance.
 _OFTEN = 10
 
@@ -233,11 +236,20 @@ def _glitch(scene: Scene, part: _Part, before: _Part | None, behind: _Part | Non
         return None
     if after is not None and earlier is not None:
         # Between a request and its reply the line was switched round; behind a reply the driver was switched off.
-        is_leading = earlier.role is not Role.REPLY
+        is_leading = earlier.role is not Role.REPLY or _opens(scene, stretch)
         return is_leading, _Edge(trouble, data, *(after if is_leading else earlier)[:2])
     if after is not None:
         return True, _Edge(trouble, data, *after[:2])
     return (False, _Edge(trouble, data, *earlier[:2])) if earlier is not None else None
+
+
+def _opens(scene: Scene, stretch: Stretch) -> bool:
+    """Say whether bytes come long after what is before them, and soon before what follows: then its driver made them."""
+    first, last = (bisect_left(scene.pieces, at, key=lambda piece: piece.offset) for at in (stretch.offset, stretch.stop))
+    if not scene.timed or not first or last == len(scene.pieces):
+        return False
+    silent = stretch.t_ns - scene.pieces[first - 1].t_ns
+    return silent > _FRAME_NS and scene.pieces[last].t_ns - stretch.t_ns < silent // _OFTEN
 
 
 def _cut(scene: Scene, trouble: Trouble, stretch: Stretch) -> _Edge | None:

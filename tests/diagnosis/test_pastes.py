@@ -318,3 +318,11 @@ def test_records_of_named_fields():
     assert [chunk.data.hex(" ").upper() for chunk in read_text(text).traffic] == [asked, replied]
     assert not diagnosed(text).causes
     assert not read_text("DATE=2024-01-01T10:00:01;ERR=NO;SLAVE=11\nSTATE=10;COUNT=12 13 14;SLAVE=11\n").traffic
+
+
+@pytest.mark.parametrize(("clock", "cause"), [("10:00:30.000", "leading_glitch"), ("10:00:00.040", "trailing_glitch")])
+def test_a_glitch_belongs_to_the_frame_that_is_near_in_time(clock, cause):
+    asked, replied = checked("11 03 00 10 00 01"), checked("11 03 02 00 17")
+    log = f"10:00:00.000 Tx: {asked}\n10:00:00.030 Rx: {replied}\n{clock} Rx: FE\n"
+    log += f"10:00:30.015 Tx: {asked}\n10:00:30.045 Rx: {replied}\n"
+    assert diagnosed(log).causes[0].suspicion.cause == cause
