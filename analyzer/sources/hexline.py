@@ -185,9 +185,11 @@ _HEXLIKE = re.compile(r"(?:0[xX]|\\[xX]|\$)?[0-9A-Fa-f]{1,2}[hH]?")
 _RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{5,}")
 _DIGITS = re.compile(r"[0-9A-Fa-f]{1,8}")
 _LONG_RUN = re.compile(r"(?=.{0,20}\d)[0-9A-Fa-f]{8,}$")
-#: One byte of a log, printed twice, perhaps with a remark: `Modbus received Byte  27 (0X1b)  == the unit`.
+#: One byte of a log, printed twice, perhaps with a remark: `Modbus received Byte  27 (0X1b)  == the unit`,
+#: `Read 0b00011011 (0x1B)`.
 _TWICE = re.compile(
-    r"(?P<before>.*[\s:=])(?P<decimal>\d{1,3})\s*[(\[](?:0[xX])?(?P<hex>[0-9A-Fa-f]{1,2})[)\]](?:\s*(?:==|=|//|#|;|<-+|-+>?)\s.*)?"
+    r"(?P<before>.*[\s:=])(?:0b(?P<binary>[01]{8})|(?P<decimal>\d{1,3}))\s*[(\[](?:0[xX])?(?P<hex>[0-9A-Fa-f]{1,2})[)\]]"
+    r"(?:\s*(?:==|=|//|#|;|<-+|-+>?)\s.*)?"
 )
 _NUMBER = re.compile(r"\d+\s*")
 _AROUND_NOTE = " \t,;|"
@@ -219,7 +221,7 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
     if (
         (text[-1] in ")]" or "(0" in text)
         and (twice := _TWICE.fullmatch(text)) is not None
-        and int(twice["decimal"]) == int(twice["hex"], 16)
+        and (int(twice["binary"], 2) if twice["binary"] else int(twice["decimal"])) == int(twice["hex"], 16)
     ):
         return _of_twice(text, twice)
     if decimal:
@@ -284,12 +286,12 @@ def _peeled(text: str, decimal: bool = False, led: bool = False) -> HexLine:
 
 
 def _of_twice(text: str, twice: re.Match[str]) -> HexLine:
-    """Return a line that prints one byte, in decimal and in hexadecimal: where a frame ends it does not tell."""
+    """Return a line that prints one byte, in decimal or binary and in hexadecimal: where a frame ends it does not tell."""
     before = _Peeler(twice["before"])
     while before._item():
         pass
     words = [word for word in re.findall(r"[^\W\d_]+", twice["before"].lower()) if word in WORDS]
-    data = bytes((int(twice["decimal"]),))
+    data = bytes((int(twice["hex"], 16),))
     return HexLine(Shape.TRAFFIC, data, before.stamp, role_of(words), worded=bool(words), number=len(data))
 
 

@@ -326,3 +326,15 @@ def test_a_glitch_belongs_to_the_frame_that_is_near_in_time(clock, cause):
     log = f"10:00:00.000 Tx: {asked}\n10:00:00.030 Rx: {replied}\n{clock} Rx: FE\n"
     log += f"10:00:30.015 Tx: {asked}\n10:00:30.045 Rx: {replied}\n"
     assert diagnosed(log).causes[0].suspicion.cause == cause
+
+
+@pytest.mark.parametrize(("size", "causes"), [(7, []), (5, ["reply_cut"])])
+def test_bytes_that_are_logged_in_binary(size, causes):
+    asked, replied = bytes.fromhex(checked("11 03 00 10 00 01")), bytes.fromhex(checked("11 03 02 00 17"))[:size]
+    log = "".join(
+        f"[10:00:0{second}][VV][uart_esp8266:111]:     {verb} 0b{byte:08b} (0x{byte:02X})\n"
+        for second, verb, data in ((1, "Wrote", asked), (2, "Read", replied))
+        for byte in data
+    )
+    assert b"".join(chunk.data for chunk in read_text(log).traffic) == asked + replied
+    assert [each.suspicion.cause for each in diagnosed(log).causes] == causes
