@@ -221,6 +221,8 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
     if (
         (text[-1] in ")]" or "(0" in text)
         and (twice := _TWICE.fullmatch(text)) is not None
+        # Bytes before it, glued to one line, are not to be lost.
+        and "(0x" not in twice["before"].lower()
         and (int(twice["binary"], 2) if twice["binary"] else int(twice["decimal"])) == int(twice["hex"], 16)
     ):
         return _of_twice(text, twice)

@@ -338,3 +338,5 @@ def test_bytes_that_are_logged_in_binary(size, causes):
     )
     assert b"".join(chunk.data for chunk in read_text(log).traffic) == asked + replied
     assert [each.suspicion.cause for each in diagnosed(log).causes] == causes
+    # Glued to one line they are not read as the last of them alone.
+    assert all(len(chunk.data) != 1 for chunk in read_text(log.replace("\n", "")).traffic)
