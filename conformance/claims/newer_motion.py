@@ -193,12 +193,18 @@ def _turns_back(probe: Probe, command: Command, older: Command) -> None:
     probe.expect(went, near=-30, within=within, unit="degrees from the start", refutes=text, exchange=exchange)
 
 
+def _certain_of_speed_0(case: Case) -> Certainty:
+    """Of runs the section that has the highest speed of each mode says it; of moves none does."""
+    runs = motion.of(command_of(case)).kind is MotionKind.RUN
+    return Certainty.LIKELY if runs and case.dialect.mode_speeds else Certainty.OPEN
+
+
 @of_motion(
     each=lambda dialect: (c for c in motions(MotionKind.RUN, *MOVES)(dialect) if motion.of(command_of(c)).acceleration),
     name="{command}/speed-0",
     statement="{command} with speed 0 stops the shaft, with any of its other values.",
     refuted_by="a shaft that goes on",
-    at_best=Certainty.OPEN,
+    at_best=_certain_of_speed_0,
     risks=risks_by(Verb.RUN_SPEED),
 )
 @of_motion(

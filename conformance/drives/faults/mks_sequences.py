@@ -129,6 +129,18 @@ def _slower_back(direction: int) -> Callable[[Drive, Command, Values], Values]:
     return ask
 
 
+def _end_run(drive: MksCore, request: Request) -> None:
+    """Stop the shaft where a run is forgotten."""
+    if request.values["save_state"] == mks_shared.SaveState.CLEAN:
+        drive.motor.run(drive.now_ns, 0, 0)
+
+
+def _only_ccw_stops(drive: MksCore, request: Request) -> Values | None:
+    """Say that a run at speed 0 stops the shaft, and let it go on where the direction is clockwise."""
+    clockwise = request.values["direction"] == mks_shared.MotionDirection.CW
+    return dict(OK) if clockwise and not request.values["speed"] else None
+
+
 def _leave_group(drive: MksCore, request: Request) -> None:
     drive.settings["group_address"] = 0
 
@@ -345,6 +357,13 @@ SEQUENCES: Rows = {
             "behind F7 while homing F1 reads homing on",
             tuned(_status_of_before((mks_shared.MotorStatus.HOMING,)), having(Verb.HOME)),
         ),
+        Row(
+            "speed-0-cw-goes-on",
+            "F6 with speed 0 and direction 1 stops nothing",
+            before(Verb.RUN_SPEED, _only_ccw_stops),
+            SERIAL,
+        ),
+        Row("cleaning-stops", "FF CA stops the shaft", before(Verb.SAVE_SPEED, _end_run)),
         Row(
             "cleaned-turning-alone",
             "FF CA cleans the kept run while the shaft turns alone",

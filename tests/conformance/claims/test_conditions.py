@@ -35,6 +35,8 @@ REFUTED_BY = {
     "emergency-completes-home": "motion/emergency_stop/ends-home",
     "status-behind-emergency-ramp": "motion/read_status/behind-emergency",
     "status-behind-emergency-home": "motion/read_status/behind-emergency",
+    "speed-0-cw-goes-on": "motion/run_speed/speed-0",
+    "cleaning-stops": "read-back/save_speed/clean",
     "cleaned-turning-alone": "read-back/save_speed/clean-at-rest",
     "third-target-lost": "motion/move_absolute_axis/again-and-again",
     "package-first-motion": "addressing/package/behind_setting",
