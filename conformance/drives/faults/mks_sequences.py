@@ -141,6 +141,20 @@ def _only_ccw_stops(drive: MksCore, request: Request) -> Values | None:
     return dict(OK) if clockwise and not request.values["speed"] else None
 
 
+def _homes_at_any_speed(drive: MksCore) -> None:
+    """Home at the speed that is set, in each mode."""
+    home, highest = drive.behaviours[Verb.HOME], drive.highest_speed
+
+    def act(core: MksCore, request: Request) -> Values | None:
+        core.highest_speed = lambda declared: declared  # type: ignore[method-assign]
+        try:
+            return home(core, request)
+        finally:
+            core.highest_speed = highest  # type: ignore[method-assign]
+
+    drive.behaviours[Verb.HOME] = act
+
+
 def _leave_group(drive: MksCore, request: Request) -> None:
     drive.settings["group_address"] = 0
 
@@ -415,6 +429,12 @@ SEQUENCES: Rows = {
         Row("way-back-untold", "3B reads 1 on the way back by a direction", result(_way_back, Verb.READ_ZERO_STATUS), SERIAL),
     ),
     "in one mode": (
+        Row(
+            "homing-above-mode",
+            "homing turns at the speed that is set, above that of the work mode",
+            tuned(_homes_at_any_speed, having(Verb.HOME)),
+            SERIAL,
+        ),
         Row("holding-refused-open", "9B is refused in an open mode", refused_when(_open, Verb.SET_HOLDING_CURRENT), SERIAL),
     ),
     "few send it": (

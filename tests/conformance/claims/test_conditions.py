@@ -36,6 +36,7 @@ REFUTED_BY = {
     "status-behind-emergency-ramp": "motion/read_status/behind-emergency",
     "status-behind-emergency-home": "motion/read_status/behind-emergency",
     "speed-0-cw-goes-on": "motion/run_speed/speed-0",
+    "homing-above-mode": "motion/home/within-mode",
     "cleaning-stops": "read-back/save_speed/clean",
     "cleaned-turning-alone": "read-back/save_speed/clean-at-rest",
     "third-target-lost": "motion/move_absolute_axis/again-and-again",
