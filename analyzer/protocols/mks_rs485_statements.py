@@ -292,6 +292,7 @@ _SETTINGS = (
             "Homing turns at the set speed, 0 to 3000 rpm.",
             "motion/home/speed-*",
             "read-back/set_home/home_speed",
+            "motion/home/within-mode",
         ),
         said(
             "5.3.1/limit",

@@ -336,6 +336,8 @@ _ENDS = 15
 
 #: At what speed homing turns, which is that of no older motion, and how long a shaft is looked at that homes.
 _HOME_RPM, _HOMES_NS = 120, 60 * MS
+#: By how much a speed of homing is above that of its mode (rpm).
+_ABOVE_MODE = 200
 
 
 def _homes(dialect: Dialect) -> Iterator[Case]:
@@ -434,6 +436,30 @@ def _home_turns(probe: Probe, command: Command) -> None:
             key=text,
         )
     homing.set_home(probe)
+
+
+def _homes_in_modes(dialect: Dialect) -> Iterator[Case]:
+    return _turning_homes(dialect) if dialect.mode_speeds else iter(())
+
+
+@of_motion(each=_homes_in_modes, name="{command}/within-mode", refuted_by="a shaft that is faster", at_best=Certainty.LIKELY)
+def _home_within_mode(probe: Probe, command: Command) -> None:
+    """Homing turns no faster than the slowest work mode allows, where a higher speed is set."""
+    limits = probe.dialect.mode_speeds
+    mode = min(motion.bus_modes(probe.dialect), key=limits.__getitem__)
+    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
+    homing.set_home(probe, home_speed=limits[mode] + _ABOVE_MODE, home_mode=1, return_angle=0)
+    begun = probe.ask(command, quiet_ns=0)
+    probe.wait(begun.sent_ns + _RUNS_NS - probe.gate.now_ns())
+    first = motion.position(probe)
+    probe.wait(int(first.t_ns) + _HOMES_NS - probe.gate.now_ns())
+    rpm, spread = motion.speed_between(first, motion.position(probe))
+    probe.ask(Verb.EMERGENCY_STOP)
+    motion.wait_standing(probe)
+    homing.set_home(probe)
+    most = limits[mode] * (1 + 2 * CLOCK_SHARE) + spread + 2
+    text = f"homing is faster than {mode} allows"
+    probe.expect(abs(rpm), at_most=most, unit="rpm", refutes=text, exchange=begun)
 
 
 def _ends_of_homing(dialect: Dialect) -> Iterator[Case]:

@@ -282,7 +282,7 @@ def _same_encoder(probe: Probe, command: Command) -> None:
         turn_by(probe, degrees)
         # Off, the shaft stands still and is not held by a loop that trembles.
         motion.switch(probe, False)
-        probe.wait(500 * MS)
+        probe.wait(120 * MS)
         exchange = probe.ask(command)
         told = probe.reply(exchange).values["encoder"]
         values, _ = _encoder(probe)

@@ -315,7 +315,8 @@ def _saved_runs(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, command, {}, facts)
 
 
-#: How long what is damaged is listened to.
+#: How long a run is given to end where it should not; how long what is damaged is listened to.
+_GOES_ON_NS = 60 * MS
 _DAMAGED_NS = 60 * MS
 
 
@@ -415,10 +416,13 @@ def _saved_as_it_was(probe: Probe, command: Command) -> None:
 
 @of_read_back(each=_saved_runs, refuted_by="a shaft that turns", rests_on=(Doubt.VALUES,))
 def _clean(probe: Probe, command: Command) -> None:
-    """A run that was forgotten does not begin after a restart, nor one that was kept with a wrong check alone."""
-    _turning(probe, _RPM)
+    """A run that was forgotten goes on, and does not begin after a restart, nor one that was kept with a wrong check alone."""
+    before = _turning(probe, _RPM)
     probe.do(command, _KEEP)
-    probe.do(command, _FORGET)
+    exchange = probe.do(command, _FORGET)
+    probe.wait(_GOES_ON_NS)
+    text, within = "a run does not go on when it is forgotten", max(2.0, abs(before) * _SHARE)
+    probe.expect(motion.speed(probe).value, near=before, within=within, unit="rpm", refutes=text, exchange=exchange)
     _expect_forgotten(probe, command)
 
 

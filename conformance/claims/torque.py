@@ -199,12 +199,12 @@ def _holds_turning(probe: Probe) -> None:
         raise NotRun("the motor has no brake that holds its shaft")
     for command, way in _ways(probe):
         _begin(probe, command, way)
-        probe.wait(250 * MS)
+        probe.wait(200 * MS)
         _brake(probe, _POWER_OFF)
         exchange = probe.traffic[-1]
-        probe.wait(150 * MS)
+        probe.wait(80 * MS)
         before = motion.position(probe)
-        probe.wait(100 * MS)
+        probe.wait(60 * MS)
         moved = motion.position(probe).value - before.value
         # What is not braked is stopped before it is judged.
         motion.stop(probe)
@@ -256,9 +256,9 @@ def _brake_stays(probe: Probe) -> None:
         seen = _brake(probe, _READ_BRAKE)
         if command.verb is Verb.RUN_SPEED:
             # What is released is released: that changes nothing of a shaft that turns.
-            probe.wait(300 * MS)
+            probe.wait(150 * MS)
             released = _brake(probe, _RELEASE)
-            probe.wait(300 * MS)
+            probe.wait(150 * MS)
             left = abs(motion.turning(probe).value)
             motion.stand_still(probe)
             what = "releasing a released brake stops the shaft"

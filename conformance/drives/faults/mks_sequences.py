@@ -129,6 +129,32 @@ def _slower_back(direction: int) -> Callable[[Drive, Command, Values], Values]:
     return ask
 
 
+def _end_run(drive: MksCore, request: Request) -> None:
+    """Stop the shaft where a run is forgotten."""
+    if request.values["save_state"] == mks_shared.SaveState.CLEAN:
+        drive.motor.run(drive.now_ns, 0, 0)
+
+
+def _only_ccw_stops(drive: MksCore, request: Request) -> Values | None:
+    """Say that a run at speed 0 stops the shaft, and let it go on where the direction is clockwise."""
+    clockwise = request.values["direction"] == mks_shared.MotionDirection.CW
+    return dict(OK) if clockwise and not request.values["speed"] else None
+
+
+def _homes_at_any_speed(drive: MksCore) -> None:
+    """Home at the speed that is set, in each mode."""
+    home, highest = drive.behaviours[Verb.HOME], drive.highest_speed
+
+    def act(core: MksCore, request: Request) -> Values | None:
+        core.highest_speed = lambda declared: declared  # type: ignore[method-assign]
+        try:
+            return home(core, request)
+        finally:
+            core.highest_speed = highest  # type: ignore[method-assign]
+
+    drive.behaviours[Verb.HOME] = act
+
+
 def _leave_group(drive: MksCore, request: Request) -> None:
     drive.settings["group_address"] = 0
 
@@ -346,6 +372,13 @@ SEQUENCES: Rows = {
             tuned(_status_of_before((mks_shared.MotorStatus.HOMING,)), having(Verb.HOME)),
         ),
         Row(
+            "speed-0-cw-goes-on",
+            "F6 with speed 0 and direction 1 stops nothing",
+            before(Verb.RUN_SPEED, _only_ccw_stops),
+            SERIAL,
+        ),
+        Row("cleaning-stops", "FF CA stops the shaft", before(Verb.SAVE_SPEED, _end_run)),
+        Row(
             "cleaned-turning-alone",
             "FF CA cleans the kept run while the shaft turns alone",
             before(Verb.SAVE_SPEED, _kept_at_rest),
@@ -396,6 +429,12 @@ SEQUENCES: Rows = {
         Row("way-back-untold", "3B reads 1 on the way back by a direction", result(_way_back, Verb.READ_ZERO_STATUS), SERIAL),
     ),
     "in one mode": (
+        Row(
+            "homing-above-mode",
+            "homing turns at the speed that is set, above that of the work mode",
+            tuned(_homes_at_any_speed, having(Verb.HOME)),
+            SERIAL,
+        ),
         Row("holding-refused-open", "9B is refused in an open mode", refused_when(_open, Verb.SET_HOLDING_CURRENT), SERIAL),
     ),
     "few send it": (
