@@ -19,10 +19,11 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from analyzer.protocols.lk_rs485 import ERROR_BITS
-from conformance.claims import bench, homing
-from conformance.claims.addressing_many import join
-from conformance.claims.protection import protect
-from conformance.claims.stops import endless
+from conformance.claims import bench
+from conformance.claims.addressing.many import join
+from conformance.claims.motion import homing
+from conformance.claims.motion.protection import protect
+from conformance.claims.motion.stops import endless
 from conformance.model import limits
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, QUICK

@@ -18,10 +18,10 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from analyzer.link import ModbusLink
 from conformance.claim import Aspect, Inconclusive, Observed, Theme
-from conformance.claims import setting_effects
 from conformance.claims.declare import Case, Cases, claim, commands, once
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion_claim import of_motion, risks_by
+from conformance.claims.motion.motion_claim import of_motion, risks_by
+from conformance.claims.settings import setting_effects
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.acceptance import plain_read

@@ -20,7 +20,7 @@ from conformance.claim import Outcome
 if TYPE_CHECKING:
     from analyzer.cli.reading import OpenCapture
     from conformance.claim import Verdict
-    from conformance.claims.traffic_rules import Count, Example, Judge
+    from conformance.claims.frames.traffic_rules import Count, Example, Judge
 
 EXAMPLES = """\
 examples:
@@ -80,9 +80,9 @@ def _about(text: str) -> tuple[str, ...]:
 
 def _check(path: str, arguments: argparse.Namespace, about: tuple[str, ...]) -> int:
     """Judge one file, print the result and return the exit status."""
-    from conformance.claims import traffic_rules
-    from conformance.claims.traffic import verdicts
-    from conformance.claims.traffic_rules import Judge, Party
+    from conformance.claims.frames import traffic_rules
+    from conformance.claims.frames.traffic import verdicts
+    from conformance.claims.frames.traffic_rules import Judge, Party
 
     reading = open_reading(path, arguments)
     try:

@@ -9,7 +9,8 @@ import pytest
 from analyzer import dialects
 from analyzer.catalogue import Risk
 from conformance.claim import Outcome
-from conformance.claims import crossed, every
+from conformance.claims import every
+from conformance.claims.crossed import course
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
 from conformance.motion import ramp
@@ -22,8 +23,8 @@ MKS = ("mks-rs485", "mks-modbus", "mks-can")
 @pytest.mark.parametrize("name", MKS)
 def test_each_command_has_each_speed_either_way(name):
     dialect = dialects.get(name)
-    found = {(row.command, row.way, row.rpm) for row in crossed.table(dialect)}
-    commands = {command.name for command in crossed.motions_of(dialect)}
+    found = {(row.command, row.way, row.rpm) for row in course.table(dialect)}
+    commands = {command.name for command in course.motions_of(dialect)}
     speeds = {rpm for _, _, rpm in found}
     # The slowest is one of runs alone: no move at it is short.
     assert found == {row for row in product(commands, (1, -1), speeds) if row[2] > min(speeds) or row[0] == "run_speed"}
@@ -32,7 +33,7 @@ def test_each_command_has_each_speed_either_way(name):
 
 @pytest.mark.parametrize("name", MKS)
 def test_the_rows_are_short(name):
-    for row in crossed.table(dialects.get(name)):
+    for row in course.table(dialects.get(name)):
         moving_ns = ramp.move_ns(row.turns, row.rpm, row.acceleration) + (1 + abs(row.start)) * ramp.ramp_ns(
             0, row.rpm if not row.turns else 0, row.acceleration
         )
@@ -40,7 +41,7 @@ def test_the_rows_are_short(name):
 
 
 def test_a_drive_without_a_law_of_ramps_has_none():
-    assert crossed.motions_of(dialects.get("lk-rs485")) == ()
+    assert course.motions_of(dialects.get("lk-rs485")) == ()
 
 
 def test_what_the_bounds_forbid_is_left_out_and_the_rest_is_judged():

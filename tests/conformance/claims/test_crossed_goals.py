@@ -8,8 +8,9 @@ import pytest
 
 from analyzer import dialects
 from conformance.claim import Outcome
-from conformance.claims import crossed_goals, every
-from conformance.claims.crossed_goals import OFF, ON, STOP
+from conformance.claims import every
+from conformance.claims.crossed import goals
+from conformance.claims.crossed.goals import OFF, ON, STOP
 from conformance.drives import make
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
@@ -24,7 +25,7 @@ def _outcome(drive: str, name: str) -> Outcome:
 
 @pytest.mark.parametrize("model", LK.models)
 def test_each_motion_has_each_start_and_what_can_come_on_its_way_either_way(model):
-    table = crossed_goals.table(LK.for_model(model))
+    table = goals.table(LK.for_model(model))
     commands = {row.command for row in table}
     assert len(commands) == 8
     assert {(*row[:2], row.start) for row in table} == set(product(commands, (1, -1), (0, 1, -1)))
@@ -33,12 +34,12 @@ def test_each_motion_has_each_start_and_what_can_come_on_its_way_either_way(mode
 
 @pytest.mark.parametrize("name", ["mks-rs485", "mks-modbus", "mks-can"])
 def test_a_drive_with_a_law_of_ramps_has_none(name):
-    assert crossed_goals.motions_of(dialects.get(name)) == ()
-    assert crossed_goals.reads_of(dialects.get(name)) == []
+    assert goals.motions_of(dialects.get(name)) == ()
+    assert goals.reads_of(dialects.get(name)) == []
 
 
 def test_few_rows_show_each_condition_once_and_each_end_either_way():
-    first, rows = crossed_goals.first_rows(LK.for_model("MF")), crossed_goals.table(LK.for_model("MF"))
+    first, rows = goals.first_rows(LK.for_model("MF")), goals.table(LK.for_model("MF"))
     far = [row for row in rows if "multi" not in row.command and (row.turns > 0.2 or row.command.startswith("run"))]
     assert len(first) <= 10
     assert [row for row in rows if row in first] == list(first)
@@ -47,7 +48,7 @@ def test_few_rows_show_each_condition_once_and_each_end_either_way():
 
 
 def test_the_rows_are_short():
-    for row in crossed_goals.table(LK.for_model("MF")):
+    for row in goals.table(LK.for_model("MF")):
         assert row.turns * 60 / (row.rpm or 110) <= 1.5, row
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from analyzer.catalogue import Risk
 from conformance.claim import Claim, Outcome, Theme, Verdict
-from conformance.claims.link_changes import SETTLE_NS, change_address
+from conformance.claims.settings.link_changes import SETTLE_NS, change_address
 from conformance.drives import make
 from conformance.drives.drive import Drive
 from conformance.gate.gate import Allowance

@@ -12,8 +12,8 @@ from analyzer.cli import main
 from analyzer.findings import RULES
 from analyzer.records import CanFrame, Finding, Severity
 from conformance.claim import Outcome, Theme
-from conformance.claims import traffic as theme
-from conformance.claims.traffic_rules import ROWS, Party, row_of
+from conformance.claims.frames import traffic as theme
+from conformance.claims.frames.traffic_rules import ROWS, Party, row_of
 from conformance.drives import make
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance.theme_runs import claims_of, refuted, run

@@ -1,0 +1,457 @@
+"""Addresses of several drives: all of them (broadcast), and a group. Executed, never answered.
+
+FA 00 F4 ..    every drive moves, none answers
+FA 50 F4 ..    every drive of the group 50h moves, none answers; each still answers its own address
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Verb
+from conformance.claim import Theme
+from conformance.claims.addressing import guarded
+from conformance.claims.control_reads import ask_first, expect_silence, is_answered, judge_next, plain_read, received_text
+from conformance.claims.declare import Case, Cases, claim, described_in
+from conformance.claims.known_reads import every_read
+from conformance.claims.motion.stops import expect_standing
+from conformance.claims.ranges import edges
+from conformance.claims.settings import setting_effects
+from conformance.claims.settings.setting_effects import differing
+from conformance.gate.gate import Item
+from conformance.motion import effects, motion, ramp
+from conformance.motion.effects import STEP_NS, Change, Observable
+from conformance.motion.motion import MOVES
+from conformance.talk import restarts
+from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.probe import Probe, Until
+from conformance.talk.settings import changes_link
+
+#: Settings that decide whether and to whom a drive answers: what claims about them say.
+_OF_REPLIES = frozenset({Verb.SET_RESPOND, Verb.SET_GROUP_ADDRESS})
+#: A group address, and another one where the drive itself has it.
+_GROUP, _OTHER_GROUP, _BYTE = 0x50, 0x60, 0xFF
+_HIGH_GROUP = 0xE0
+#: How long a motion or a stop is listened to: its ramp takes 24 ms.
+_TURNS_NS = 100_000_000
+#: A ramp of 2.5 ms for a rpm, by which a shaft rises in a while; how long a stop at once may take, and is then looked at.
+_HALTED_RAMP, _RISES_NS, _HALTS_NS, _LOOK_NS = 206, 160_000_000, 15_000_000, 40_000_000
+#: What a drive is told behind all else.
+_LAST = (Verb.RESTART,)
+#: How long a setting is listened to; that a setting by several addresses is silent shows with the first of them too.
+_SETTING_NS = 60_000_000
+
+
+def send_to(probe: Probe, address: int, change: Change, listen_ns: int = 0) -> Exchange:
+    """Send a change to an address and return what came back while it could have been executed."""
+    built = probe.build(change.command, change.values, address=address)
+    return probe.send(built.item(), timeout_ns=max(listen_ns, probe.rig.silence_ns))
+
+
+def read_of(probe: Probe, address: int) -> Exchange:
+    """Send a good read to an address and return what came back within the time of a silence."""
+    return probe.send(probe.build(plain_read(probe.dialect), address=address).item())
+
+
+# --- addresses of several drives --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Many:
+    """An address of several drives. `join`: makes the drive hear it and returns it; the rest is what a claim declares."""
+
+    name: str
+    what: str
+    join: Callable[[Probe], int]
+    section: Callable[[Case], str]
+    settings: tuple[str, ...] = ()
+    rests_on: tuple[Doubt, ...] = ()
+    setting: Verb | None = None
+
+    def risks(self, dialect: Dialect) -> frozenset[Risk]:
+        return frozenset() if self.setting is None else dialect.by_verb[self.setting].all_risks
+
+
+def _all_drives(probe: Probe) -> int:
+    assert probe.dialect.broadcast is not None  # asked by `_addresses`
+    return probe.dialect.broadcast
+
+
+def group_of(dialect: Dialect, own: int) -> int:
+    """Return a group address that is not a drive's own or near it: its neighbours are sent to as well.
+
+    Where an address has more than a byte, one of more than a byte.
+    """
+    high = 0x100 if dialect.addresses[1] > _BYTE else 0
+    return high | (_OTHER_GROUP if own & _BYTE in range(_GROUP - 2, _GROUP + 3) else _GROUP)
+
+
+def join(probe: Probe) -> int:
+    """Put the drive into a group and return its address."""
+    group = group_of(probe.dialect, probe.address)
+    probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": group})
+    return group
+
+
+def _join_high(probe: Probe) -> int:
+    last = probe.dialect.addresses[1]
+    # A byte's highest values begin frames. Of identifiers the highest is like any other.
+    group = _HIGH_GROUP if last <= _BYTE else last - (probe.address == last)
+    probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": group})
+    return group
+
+
+def _address_section(case: Case) -> str:
+    command = case.dialect.by_verb.get(Verb.SET_ADDRESS)
+    return described_in(Subject.ADDRESSING)(case) if command is None else command.section
+
+
+_BROADCAST = _Many("broadcast", "a broadcast", _all_drives, _address_section)
+_GROUPS = _Many(
+    "group",
+    "a group address",
+    join,
+    lambda case: case.dialect.by_verb[Verb.SET_GROUP_ADDRESS].section,
+    ("group_address",),
+    (Doubt.ADDRESSING,),
+    Verb.SET_GROUP_ADDRESS,
+)
+
+
+_HIGH_GROUPS = replace(_GROUPS, name="group/high", what="a high group address", join=_join_high)
+
+
+def _addresses(dialect: Dialect) -> Iterator[_Many]:
+    if dialect.broadcast is not None:
+        yield _BROADCAST
+    if Verb.SET_GROUP_ADDRESS in dialect.by_verb:
+        yield _GROUPS
+
+
+def _of(many: _Many) -> Cases:
+    """Return one case of an address of several drives, where a dialect has it."""
+    return lambda dialect: [Case(dialect, given={"many": many, "what": many.what})] if many in _addresses(dialect) else []
+
+
+def _addressing(refuted_by: str, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Declare a check that sends to several drives; what that needs is named for it."""
+
+    def risks(case: Case) -> frozenset[Risk]:
+        many: _Many = case["many"]
+        return many.risks(case.dialect) | (case["shown"].risks if "shown" in case.given else frozenset())
+
+    def settings(case: Case) -> tuple[str, ...]:
+        return (*(case["shown"].settings if "shown" in case.given else ()), *case["many"].settings)
+
+    return claim(
+        Theme.ADDRESSING,
+        each=each,
+        refuted_by=refuted_by,
+        section=lambda case: case["many"].section(case),
+        rests_on=lambda case: case["many"].rests_on,
+        risks=risks,
+        settings=settings,
+        alone=True,
+        parameters={},
+        **facts,
+    )
+
+
+def _expect_silence(probe: Probe, sent: Exchange, what: str) -> None:
+    expect_silence(probe, sent, f"{what} is answered")
+
+
+# --- reads ------------------------------------------------------------------------------------------------------------
+
+
+def _samples(dialect: Dialect) -> list[Command]:
+    return [c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.fields][:4]
+
+
+@_addressing("any answer", _of(_BROADCAST), name="{many}/read")
+def _broadcast_read(probe: Probe, many: _Many) -> None:
+    """A read by broadcast is not answered."""
+    ask_first(probe)
+    for command in _samples(probe.dialect):
+        sent = probe.send(probe.build(command, address=many.join(probe)).item())
+        _expect_silence(probe, sent, many.what)
+
+
+@_addressing("silence, or another answer", _of(_BROADCAST), name="{many}/next")
+def _behind_broadcast(probe: Probe, many: _Many) -> None:
+    """The next request to the drive behind a broadcast is answered."""
+    ask_first(probe)
+    judge_next(probe, many.what, lambda: read_of(probe, many.join(probe)))
+
+
+@_addressing("any answer", _of(_GROUPS), name="{many}/read")
+def _group_read(probe: Probe, many: _Many) -> None:
+    """A read to the group address is not answered."""
+    ask_first(probe)
+    _expect_silence(probe, read_of(probe, many.join(probe)), many.what)
+
+
+@_addressing("silence, or another answer", _of(_GROUPS), name="{many}/own")
+def _own_address(probe: Probe, many: _Many) -> None:
+    """A drive in a group still answers its own address."""
+    ask_first(probe)
+    many.join(probe)
+    tries = [probe.ask(plain_read(probe.dialect)) for _ in range(2)]
+    probe.expect(
+        received_text(tries[-1]),
+        holds=any(is_answered(each) for each in tries),
+        expected=f"a reply to {hex_of(tries[-1].sent or b'')}",
+        refutes="a drive in a group no longer answers its own address",
+        exchange=tries[-1],
+    )
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
+
+
+def _changes(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with the effect of a motion and of a setting."""
+    for many in _addresses(dialect):
+        for name, shown in (
+            (many.name, effects.observable(dialect)),
+            (f"{many.name}/setting", effects.observable_setting(dialect)),
+        ):
+            if shown is not None:
+                yield Case(dialect, given={"many": many, "what": many.what, "kind": name, "shown": shown})
+
+
+def _changes_and_high_groups(dialect: Dialect) -> Iterator[Case]:
+    yield from _changes(dialect)
+    for case in _group_changes(dialect):
+        yield Case(dialect, given={**case.given, "many": _HIGH_GROUPS, "what": _HIGH_GROUPS.what, "kind": _HIGH_GROUPS.name})
+
+
+@_addressing("no effect of it", _changes_and_high_groups, name="{kind}/executed")
+def _executed(probe: Probe, many: _Many, shown: Observable) -> None:
+    """A command by {what} is executed."""
+    shown.prepare(probe)
+    to = many.join(probe)
+    change = shown.change(probe)
+    sent = send_to(probe, to, change, shown.settle_ns)
+    done = shown.done(probe, change)
+    if not done:
+        shown.control(probe)
+    probe.expect(
+        f"{change.before} is read",
+        holds=done,
+        expected=f"{change.after} to be read after {hex_of(sent.sent or b'')}",
+        refutes=f"{change.command.name} by {many.what} is not executed",
+        exchange=sent,
+        key=f"{many.what} is not executed",
+    )
+
+
+@_addressing("any answer", _changes, name="{kind}/silent")
+def _silent(probe: Probe, many: _Many, shown: Observable) -> None:
+    """A command by {what} is not answered, neither when it begins nor when it is done."""
+    shown.prepare(probe)
+    to = many.join(probe)
+    _expect_silence(probe, send_to(probe, to, shown.change(probe), shown.settle_ns), many.what)
+
+
+def _motions(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with each motion and its stops."""
+    for many in _addresses(dialect):
+        for run in dialect.motions(MotionKind.RUN, *MOVES):
+            for stop in dialect.stops_of(run):
+                risks = many.risks(dialect) | motion.risks(dialect, *run.all_risks)
+                settings = (*motion.settings(dialect), *many.settings)
+                given = {"many": many, "what": many.what, "run": run, "stop": stop}
+                yield Case(dialect, given=given, facts={"risks": risks, "settings": settings})
+
+
+@_addressing("a shaft that stands, or one that turns on", _motions, name="{many}/{run}/{stop}")
+def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> None:
+    """{run} by {what} turns the shaft, {stop} by it lets it stand, and neither is answered, then or at its end."""
+    motion.prepare(probe, run)
+    to = many.join(probe)
+    # By its ramp the shaft would go on for 0.15 s.
+    ramp_of = {"acceleration": _HALTED_RAMP} if motion.of(run).acceleration else {}
+    values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run), **ramp_of)
+    begun = probe.send(probe.build(run, values, address=to).item(), timeout_ns=_RISES_NS if ramp_of else _TURNS_NS)
+    text = f"{run.name} by {many.what} does not turn the shaft"
+    probe.expect(abs(motion.turning(probe).value), at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
+    at_once = motion.of(stop).acceleration or stop.verb is Verb.EMERGENCY_STOP
+    how = {"acceleration": 0} if motion.of(stop).acceleration else {}
+    ended = probe.send(probe.build(stop, how, address=to).item(), timeout_ns=_HALTS_NS if at_once else _TURNS_NS)
+    text = f"{stop.name} by {many.what} does not stop the shaft"
+    if at_once:
+        # A shaft that settles swings behind a halt.
+        probe.wait(_LOOK_NS if probe.noise.live else 0)
+        halted = motion.position(probe).value
+        probe.wait(_LOOK_NS)
+        went, most = abs(motion.position(probe).value - halted), motion.same(probe) + probe.noise.swing
+        expected = "a shaft that stands at once"
+        probe.expect(went, at_most=most, unit="degrees", expected=expected, refutes=text, exchange=ended)
+    expect_standing(probe, ended, text)
+    for sent in (begun, ended):
+        _expect_silence(probe, sent, many.what)
+    if many is _GROUPS and stop is probe.dialect.stops_of(run)[0]:
+        own = probe.ask(run, motion.values_of(probe.dialect, run, 36, start=motion.place(probe, run)))
+        motion.stand_still(probe)
+        text = f"a drive in a group no longer answers {run.name} to its own address"
+        probe.expect(received_text(own), holds=not own.silent, expected="a reply", refutes=text, exchange=own)
+
+
+def _ramped(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with a run and a move whose ramp is known."""
+    chosen = dialect.motions(MotionKind.RUN, *MOVES)[:2] if dialect.ramp is not None else ()
+    for many in _addresses(dialect) if chosen else ():
+        risks = many.risks(dialect) | motion.risks(dialect, *(risk for command in chosen for risk in command.all_risks))
+        facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
+        yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
+
+
+@_addressing("another speed", _ramped, name="{many}/as-sent")
+def _as_sent(probe: Probe, many: _Many, chosen: tuple[Command, ...]) -> None:
+    """Motion by {what} keeps to the ramp that is sent: at its begin, and at the end of a run."""
+    for command in chosen:
+        motion.prepare(probe, command)
+        to = many.join(probe)
+        runs = motion.of(command).kind is MotionKind.RUN
+        how: dict[str, Any] = {"rpm": -motion.CALM if runs else motion.CALM, "acceleration": _RAMP}
+        values = motion.values_of(probe.dialect, command, -_WAY, start=motion.place(probe, command), **how)
+        _expect_on_ramp(probe, probe.build(command, values, address=to).item(), 0, f"{command.name} by {many.what}")
+        if runs:
+            probe.wait(STEP_NS)
+            stop = probe.dialect.stops_of(command)[0]
+            ended = probe.build(stop, {"acceleration": _RAMP}, address=to).item()
+            _expect_on_ramp(probe, ended, motion.CALM, f"{stop.name} by {many.what}")
+        motion.stand_still(probe)
+
+
+#: A ramp of 5 ms for a rpm; a way of whole pulses on which a move has its speed for a while; when the ramp is looked at.
+_RAMP, _WAY, _ON_RAMP_NS = 156, 144, 110_000_000
+#: By how much a speed on its way may be off the law (rpm).
+_BESIDE = 15
+
+
+def _expect_on_ramp(probe: Probe, item: Item, first: int, what: str) -> None:
+    sent = probe.send(item, timeout_ns=_ON_RAMP_NS)
+    seen = motion.speed(probe)
+    gone = min(motion.CALM, (seen.t_ns - sent.sent_ns) / ramp.step_ns(_RAMP))
+    text = f"{what} does not keep to the acceleration that was sent"
+    within = _BESIDE + seen.spread_ns / ramp.step_ns(_RAMP)
+    probe.expect(abs(seen.value), near=abs(first - gone), within=within, unit="rpm", refutes=text, exchange=sent)
+
+
+def _group_changes(dialect: Dialect) -> Iterator[Case]:
+    return (case for case in _changes(dialect) if case["kind"] == _GROUPS.name)
+
+
+@_addressing("an answer, or an effect of it", _group_changes, name="{many}/other")
+def _other_group(probe: Probe, many: _Many, shown: Observable) -> None:
+    """A command to another group address than the drive's is neither executed nor answered."""
+    shown.prepare(probe)
+    group = many.join(probe)
+    change = shown.change(probe)
+    for address in (group + 1, group - 1, *((group & _BYTE,) if group > _BYTE else ())):
+        sent = send_to(probe, address, change, shown.settle_ns)
+        probe.expect(
+            received_text(sent) if not sent.silent else "it is executed",
+            holds=sent.silent and not shown.done(probe, change),
+            expected=f"no answer and no effect of {hex_of(sent.sent or b'')}",
+            refutes=f"the group {address} is heard, and the drive is in {group}",
+            exchange=sent,
+            key="another group is heard",
+        )
+    shown.control(probe)
+
+
+def _switches(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with what switches, homes and sets the zero."""
+    for many in _addresses(dialect):
+        for case in guarded.switches(dialect):
+            risks = many.risks(dialect) | guarded.risks(case)
+            facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
+            given = {"many": many, "what": many.what, "switch": case.command, "shown": case["guarded"]}
+            yield Case(dialect, given=given, facts=facts)
+
+
+@_addressing("no effect of it, or an answer", _switches, name="{many}/{switch}")
+def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded.Guarded) -> None:
+    """{switch} by {what} is executed, and not answered."""
+    shown.ready(probe)
+    to = many.join(probe)
+    values = shown.values(probe, switch)
+    before = shown.see(probe)
+    sent = probe.send(probe.build(switch, values, address=to).item(), timeout_ns=STEP_NS)
+    after = shown.see(probe)
+    guarded.leave(probe, shown)
+    text = f"{switch.name} by {many.what} is not executed"
+    holds = abs(after - before) > shown.within
+    probe.expect(f"{after:g}", holds=holds, expected=f"another value than {before:g}", refutes=text, exchange=sent)
+    _expect_silence(probe, sent, many.what)
+
+
+def _whatever_happens(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with what is refused while the motor is off, and a restart."""
+    for many in _addresses(dialect) if motion.can_move(dialect) else ():
+        chosen = (*dialect.motions(MotionKind.RUN, *MOVES), *(c for v in _LAST if (c := dialect.by_verb.get(v)) is not None))
+        risks = motion.risks(dialect, Risk.TORQUE, *many.risks(dialect).union(*(c.all_risks for c in chosen)) - {Risk.UNKNOWN})
+        facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
+        yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
+
+
+@_addressing("any answer", _whatever_happens, name="{many}/outcomes")
+def _never_answered(probe: Probe, many: _Many, chosen: tuple[Command, ...]) -> None:
+    """Nothing by {what} is answered: no read, no motion of a motor that is off, and no restart."""
+    motion.ready_to_move(probe)
+    to = many.join(probe)
+    for read, values in every_read(probe.dialect):
+        _expect_silence(probe, probe.ask(read, values, address=to, until=Until.TIMEOUT, timeout_ns=_SETTING_NS), many.what)
+    motion.switch(probe, False)
+    for command in chosen:
+        if command.verb in _LAST:
+            motion.switch(probe, True)
+        # What moves turns nothing, or a tenth of a turn: a motor that is off may run all the same.
+        start = motion.place(probe, command) if command.motion is not None else 0
+        values = motion.values_of(probe.dialect, command, 36, start=start) if command.motion is not None else {}
+        sent = probe.ask(command, values, address=to, until=Until.TIMEOUT, timeout_ns=probe.rig.silence_ns)
+        if command.verb in _LAST:
+            restarts.wait_for_answer(probe)
+        elif not sent.silent:
+            motion.stand_still(probe)
+            motion.switch(probe, True)
+        _expect_silence(probe, sent, many.what)
+
+
+# --- settings ---------------------------------------------------------------------------------------------------------
+
+
+def _readable_settings(dialect: Dialect) -> Iterator[Case]:
+    """Yield each address of several drives with the settings that can be read."""
+    own = [c for c in dialect.commands if c.readable and not changes_link(c) and c.verb not in _OF_REPLIES]
+    for many in _addresses(dialect):
+        needed = [edges.needs(dialect, c, [differing(c.request_forms[0])[0]]) for c in own]
+        facts = {
+            "risks": many.risks(dialect).union(*(each["risks"] for each in needed)),
+            "settings": (*many.settings, *(name for each in needed for name in each["settings"])),
+        }
+        if own:
+            yield Case(dialect, given={"many": many, "what": many.what, "chosen": own}, facts=facts)
+
+
+@_addressing("a setting that stays as it was, or an answer", _readable_settings, name="{many}/settings")
+def _settings(probe: Probe, many: _Many, chosen: list[Command]) -> None:
+    """Settings by {what} are stored, and not answered."""
+    to = many.join(probe)
+    if Verb.SET_WORK_MODE in probe.dialect.by_verb:
+        # Some settings are refused in a pulse mode.
+        mode = probe.command(Verb.SET_WORK_MODE)
+        probe.ask(mode, {"work_mode": motion.choice(mode, "work_mode", motion.bus_modes(probe.dialect)[-1])})
+    for command in chosen:
+        before, _ = setting_effects.stored(probe, command)
+        values = next(v for v in differing(command.request_forms[0]) if v != before)
+        sent = probe.ask(command, values, address=to, until=Until.TIMEOUT, timeout_ns=_SETTING_NS)
+        _expect_silence(probe, sent, many.what)
+        after, _ = setting_effects.stored(probe, command)
+        text = f"{command.name} by {many.what} is not stored"
+        probe.expect(after, equal={n: values[n] for n in after}, refutes=text, exchange=sent)

@@ -1,0 +1,1 @@
+"""Claims about motions in which any two conditions meet."""

@@ -1,0 +1,500 @@
+"""Each motion over each other one and over itself: the same way and round, with one field changed alone and with several.
+
+    older command x newer command x same way or round      all of them
+    newer command x its acceleration x same way or round   all of them
+    speed kept or changed, a target that is zero           with any of those; all where a command takes over from itself
+
+Rules kept here:
+- A row takes a third of a second: the newer motion comes while the older one is at its speed, far from its end.
+- The shaft is looked at once on its ramp, too: that has the acceleration of the newer motion.
+- The zero is set where the rows begin, and those whose target is 0 come first: it is near then.
+- A move to a place is judged by its place, one by a distance by where the shaft surely was when it came.
+- Which way a direction or a sign turns the shaft is the drive's own word: that of the older motions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from conformance.claim import Inconclusive
+from conformance.claims.crossed.course import motions_of
+from conformance.claims.declare import Case
+from conformance.claims.motion import homing
+from conformance.claims.motion.motion_claim import expect_speed, of_motion
+from conformance.claims.motion.told import expect_states, states
+from conformance.model import covering
+from conformance.motion import course, motion, ramp
+from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
+from conformance.talk import settings
+from conformance.talk.exchange import Exchange
+from conformance.talk.noise import CLOCK_SHARE
+from conformance.talk.probe import Probe
+
+#: Other speeds than that of the older motion; its way, which the rows do not come to, and that of the newer move (degrees),
+#: with what it goes too far on the way round.
+_OTHER, _LOWER, _FAR, _NEAR, _SPARE = 90, 30, 720, 30, 18
+#: From the older command to the newer one; until a run has its speed, or a move has surely got going.
+_GOING_NS, _RUNS_NS = 80 * MS, 110 * MS
+#: What a shaft may lag behind a command.
+_LAG_NS = 10 * MS
+#: The accelerations of newer motions: a quick one as that of the older one, none, and a slow one, by which a move goes farther.
+_AT_ONCE, _SLOW, _SLOWLY = 0, 206, 150
+#: When a shaft is looked at on its ramp.
+_ON_RAMP_NS = 60 * MS
+
+
+class Row(NamedTuple):
+    """A motion and the newer one. `way`: of the older one; `turn`: 1 the same way, -1 round; `zero`: the target is 0.
+
+    `acceleration`: of the newer one, as sent.
+    """
+
+    older: str
+    command: str
+    way: int
+    turn: int
+    rpm: int
+    zero: bool
+    acceleration: int
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        way, same = "a positive" if self.way > 0 else "a negative", "the same way" if self.turn > 0 else "the other way"
+        target = ", to 0" if self.zero else ""
+        newer = f"{self.command} {same} at {self.rpm} rpm{target}, acceleration {self.acceleration}"
+        return f"over {self.older} {way} way at {CALM} rpm: {newer}"
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A row that was tried. `start`, `before`, `on_ramp`, `end`: where the shaft was: first, at the newer command, then, last.
+
+    `wanted`: by how many degrees from the zero, or from where it was, the newer move was to go. `seen`: the speed of a run.
+    """
+
+    row: Row
+    newer: Exchange
+    refused: bool
+    zero: float
+    start: Sample
+    before: Sample
+    on_ramp: Sample | None
+    wanted: float
+    seen: Sample | None
+    end: Sample | None
+
+    @property
+    def sense(self) -> int:
+        """Return 1 where the older motion of a positive way raised the position, -1 where it lowered it, 0 for no motion."""
+        went = (self.before.value - self.start.value) * self.row.way
+        return 0 if abs(went) < 1 + self.before.noise else 1 if went > 0 else -1
+
+
+def table(dialect: Dialect) -> tuple[Row, ...]:
+    """Return the rows of all motions."""
+    known = {command.name: command for command in motions_of(dialect)}
+    factors = {
+        "older": tuple(known),
+        "command": tuple(known),
+        "way": (1, -1),
+        "turn": (1, -1),
+        "rpm": (CALM, _OTHER),
+        "zero": (False, True),
+        "acceleration": (QUICK, _SLOW, _AT_ONCE),
+    }
+    found = covering.rows(
+        factors,
+        # Behind a shaft that went away from it.
+        lambda command, turn, zero: not zero or (turn < 0 and motion.of(known[command]).kind is MotionKind.MOVE_TO),
+        lambda zero, acceleration: not zero or acceleration == QUICK,
+        together=[
+            ("older", "command", "turn"),
+            ("older", "command", "zero"),
+            ("older", "command", "rpm"),
+            ("command", "turn", "acceleration"),
+        ],
+    )
+    rows = {Row(**row) for row in found}
+    # Over itself each field is changed alone, too, and the speed is lowered: a drive may take up higher ones alone.
+    for rpm in (CALM, _LOWER):
+        rows |= {Row(name, name, way, turn, rpm, False, QUICK) for name in known for way in (1, -1) for turn in (1, -1)}
+    return tuple(sorted(rows, key=lambda row: (not row.zero, row)))
+
+
+def taken_over(probe: Probe) -> tuple[Tried, ...]:
+    """Carry out all rows and return what was seen."""
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    motion.stand_still(probe)
+    # One that turns some motions round and not others would make other rows of the table.
+    settings.to_defaults(probe, "motor_direction")
+    probe.do(Verb.SET_ZERO)
+    zero = rest = motion.position(probe)
+    found = []
+    for row in table(probe.dialect):
+        found.append(_try(probe, row, zero.value, rest))
+        rest = found[-1].end or motion.stand_still(probe)
+    return tuple(found)
+
+
+def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
+    commands = {command.name: command for command in motions_of(probe.dialect)}
+    older, newer = commands[row.older], commands[row.command]
+    begins = {command.name: motion.place(probe, command) for command in (older, newer)}
+    _begin(probe, older, row.way * _FAR, row.way * CALM, begins[older.name])
+    probe.wait(_GOING_NS)
+    before = motion.position(probe)
+    way = row.way * row.turn
+    near = _SLOWLY if row.acceleration == _SLOW else _NEAR
+    degrees = 0 if row.zero else way * near
+    exchange = _begin(probe, newer, degrees, way * row.rpm, 0 if row.zero else begins[newer.name], row.acceleration)
+    refused = not exchange.is_read or probe.refused(exchange)
+    seen = end = on_ramp = None
+    if not refused and not row.zero:
+        probe.wait(exchange.sent_ns + _ON_RAMP_NS - probe.gate.now_ns())
+        on_ramp = motion.position(probe)
+    change_ns = ramp.ramp_ns(0, CALM + row.rpm, row.acceleration) if row.acceleration == _SLOW else 0
+    if motion.of(newer).kind is MotionKind.RUN:
+        probe.wait(exchange.sent_ns + _RUNS_NS + int(change_ns) - probe.gate.now_ns())
+        seen = motion.speed(probe)
+    elif not refused:
+        # What is told at its end is not asked into.
+        # A reply that was lost or late let the older motion go on.
+        since = max(0.0, (exchange.sent_ns - before.t_ns + before.spread_ns) / SECOND_NS * CALM * 6)
+        back = 0 if row.turn > 0 else abs(before.value - start.value)
+        far = since + (abs(before.value - zero) if row.zero else near + back)
+        lasts_ns = int((far + _SPARE) / 6 / row.rpm * (1 + CLOCK_SHARE) * SECOND_NS + 2 * change_ns)
+        probe.wait(exchange.sent_ns + lasts_ns - probe.gate.now_ns())
+        end = _rest(probe)
+    return Tried(row, exchange, refused, zero, start, before, on_ramp, degrees, seen, end)
+
+
+def _begin(probe: Probe, command: Command, degrees: float, rpm: int, start: int, acceleration: int = QUICK) -> Exchange:
+    rpm = rpm if motion.of(command).kind is MotionKind.RUN else abs(rpm)
+    return motion.ask(probe, command, degrees, rpm=rpm, acceleration=acceleration, start=start, quiet_ns=0)
+
+
+def _rest(probe: Probe) -> Sample:
+    """Return where a move came to rest; a shaft that still turns is stopped, and is nowhere near."""
+    if abs(motion.speed(probe).value) < CALM / 2:
+        return motion.wait_standing(probe)
+    return motion.stand_still(probe)
+
+
+def _cases(dialect: Dialect) -> Iterator[Case]:
+    every = motions_of(dialect)
+    if Verb.SET_ZERO not in dialect.by_verb:
+        return
+    risks = frozenset[Risk]().union(*(c.all_risks for c in every), dialect.by_verb[Verb.SET_ZERO].all_risks)
+    for command in every:
+        # What becomes of the rest of the older way no manual says.
+        certainty = Certainty.OPEN if command.verb is Verb.MOVE_RELATIVE_AXIS else Certainty.LIKELY
+        facts = {"risks": motion.risks(dialect, *risks, Risk.UNBOUNDED), "at_best": certainty}
+        told = any(c.verb is Verb.SET_DIRECTION and c.readable for c in dialect.commands)
+        facts |= {"settings": motion.settings(dialect, *(("motor_direction",) if told else ()))}
+        yield Case(dialect, command, facts=facts)
+
+
+@of_motion(each=_cases, name="{command}/takes-over", refuted_by="a shaft that goes on as before, or elsewhere, or a refusal")
+def _takes_over(probe: Probe, command: Command) -> None:
+    """{command} takes over from each motion, itself too: the same way and round, at the same speed and another one."""
+    every = probe.recorded(taken_over)
+    senses = {tried.row.older: tried.sense for tried in every if tried.sense}
+    for tried in (tried for tried in every if tried.row.command == command.name and tried.sense):
+        text = f"{command.name} does not take over from another motion"
+        probe.expect(
+            "a refusal or no answer",
+            holds=not tried.refused or not tried.newer.is_read,
+            expected=f"motion: {tried.row}",
+            refutes=text,
+            exchange=tried.newer,
+            key=text,
+        )
+        sense = senses.get(command.name, 0)
+        if tried.refused or not sense:
+            continue
+        _expect_ramp(probe, tried, sense)
+        if tried.seen is not None:
+            wanted = sense * tried.row.way * tried.row.turn * tried.row.rpm
+            got, within, unit = tried.seen.value, 2 + abs(wanted) * 2 * CLOCK_SHARE + tried.seen.noise, "rpm"
+            low = high = float(wanted)
+        elif tried.end is not None:
+            low, high = _ends(tried, sense)
+            got, within, unit = tried.end.value, motion.miss(probe) + 1, "degrees"
+        else:
+            continue
+        probe.expect(
+            got,
+            at_least=low - within,
+            at_most=high + within,
+            unit=unit,
+            expected=f"{low - within:.5g} to {high + within:.5g} {unit}: {tried.row}",
+            refutes=text,
+            exchange=tried.newer,
+            key=text,
+        )
+
+
+def _expect_ramp(probe: Probe, tried: Tried, sense: int) -> None:
+    """Refute where the shaft is not where the newer motion's own acceleration leads it, from the older one's speed."""
+    reply, row, seen = tried.newer.reply, tried.row, tried.on_ramp
+    assert reply is not None  # it was taken
+    if seen is None:
+        return
+    first, last = tried.sense * row.way * CALM, sense * row.way * row.turn * row.rpm
+    on, slack_ns = course.run(first, last, row.acceleration), ramp.slack_ns(row.acceleration)
+    # Where it ends, from the look before it; a move by a distance from where the shaft was then.
+    to_place = _kind(tried) is MotionKind.MOVE_TO
+    goal = sense * tried.wanted + (tried.start.value - tried.before.value if to_place else 0.0)
+    places, left = [], []
+    # It is taken up at some time between the begin of the request and that of the reply, or a little later.
+    for taken_ns in (tried.newer.sent_ns, reply.first_ns + _LAG_NS):
+        before_ns = taken_ns - tried.before.t_ns
+        until_ns = seen.t_ns - taken_ns
+        for away_ns in (-tried.before.spread_ns, tried.before.spread_ns):
+            span = ((until_ns - seen.spread_ns - slack_ns) / (1 + ramp.SLOW_QUIRK), (until_ns + seen.spread_ns + slack_ns))
+            went = first * (before_ns + away_ns) / ramp.MINUTE_NS
+            for turns in on.turns(span[0], span[1] / (1 - CLOCK_SHARE)):
+                places.append((went + turns) * 360)
+                left.append(math.copysign(1, last) * (goal - (places[-1] if to_place else turns * 360)))
+    if _kind(tried) is not MotionKind.RUN and min(left) < _SPARE + 360 * abs(ramp.ramp_turns(0, last, row.acceleration)):
+        # It slows down to its end already.
+        return
+    within = probe.noise.swing + probe.noise.place + 1
+    low, high = min(places) - within, max(places) + within
+    text = f"{row.command} that takes over from another motion does not go by its own acceleration"
+    probe.expect(
+        seen.value - tried.before.value,
+        at_least=low,
+        at_most=high,
+        unit="degrees",
+        expected=f"{low:.4g} to {high:.4g} degrees, {_ON_RAMP_NS // MS} ms on: {row}",
+        refutes=text,
+        exchange=tried.newer,
+        key=text,
+    )
+
+
+def _kind(tried: Tried) -> MotionKind:
+    assert tried.newer.command is not None  # it was asked for
+    return motion.of(tried.newer.command).kind
+
+
+def _ends(tried: Tried, sense: int) -> tuple[float, float]:
+    """Return between which places a newer move ends, in degrees."""
+    if _kind(tried) is MotionKind.MOVE_TO:
+        place = tried.zero if tried.row.zero else tried.start.value + sense * tried.wanted
+        return place, place
+    # By a distance, from where the shaft was when the newer one was taken.
+    reply = tried.newer.reply
+    assert reply is not None  # it was taken
+    way = tried.sense * tried.row.way
+    went = (
+        way * CALM * 6 * (1 + CLOCK_SHARE) * (reply.first_ns + _LAG_NS - tried.before.t_ns + tried.before.spread_ns) / SECOND_NS
+    )
+    low, high = sorted((tried.before.value, tried.before.value + went))
+    return low + sense * tried.wanted - 2, high + sense * tried.wanted + 2
+
+
+@of_motion(
+    each=_cases, name="{command}/again-and-again", refuted_by="a shaft that goes where an older one led it, or at its speed"
+)
+def _again_and_again(probe: Probe, command: Command) -> None:
+    """Many {command} follow one another, each before the last is done: the newest holds."""
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    start, begin, before = motion.wait_standing(probe), motion.place(probe, command), states(probe)
+    for degrees, rpm in _UPDATES:
+        exchange = _begin(probe, command, degrees, rpm, begin)
+        probe.wait(_GOING_NS)
+    text = f"the last of many {command.name} does not hold"
+    last, speed = _UPDATES[-1]
+    seen, at = motion.speed(probe), motion.position(probe)
+    if motion.of(command).kind is MotionKind.MOVE_TO:
+        lasts_ns = int((sum(abs(degrees) for degrees, _ in _UPDATES) + _SPARE) / 6 / speed * SECOND_NS)
+        went, within = motion.wait_standing(probe, limit_ns=lasts_ns + SECOND_NS).value - start.value, motion.miss(probe) + 1
+        probe.expect(abs(went), near=last, within=within, unit="degrees", refutes=text, exchange=exchange)
+    else:
+        # Where a run or a move by a distance ends says nothing of the older ones.
+        motion.stand_still(probe)
+    expect_states(probe, before, f"behind many {command.name}")
+    if motion.of(command).kind is MotionKind.MOVE_TO and last - abs(at.value - start.value) < _ENDS:
+        raise Inconclusive("the drive answers so late that the shaft is at its end when its speed is looked at")
+    expect_speed(seen, speed, exchange, f"{text}: its speed", share=2 * CLOCK_SHARE)
+
+
+#: Where each of them leads (degrees from where the first one began), and how fast (rpm): a shaft that keeps the highest
+#: speed is not at the end either when its speed is looked at.
+_UPDATES = ((700, 60), (750, 110), (680, 70), (710, 40), (660, 90))
+#: So far before its end a shaft may slow down, in degrees.
+_ENDS = 15
+
+
+# --- homing over a motion -----------------------------------------------------------------------------------------------
+
+#: At what speed homing turns, which is that of no older motion, and how long a shaft is looked at that homes.
+_HOME_RPM, _HOMES_NS = 120, 60 * MS
+#: By how much a speed of homing is above that of its mode (rpm).
+_ABOVE_MODE = 200
+
+
+def _homes(dialect: Dialect) -> Iterator[Case]:
+    if Verb.HOME in dialect.by_verb and Verb.SET_HOME in dialect.by_verb and motions_of(dialect):
+        home, sets = dialect.by_verb[Verb.HOME], [dialect.by_verb.get(v) for v in (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME)]
+        known = [command for command in sets if command is not None]
+        risks = frozenset[Risk]().union(*(c.all_risks for c in (home, *known, *motions_of(dialect)))) - {Risk.UNKNOWN}
+        names = dict.fromkeys(name for c in known for name in c.request_forms[0].layout.named)
+        facts = {
+            "risks": motion.risks(dialect, *risks, Risk.UNBOUNDED, Risk.TORQUE),
+            "settings": motion.settings(dialect, *names),
+        }
+        yield Case(dialect, home, facts=facts | {"parameters": {}})
+
+
+@of_motion(
+    each=_homes,
+    name="{command}/takes-over",
+    refuted_by="a shaft that goes on as before, or a refusal",
+    at_best=Certainty.LIKELY,
+)
+def _home_takes_over(probe: Probe, command: Command) -> None:
+    """Homing takes over from each motion, either way: the shaft turns at the speed of homing, and F1 says so."""
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    homing.set_home(probe, home_speed=_HOME_RPM)
+    every = motions_of(probe.dialect)
+    both = [(run, way) for run in every for way in (1, -1) if motion.of(run).kind is MotionKind.RUN]
+    for older, way in (
+        *both,
+        *((move, (-1) ** n) for n, move in enumerate(every) if motion.of(move).kind is not MotionKind.RUN),
+    ):
+        begin = motion.place(probe, older)
+        _begin(probe, older, way * _FAR, way * CALM, begin)
+        probe.wait(_GOING_NS)
+        exchange = probe.ask(command, quiet_ns=0)
+        text, shown = f"{command.name} does not take over from another motion", f"over {older.name}, {'+' if way > 0 else '-'}"
+        told: dict[str, Any] = {"refutes": text, "exchange": exchange, "key": text}
+        refused = not exchange.is_read or probe.refused(exchange)
+        probe.wait(exchange.sent_ns + _RUNS_NS - probe.gate.now_ns())
+        first = motion.position(probe)
+        status = probe.read(Verb.READ_STATUS, "status") if Verb.READ_STATUS in probe.dialect.by_verb else homing.HOMING
+        probe.wait(int(first.t_ns) + _HOMES_NS - probe.gate.now_ns())
+        rpm, spread = motion.speed_between(first, motion.position(probe))
+        probe.ask(Verb.EMERGENCY_STOP)
+        motion.wait_standing(probe)
+        probe.expect("a refusal or no answer", holds=not refused, expected=f"homing, {shown}", **told)
+        within = _HOME_RPM * 2 * CLOCK_SHARE + spread + 2
+        probe.expect(abs(rpm), near=_HOME_RPM, within=within, unit="rpm", expected=f"{_HOME_RPM} rpm, {shown}", **told)
+        probe.expect(f"status {status}", holds=status == homing.HOMING, expected=f"status {homing.HOMING}, {shown}", **told)
+
+
+def _turning_homes(dialect: Dialect) -> Iterator[Case]:
+    return (Case(case.dialect, case.command, {}, case.facts) for case in _homes(dialect))
+
+
+@of_motion(each=_turning_homes, name="{command}/turns", refuted_by="another way or another speed", at_best=Certainty.LIKELY)
+def _home_turns(probe: Probe, command: Command) -> None:
+    """Homing turns the shaft at its speed and by its direction in each mode, with and without a switch, at each subdivision."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    law = probe.dialect.subdivision
+    assert law is not None  # it homes by a speed as sent
+    sense = 0.0
+    factors = {
+        "mode": tuple(reversed(motion.bus_modes(probe.dialect))),
+        "direction": (0, 1),
+        "home_mode": (0, 1),
+        "subdivision": (motion.SUBDIVISION, 8),
+    }
+    for row in covering.rows(factors):
+        motion.ready_to_move(probe, row["mode"], subdivision=row["subdivision"])
+        homing.set_home(
+            probe, home_speed=_HOME_RPM, home_direction=row["direction"], home_mode=row["home_mode"], return_angle=0
+        )
+        begun = probe.ask(command, quiet_ns=0)
+        probe.wait(begun.sent_ns + _RUNS_NS - probe.gate.now_ns())
+        first = motion.position(probe)
+        probe.wait(int(first.t_ns) + _HOMES_NS - probe.gate.now_ns())
+        rpm, spread = motion.speed_between(first, motion.position(probe))
+        probe.ask(Verb.EMERGENCY_STOP)
+        motion.wait_standing(probe)
+        shown = ", ".join(f"{name} {value}" for name, value in row.items())
+        text = "homing turns another way or at another speed in one condition"
+        real = _HOME_RPM if row["subdivision"] in law.plain else _HOME_RPM * law.counted_at / row["subdivision"]
+        # Which way clockwise is, is the drive's own word: that of the first row.
+        way = 1 if row["direction"] == 0 else -1
+        sense = sense or math.copysign(1, rpm * way)
+        wanted = real * sense * way
+        probe.expect(
+            rpm,
+            near=wanted,
+            within=real * 2 * CLOCK_SHARE + spread + 2,
+            unit="rpm",
+            expected=f"{wanted:+g} rpm: {shown}",
+            refutes=text,
+            exchange=begun,
+            key=text,
+        )
+    homing.set_home(probe)
+
+
+def _homes_in_modes(dialect: Dialect) -> Iterator[Case]:
+    return _turning_homes(dialect) if dialect.mode_speeds else iter(())
+
+
+@of_motion(each=_homes_in_modes, name="{command}/within-mode", refuted_by="a shaft that is faster", at_best=Certainty.LIKELY)
+def _home_within_mode(probe: Probe, command: Command) -> None:
+    """Homing turns no faster than the slowest work mode allows, where a higher speed is set."""
+    limits = probe.dialect.mode_speeds
+    mode = min(motion.bus_modes(probe.dialect), key=limits.__getitem__)
+    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
+    homing.set_home(probe, home_speed=limits[mode] + _ABOVE_MODE, home_mode=1, return_angle=0)
+    begun = probe.ask(command, quiet_ns=0)
+    probe.wait(begun.sent_ns + _RUNS_NS - probe.gate.now_ns())
+    first = motion.position(probe)
+    probe.wait(int(first.t_ns) + _HOMES_NS - probe.gate.now_ns())
+    rpm, spread = motion.speed_between(first, motion.position(probe))
+    probe.ask(Verb.EMERGENCY_STOP)
+    motion.wait_standing(probe)
+    homing.set_home(probe)
+    most = limits[mode] * (1 + 2 * CLOCK_SHARE) + spread + 2
+    text = f"homing is faster than {mode} allows"
+    probe.expect(abs(rpm), at_most=most, unit="rpm", refutes=text, exchange=begun)
+
+
+def _ends_of_homing(dialect: Dialect) -> Iterator[Case]:
+    """Yield what ends homing: the emergency stop, and disabling the motor."""
+    for case in _homes(dialect):
+        assert case.command is not None
+        for verb, values in ((Verb.EMERGENCY_STOP, {}), (Verb.ENABLE, {"enabled": 0})):
+            command = dialect.by_verb.get(verb)
+            if command is not None:
+                facts = {**case.facts, "risks": case.facts["risks"] | command.all_risks}
+                yield Case(dialect, command, {"home": case.command, "values": values}, facts)
+
+
+@of_motion(each=_ends_of_homing, name="{command}/ends-{home}", refuted_by="a shaft that goes on", at_best=Certainty.LIKELY)
+def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str, int]) -> None:
+    """{command} ends homing in both directions: the shaft stands, and no success is told."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    for direction in (0, 1):
+        homing.set_home(probe, home_speed=_HOME_RPM, home_direction=direction)
+        first, since = motion.position(probe), len(probe.traffic)
+        begun = probe.ask(home, quiet_ns=0)
+        probe.wait(begun.sent_ns + _RUNS_NS - probe.gate.now_ns())
+        turning = abs(motion.position(probe).value - first.value) > 1 + first.noise
+        exchange = probe.ask(command, values, quiet_ns=0)
+        probe.wait(_HOMES_NS)
+        at = motion.position(probe)
+        probe.wait(_HOMES_NS)
+        went = motion.position(probe).value - at.value
+        motion.stop(probe, 0)
+        motion.switch(probe, True)
+        if not turning:
+            raise Inconclusive("homing does not turn the shaft")
+        most = motion.same(probe) + probe.noise.swing
+        text = f"{command.name} does not end homing"
+        probe.expect(abs(went), at_most=most, unit="degrees", refutes=text, exchange=exchange)
+        told = motion.statuses(probe.traffic[since:], home) if motion.tells_end(probe.dialect) else []
+        text = f"homing that {command.name} ended is told as success"
+        probe.expect(told, holds=homing.HOMED not in told, expected="no 2", refutes=text, exchange=exchange)

@@ -1,0 +1,1 @@
+"""Claims about frames alone: shape, framing, worked examples, traffic."""

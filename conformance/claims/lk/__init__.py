@@ -1,0 +1,1 @@
+"""Claims about what LK motors alone have."""

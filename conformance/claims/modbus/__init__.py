@@ -1,0 +1,1 @@
+"""Claims about Modbus: functions, registers, writes."""

@@ -1,0 +1,217 @@
+"""Switching the motor on and off: what is read of it, what it does to motion, and what it leaves.
+
+Rules kept here:
+- Off ends motion, and on does not take it up again.
+- LK motors answer while they are off, and are on when power comes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from analyzer.link import CanLink
+from conformance.claims.bench import lk_drive
+from conformance.claims.declare import Case, commands
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion.motion_claim import expect_not_turned, expect_taken, of_motion, risks_by
+from conformance.claims.motion.stops import expect_standing, set_going
+from conformance.motion import motion
+from conformance.motion.motion import MOVES, MS, SECOND_NS
+from conformance.talk.probe import Probe
+
+#: Motion that turns the shaft by itself, without a switch to find.
+_TURNING = (MotionKind.RUN, *MOVES)
+_enable, _off, _on = commands(Verb.ENABLE), commands(Verb.MOTOR_OFF), commands(Verb.MOTOR_ON)
+
+
+@of_motion(
+    each=_enable,
+    statement="A motor that was enabled reads as enabled, and one that was disabled as disabled.",
+    refuted_by="the other state, or always the same",
+)
+@of_motion(each=_off, statement="A motor that is off reads state 10h, one that is on 00h.", refuted_by="the other")
+def _is_read(probe: Probe) -> None:
+    motion.ready_to_move(probe)
+    for on in (False, True, False):
+        exchange = motion.switch(probe, on)
+        seen = motion.is_on(probe)
+        names = {False: "off", True: "on", None: "neither on nor off"}
+        text = f"a motor that was switched {names[on]} reads as {names[seen]}"
+        probe.expect(names[seen], equal=names[on], refutes=text, exchange=exchange)
+    motion.switch(probe, True)
+
+
+def _switch_off_going(probe: Probe) -> None:
+    """Switch the motor off on a run, and refute unless that ends it."""
+    set_going(probe, probe.command(Verb.RUN_SPEED))
+    exchange = probe.ask(*motion.switching(probe.dialect, False))
+    expect_taken(probe, exchange, "switching a turning motor off is refused")
+    seen = motion.is_on(probe)
+    text = "a motor that was switched off reads as on while it runs out"
+    probe.expect("on", holds=seen is False, expected="off", refutes=text, exchange=exchange, key="off at once")
+    # Without torque the shaft runs out, and slowly in the end.
+    motion.wait_until(probe, lambda: abs(motion.speed(probe).value) < 1 + probe.noise.rpm, limit_ns=3 * SECOND_NS // 2)
+    probe.wait(SECOND_NS // 2)
+    expect_standing(probe, exchange, "the shaft still turns after the motor was switched off")
+
+
+@of_motion(each=_off, refuted_by="a shaft that is still driven", risks=risks_by(Verb.RUN_SPEED), at_best=Certainty.LIKELY)
+def _ends_motion(probe: Probe) -> None:
+    """Switching the motor off ends a motion, and it reads as off at once."""
+    _switch_off_going(probe)
+
+
+@of_motion(
+    each=_enable,
+    name="{command}/off-ends-motion",
+    statement="Disabling the motor ends a motion, and enabling it does not take the motion up again.",
+    refuted_by="a shaft that is still driven",
+    risks=risks_by(Verb.RUN_SPEED),
+    at_best=Certainty.LIKELY,
+)
+@of_motion(
+    each=_on,
+    statement="Switching the motor on does not take up what was ended.",
+    refuted_by="motion",
+    risks=risks_by(Verb.RUN_SPEED, Verb.MOTOR_OFF),
+    at_best=Certainty.LIKELY,
+)
+def _does_not_resume(probe: Probe) -> None:
+    _switch_off_going(probe)
+    exchange = motion.switch(probe, True)
+    probe.wait(400 * MS)
+    expect_standing(probe, exchange, "switching the motor on takes up the motion again")
+
+
+def _levels_of_pulse_modes(dialect: Dialect) -> Iterator[Case]:
+    """Yield the level of the En pin where the manual says that it is without effect in bus modes."""
+    if isinstance(dialect.link, CanLink):
+        yield from commands(Verb.SET_ENABLE_LEVEL)(dialect)
+
+
+@of_motion(
+    each=_levels_of_pulse_modes,
+    name="{command}/not-in-bus-modes",
+    refuted_by="a motor that the pin enables or disables",
+    at_best=Certainty.LIKELY,
+    settings=("enable_level",),
+    risks=risks_by(Verb.ENABLE),
+)
+def _not_in_bus_modes(probe: Probe, command: Command) -> None:
+    """In a bus mode only the command enables the motor, at any setting of the En pin's level."""
+    motion.ready_to_move(probe)
+    for level in (0, 1, 2):
+        exchange = probe.do(command, {"enable_level": level})
+        for on in (False, True):
+            motion.switch(probe, on)
+            probe.wait(200 * MS)
+            text = f"with enable_level {level} a motor that was told to be {'on' if on else 'off'} is not"
+            probe.expect(motion.is_on(probe), equal=on, refutes=text, exchange=exchange)
+
+
+@of_motion(
+    each=_enable,
+    name="{command}/on-goes-on",
+    refuted_by="a shaft that stands",
+    risks=risks_by(Verb.RUN_SPEED),
+    at_best=Certainty.LIKELY,
+)
+def _on_goes_on(probe: Probe) -> None:
+    """Enabling a motor that is enabled and turns leaves it turning."""
+    motion.ready_to_move(probe)
+    motion.run_at(probe, motion.CALM, motion.QUICK)
+    probe.wait(150 * MS)
+    before = motion.speed(probe).value
+    exchange = motion.switch(probe, True)
+    probe.wait(100 * MS)
+    after = motion.speed(probe).value
+    motion.stand_still(probe)
+    text = "enabling a motor that turns changes its speed"
+    probe.expect(after, near=before, within=2, unit="rpm", refutes=text, exchange=exchange)
+
+
+@of_motion(
+    each=_enable,
+    name="{command}/off-holds-all",
+    refuted_by="motion",
+    risks=lambda case: frozenset().union(*(c.all_risks for c in case.dialect.motions(*_TURNING))),
+)
+def _off_holds_all(probe: Probe) -> None:
+    """No run and no move turns a disabled motor, also where the drive answers that it does."""
+    motion.ready_to_move(probe)
+    motion.switch(probe, False)
+    for command in probe.dialect.motions(*_TURNING):
+        before = motion.position(probe)
+        exchange = motion.ask(probe, command, 30, quiet_ns=0)
+        probe.wait(300 * MS)
+        expect_not_turned(probe, before, exchange, f"{command.name} turns a disabled motor")
+    motion.switch(probe, True)
+
+
+def expect_obeys(probe: Probe, refutes: str) -> None:
+    """Refute unless a move turns the shaft."""
+    move = motion.follow(probe, motion.any_move(probe.dialect), 45)
+    probe.expect(abs(move.degrees), near=45, within=1, unit="degrees", refutes=refutes, exchange=move.exchange)
+
+
+@of_motion(each=_on, refuted_by="no motion", risks=risks_by(Verb.MOTOR_OFF))
+def _obeys(probe: Probe) -> None:
+    """A motor that was switched off and on obeys the next command."""
+    for _ in range(2):
+        motion.switch(probe, False)
+        motion.switch(probe, True)
+        expect_obeys(probe, "the motor does not obey after it was switched on")
+
+
+@of_motion(each=_on, refuted_by="state 10h, or no motion", emulated=True, risks=risks_by(Verb.MOTOR_OFF))
+def _at_power_up(probe: Probe) -> None:
+    """When power comes on the motor is on and obeys."""
+    motion.switch(probe, False)
+    lk_drive(probe).power_cycle(probe.gate.now_ns())
+    probe.wait(500 * MS)
+    probe.expect("off", holds=bool(motion.is_on(probe)), expected="on", refutes="the motor is not on at power-up")
+    expect_obeys(probe, "the motor does not obey at power-up")
+
+
+def _expect_turns_kept_turning(probe: Probe, command: Command) -> None:
+    """Refute where a command that ends a run drops the turns of it."""
+    set_going(probe, probe.command(Verb.RUN_SPEED))
+    before = motion.position(probe)
+    exchange = probe.do(command)
+    went = motion.wait_standing(probe).value - before.value
+    motion.switch(probe, True)
+    text = f"{command.name} drops the turns of a shaft that turns"
+    # As far as the shaft runs out in a second or two.
+    probe.expect(went, at_least=-1, at_most=1000, unit="degrees", refutes=text, exchange=exchange)
+
+
+@of_motion(
+    each=_off,
+    statement="Switching the motor off and on leaves the counted turns.",
+    refuted_by="another position",
+    risks=risks_by(Verb.RUN_SPEED),
+    at_best=Certainty.LIKELY,
+    quirks=may_meet("lk-off-clears-turns"),
+)
+@of_motion(
+    each=commands(Verb.STOP),
+    statement="The stop leaves the counted turns.",
+    refuted_by="another position",
+    risks=risks_by(Verb.RUN_SPEED),
+    at_best=Certainty.LIKELY,
+)
+def _keeps_turns(probe: Probe, command: Command) -> None:
+    motion.ready_to_move(probe)
+    for _ in range(2):
+        motion.follow(probe, motion.any_move(probe.dialect), 420)
+    before = motion.position(probe)
+    exchange = probe.do(command)
+    motion.switch(probe, True)
+    change = motion.position(probe).value - before.value
+    if "lk-off-clears-turns" in probe.claim.quirks and abs(change) > 1 and abs(change - 360 * round(change / 360)) <= 1:
+        probe.meets("lk-off-clears-turns")
+    else:
+        text = f"{command.name} changes the position of a shaft that stands"
+        probe.expect(change, near=0, within=1, unit="degrees", refutes=text, exchange=exchange)
+        _expect_turns_kept_turning(probe, command)

@@ -1,0 +1,190 @@
+"""How fast the shaft turns at most: by the work mode, and by the max_speed of a move.
+
+Rules kept here:
+- An MKS work mode has a highest speed (400, 1500, 3000 rpm); a greater one, in whatever width, runs at it and is no error.
+- The max_speed of an LK move holds for that move alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind
+from conformance.claim import Inconclusive
+from conformance.claims.declare import Case
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion.motion_claim import command_of, expect_speed, expect_stays, expect_taken, of_motion
+from conformance.claims.motion.moves import keeps_position, with_max_speed
+from conformance.motion import motion
+from conformance.motion.motion import MOVES, MS, SUBDIVISION, Sample
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
+
+#: The highest speed of any MKS drive, and that of a drive whose manual has no table of modes.
+_HIGHEST = 3000
+#: The max_speed of a move that others are not to keep, in rpm.
+_SLOW = 5
+
+
+_LATE = "slow-replies-in-motion"
+#: How long a move keeps its speed at least.
+_KEEPS_NS = 350 * MS
+#: How far a move goes. At exactly 20 turns back one of its frames ends in a sound native frame to all drives.
+_TURNS = 19.9
+
+
+def _limited_runs(dialect: Dialect) -> Iterator[Case]:
+    """Yield the runs and moves whose speed is in rpm and whose ramp is known: such drives turn at most at the highest speed."""
+    for command in dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ():
+        speed = motion.of(command).speed
+        if speed and motion.field_of(command, speed).unit == "rpm":
+            widest = motion.field_of(command, speed).wire_maximum
+            yield Case(dialect, command, {"speed": _HIGHEST, "beyond": (_HIGHEST + 1, widest)})
+
+
+class Spun(NamedTuple):
+    """A motion at a speed as sent, in a mode. `rpm`: as the drive reads it; `by_places`: as two positions have it, `unsure`."""
+
+    exchange: Exchange
+    rpm: Sample
+    by_places: float
+    unsure: float
+
+
+def _way(probe: Probe, speed: int, mode: str) -> int:
+    """Return which way a speed is tried in a mode: the highest of it one way, those beyond the other way."""
+    beyond = speed > probe.dialect.mode_speeds.get(mode, _HIGHEST)
+    return 1 if (motion.bus_modes(probe.dialect).index(mode) + beyond) % 2 == 0 else -1
+
+
+def spun(probe: Probe, command: Command, speed: int, mode: str) -> Spun:
+    """Turn the shaft at a speed as sent, by a run or a long move, and look when the ramp is over."""
+    way = _way(probe, speed, mode)
+    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
+    exchange = motion.ask(
+        probe, command, way * _TURNS * 360, rpm=way, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed}
+    )
+    # At 50 us for one rpm the shaft has 3000 rpm after 150 ms. A move of so many turns keeps that speed for 250 ms.
+    probe.wait(exchange.sent_ns + 180 * MS - probe.gate.now_ns())
+    before, seen = motion.position(probe), motion.speed(probe)
+    probe.wait(exchange.sent_ns + 260 * MS - probe.gate.now_ns())
+    by_places, unsure = motion.speed_between(before, motion.position(probe))
+    motion.stop(probe, 255)
+    motion.wait_standing(probe)
+    return Spun(exchange, seen, by_places, unsure)
+
+
+def _expect_spun(probe: Probe, command: Command, speed: int, mode: str, rpm: int) -> None:
+    seen = probe.recorded(spun, command, speed, mode)
+    expect_taken(probe, seen.exchange, f"{command.name} at speed {speed} is refused in mode {mode}")
+    if seen.rpm.t_ns > seen.exchange.sent_ns + _KEEPS_NS:
+        # The move may be at its end by then.
+        if _LATE not in probe.claim.quirks:
+            raise Inconclusive("the reply to the read of the speed came too late")
+        probe.meets(_LATE)
+        return
+    text = f"{command.name} at speed {speed} in mode {mode} turns at another speed"
+    expect_speed(seen.rpm, rpm, seen.exchange, text)
+
+
+def _expect_highest(probe: Probe, command: Command, speed: int) -> None:
+    _expect_spun(probe, command, speed, motion.bus_modes(probe.dialect)[-1], _HIGHEST)
+
+
+@of_motion(
+    each=_limited_runs,
+    refuted_by="a refusal, or another speed",
+    at_best=Certainty.LIKELY,
+    quirks=may_meet(_LATE),
+    parameters=lambda case: {"speeds": case["beyond"]},
+)
+def _beyond_highest(probe: Probe, command: Command, beyond: tuple[int, ...]) -> None:
+    """{command} at a greater speed than {speed} turns the shaft at {speed} rpm and is no error."""
+    for speed in beyond:
+        _expect_highest(probe, command, speed)
+
+
+def _modes(dialect: Dialect) -> Iterator[Case]:
+    for run in dialect.motions(MotionKind.RUN):
+        for mode in run.modes:
+            yield Case(dialect, run, {"mode": mode, "rpm": dialect.mode_speeds.get(mode, _HIGHEST)})
+
+
+@of_motion(
+    each=_modes, name="{command}/highest-{mode}", refuted_by="another speed", at_best=Certainty.LIKELY, quirks=may_meet(_LATE)
+)
+def _highest_of_mode(probe: Probe, command: Command, mode: str, rpm: int) -> None:
+    """In mode {mode} the shaft turns at up to {rpm} rpm, and at {rpm} rpm when more is asked for."""
+    for speed in (rpm, _HIGHEST):
+        _expect_spun(probe, command, speed, mode, rpm)
+
+
+def _moves_by_mode(dialect: Dialect) -> Iterator[Case]:
+    """Yield the moves of a dialect whose modes have highest speeds, each with those below the highest of all."""
+    for command in dialect.motions(*MOVES):
+        modes = {mode: dialect.mode_speeds.get(mode, _HIGHEST) for mode in command.modes}
+        lower = {mode: rpm for mode, rpm in modes.items() if rpm < _HIGHEST}
+        if lower:
+            yield Case(dialect, command, {"limits": lower})
+
+
+@of_motion(each=_moves_by_mode, refuted_by="another speed", at_best=Certainty.LIKELY, parameters={}, quirks=may_meet(_LATE))
+def _mode_limit(probe: Probe, command: Command, limits: dict[str, int]) -> None:
+    """{command} at a greater speed than that of the work mode turns the shaft at the mode's."""
+    for mode, rpm in limits.items():
+        _expect_spun(probe, command, _HIGHEST, mode, rpm)
+
+
+# --- the max_speed of a move ------------------------------------------------------------------------------------------
+
+
+def _after_limited(dialect: Dialect) -> Iterator[Case]:
+    """Yield every move, with the moves with a max_speed that come before it."""
+    limited = tuple(command_of(case) for case in with_max_speed(dialect))
+    for command in dialect.motions(*MOVES) if limited else ():
+        yield Case(dialect, command, {"limited": tuple(c.name for c in limited)}, {"parameters": {}})
+
+
+@of_motion(each=_after_limited, refuted_by="the speed of the move before", at_best=Certainty.LIKELY, settings=("position",))
+def _own_speed(probe: Probe, command: Command, limited: tuple[str, ...]) -> None:
+    """{command} does not keep to the max_speed of any move before it."""
+    motion.prepare(probe, command)
+    for before in limited:
+        motion.begin(probe, probe.command(before), 5, rpm=_SLOW)
+        probe.wait(200 * MS)
+        exchange = motion.begin(probe, command, 300)
+        probe.wait(100 * MS)
+        rpm, spread = motion.mean_speed(probe, 100 * MS)
+        motion.stand_still(probe)
+        text, key = f"{command.name} keeps to the max_speed of {before} before it", f"{command.name} keeps a max_speed"
+        probe.expect(
+            abs(rpm) + spread,
+            at_least=2 * _SLOW,
+            expected=f"more than {_SLOW} rpm",
+            unit="rpm",
+            refutes=text,
+            exchange=exchange,
+            key=key,
+        )
+
+
+@of_motion(
+    each=with_max_speed,
+    refuted_by="motion",
+    rests_on=(Doubt.MEANING,),
+    quirks=may_meet("lk-zero-speed-moves"),
+    settings=keeps_position,
+)
+def _max_speed_0(probe: Probe, command: Command) -> None:
+    """{command} with max_speed 0 turns nothing: 0 is a limit like any other."""
+    motion.prepare(probe, command)
+    here = motion.position(probe)
+    exchange = motion.begin(probe, command, 90, rpm=0)
+    probe.wait(500 * MS)
+    end = motion.stand_still(probe)
+    near = motion.near(probe.dialect)
+    if "lk-zero-speed-moves" in probe.claim.quirks and abs(abs(end.value - here.value) - 90) <= near:
+        probe.meets("lk-zero-speed-moves")
+    else:
+        expect_stays(here, end, exchange, f"{command.name} with max_speed 0 turns the shaft", near)

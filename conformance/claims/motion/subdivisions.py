@@ -1,0 +1,302 @@
+"""Subdivisions: how fast the shaft turns, and how far each motion takes it, at each.
+
+    real rpm = speed as sent                        at 16, 32 and 64 subdivisions
+    real rpm = speed as sent x 16 / subdivision     at the others
+
+    subdivision x motion        both ways by turns; moves by pulses at all subdivisions
+
+What a subdivision shows is kept once, and judged by the claims about it and about each motion.
+
+Rules kept here:
+- A turn has 200 pulses for each subdivision; what counts by the encoder goes as far at each.
+- The shaft is looked at once on its way, held against the law of ramps, and where it comes to rest.
+- Whether a ramp goes by the speed of the shaft or by that which was sent no manual says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+
+from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from analyzer.layout import Effect
+from conformance.claim import Inconclusive
+from conformance.claims.crossed.course import motions_of
+from conformance.claims.declare import Case
+from conformance.claims.motion.motion_claim import of_motion
+from conformance.gate.gate import Refused
+from conformance.motion import course, motion, ramp
+from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
+from conformance.talk.exchange import Exchange
+from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
+from conformance.talk.probe import Probe, Until
+
+#: Subdivisions at which the rule of speeds and pulses is tried, as the number that they stand for.
+_TRIED = (2, 8, 16, 32, 64, 100, 128, 256)
+#: Others: at the first of them each motion is tried too, at all a move by pulses and one motion more in turn.
+_ALSO, _OTHERS = (1, 4, 7), (5, 10, 20, 25, 40, 50, 200)
+#: The way of a move in degrees, its ramp, and when the shaft is looked at: a move that is twice as fast is beyond it.
+_WAY, _STEEP, _MIDWAY = 36, 255, 50 * MS
+#: What a shaft may lag behind its law.
+_LAG_NS = 10 * MS
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A motion at a subdivision. `rpm`: the real speed; `way`: 1 or -1; `start`, `on`, `end`: where the shaft was.
+
+    `slack_ns`: what its times may be off.
+    """
+
+    subdivision: int
+    command: Command
+    exchange: Exchange
+    refused: bool
+    way: int
+    rpm: float
+    slack_ns: float
+    start: Sample
+    on: Sample
+    end: Sample
+
+    @property
+    def midway(self) -> tuple[float, float]:
+        """How far it is at the look on its way, least and most, in degrees."""
+        runs = not motion.of(self.command).distance
+        law = course.run(0, self.rpm, _STEEP) if runs else course.move(_WAY / 360, self.rpm, _STEEP)
+        reply = self.exchange.reply
+        late_ns = reply.first_ns - self.exchange.sent_ns if reply is not None else 0
+        since_ns, until_ns = (self.on.t_ns + side * self.on.spread_ns - self.exchange.sent_ns for side in (-1, 1))
+        low, high = law.turns(
+            (since_ns - late_ns - _LAG_NS - self.slack_ns) / (1 + ramp.SLOW_QUIRK),
+            (until_ns + self.slack_ns) / (1 - CLOCK_SHARE),
+        )
+        return low * 360, high * 360
+
+
+def _sent(dialect: Dialect, subdivision: int) -> int | None:
+    """Return a subdivision as it is sent, None where it cannot be."""
+    found = dialect.effect(Effect.SUBDIVISION)
+    if found is None or dialect.subdivision is None:
+        return None
+    sent = subdivision if subdivision <= found[1].wire_maximum else 0
+    return sent if found[1].allows(sent) else None
+
+
+def _table(dialect: Dialect) -> dict[int, list[tuple[Command, int]]]:
+    """Return the motions that are tried at each subdivision, and their ways."""
+    every = motions_of(dialect)
+    by_pulses = [c for c in every if c.verb is Verb.MOVE_RELATIVE_PULSES]
+    others = [c for c in every if c not in by_pulses]
+    found = {}
+    for number, subdivision in enumerate((*_TRIED, *_ALSO, *_OTHERS)):
+        tried = every if subdivision not in _OTHERS else (*by_pulses, others[number % len(others)])
+        if _sent(dialect, subdivision) is not None:
+            found[subdivision] = [(command, -1 if (number + place) % 2 else 1) for place, command in enumerate(tried)]
+    return found
+
+
+def turned(probe: Probe, subdivision: int) -> tuple[Tried, ...]:
+    """Carry out the motions of a subdivision and return what was seen. Raises Refused where the gate lets none through."""
+    found: list[Tried] = []
+    motion.ready_to_move(probe, subdivision=_sent(probe.dialect, subdivision))
+    rest = motion.wait_standing(probe)
+    refused: Refused | None = None
+    for command, way in _table(probe.dialect)[subdivision]:
+        try:
+            found.append(_try(probe, subdivision, command, way, rest))
+            rest = found[-1].end
+        except Refused as error:
+            refused = error
+            rest = motion.stand_still(probe)
+    if refused is not None and not found:
+        raise refused
+    return tuple(found)
+
+
+def _try(probe: Probe, subdivision: int, command: Command, way: int, start: Sample) -> Tried:
+    of, runs, law = motion.of(command), not motion.of(command).distance, probe.dialect.subdivision
+    assert law is not None  # it has subdivisions
+    since = len(probe.traffic)
+    rpm = way * CALM if runs else CALM
+    exchange = motion.ask(probe, command, way * _WAY, quiet_ns=0, rpm=rpm, acceleration=_STEEP, subdivision=subdivision)
+    sent = exchange.values[of.speed]
+    real = float(sent) if subdivision in law.plain else sent * law.counted_at / subdivision
+    slack_ns = abs(ramp.ramp_ns(0, sent, _STEEP) - ramp.ramp_ns(0, real, _STEEP)) + ramp.slack_ns(_STEEP)
+    refused = not exchange.is_read or probe.refused(exchange)
+    probe.wait(exchange.sent_ns + _MIDWAY - probe.gate.now_ns())
+    on = motion.position(probe)
+    if runs:
+        motion.stop(probe, 0)
+        end = motion.wait_standing(probe)
+    else:
+        law_ns = int((ramp.move_ns(_WAY / 360, real, _STEEP) + slack_ns) * (1 + ramp.SLOW_QUIRK))
+        left_ns = exchange.sent_ns + law_ns - probe.gate.now_ns()
+        if of.tells_end and not refused and 2 not in motion.statuses(probe.traffic[since:], command):
+            probe.listen(max(0, left_ns) + TOLD_LATE_NS, Until.REPLY)
+        probe.wait(exchange.sent_ns + law_ns - probe.gate.now_ns())
+        try:
+            end = motion.wait_standing(probe, limit_ns=SECOND_NS // 2)
+        except Inconclusive:
+            # A slow one is judged by where it was on its way.
+            end = motion.stand_still(probe)
+    return Tried(subdivision, command, exchange, refused, way, real, slack_ns, start, on, end)
+
+
+def _expect(probe: Probe, tried: Tried, text: str, *, speed: bool = True, way: bool = True) -> None:
+    command, exchange = tried.command, tried.exchange
+    shown = f"{command.name} {'+' if tried.way > 0 else '-'} at {tried.subdivision} subdivisions"
+    taken = not tried.refused or not exchange.is_read
+    probe.expect("a refusal or no answer", holds=taken, expected=f"motion: {shown}", refutes=text, exchange=exchange)
+    if tried.refused:
+        return
+    within = motion.miss(probe) + probe.noise.swing + 1
+    if speed:
+        low, high = tried.midway
+        probe.expect(
+            abs(tried.on.value - tried.start.value),
+            at_least=low - within,
+            at_most=high + within,
+            unit="degrees",
+            expected=f"{low:.4g} to {high:.4g} degrees on the way at {tried.rpm:.4g} rpm: {shown}",
+            refutes=text,
+            exchange=exchange,
+        )
+    if way and motion.of(command).distance:
+        went, signed = tried.end.value - tried.start.value, not motion.takes_pulses(command)
+        probe.expect(
+            went if signed else abs(went),
+            near=tried.way * _WAY if signed else _WAY,
+            within=within,
+            unit="degrees",
+            expected=f"{_WAY} degrees: {shown}",
+            refutes=text,
+            exchange=exchange,
+        )
+
+
+def _of(probe: Probe, subdivision: int, *verbs: Verb) -> list[Tried]:
+    found = [tried for tried in probe.recorded(turned, subdivision) if tried.command.verb in verbs or not verbs]
+    if not found:
+        raise Inconclusive(f"no motion could be tried at {subdivision} subdivisions")
+    return found
+
+
+def _subdivisions(dialect: Dialect) -> Iterator[Case]:
+    """Yield the subdivisions of a dialect, and the rpm that the speed which is sent at it means."""
+    found, law = dialect.effect(Effect.SUBDIVISION), dialect.subdivision
+    if found is None or law is None:
+        return
+    command, _ = found
+    for subdivision in _TRIED:
+        if _sent(dialect, subdivision) is not None:
+            run = motion.field_of(dialect.by_verb[Verb.RUN_SPEED], "speed")
+            speed = motion.speed_as_sent(dialect, run, CALM, subdivision)
+            rpm = speed if subdivision in law.plain else speed * law.counted_at / subdivision
+            yield Case(
+                dialect,
+                command,
+                {"subdivision": subdivision, "speed": speed, "rpm": rpm, "pulses": 200 * subdivision},
+                _facts(dialect),
+            )
+
+
+def _facts(dialect: Dialect) -> dict[str, object]:
+    return {"risks": motion.risks(dialect, *frozenset().union(*(c.all_risks for c in motions_of(dialect))))}
+
+
+def _settings_of_subdivisions(dialect: Dialect) -> Iterator[Case]:
+    found = dialect.effect(Effect.SUBDIVISION)
+    if found is not None and dialect.subdivision is not None:
+        yield Case(dialect, found[0], facts=_facts(dialect))
+
+
+def _other_subdivisions(dialect: Dialect) -> Iterator[Case]:
+    others = sorted(n for n in (*_ALSO, *_OTHERS) if _sent(dialect, n) is not None)
+    for case in _settings_of_subdivisions(dialect):
+        statement = f"At {', '.join(map(str, others))} subdivisions too a turn has 200 pulses for each."
+        yield Case(dialect, case.command, {"others": others}, {**case.facts, "statement": statement})
+
+
+def _motions(dialect: Dialect) -> Iterator[Case]:
+    for _ in _settings_of_subdivisions(dialect):
+        for command in motions_of(dialect):
+            yield Case(dialect, command, facts=_facts(dialect) | {"at_best": Certainty.LIKELY})
+
+
+_of_subdivision = partial(of_motion, each=_subdivisions, parameters=lambda case: {"subdivision": case["subdivision"]})
+
+
+@_of_subdivision(name="{command}/speed-at-{subdivision}", refuted_by="another speed of the shaft", at_best=Certainty.LIKELY)
+def _speed(probe: Probe, subdivision: int) -> None:
+    """At {subdivision} subdivisions speed {speed} turns the shaft at {rpm:g} rpm, in a run and in a move."""
+    for tried in _of(probe, subdivision):
+        _expect(probe, tried, "the speed of the shaft does not follow the subdivision as the manual says", way=False)
+
+
+@_of_subdivision(name="{command}/pulses-at-{subdivision}", refuted_by="a move by pulses of another length")
+def _pulses(probe: Probe, subdivision: int) -> None:
+    """At {subdivision} subdivisions a turn has {pulses} pulses."""
+    for tried in _of(probe, subdivision, Verb.MOVE_RELATIVE_PULSES):
+        text = f"{20 * subdivision} pulses at {subdivision} subdivisions are not a tenth of a turn"
+        _expect(probe, tried, text, speed=False)
+
+
+@of_motion(each=_other_subdivisions, name="{command}/pulses-at-others", refuted_by="a move by pulses of another length")
+def _pulses_at_others(probe: Probe, others: list[int]) -> None:
+    for subdivision in others:
+        _pulses(probe, subdivision)
+
+
+@of_motion(each=_motions, refuted_by="another length, another way, or another speed")
+def _at_each_subdivision(probe: Probe, command: Command) -> None:
+    """At each subdivision {command} goes as far as asked and as fast as the law of subdivisions says."""
+    for subdivision, motions in _table(probe.dialect).items():
+        for tried in _of(probe, subdivision, command.verb) if command in (c for c, _ in motions) else ():
+            _expect(probe, tried, f"{command.name} goes elsewhere or at another speed at {subdivision} subdivisions")
+
+
+def _lowest(dialect: Dialect) -> Iterator[Case]:
+    for command in motions_of(dialect):
+        yield Case(dialect, command, facts={"risks": motion.risks(dialect, *command.all_risks)})
+
+
+@of_motion(each=_lowest, refuted_by="a shaft that stays, another way, or a ramp that is none", at_best=Certainty.LIKELY)
+def _lowest_values(probe: Probe, command: Command) -> None:
+    """{command} takes the lowest speed and the slowest ramp, 1 each, either way."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    runs = not motion.of(command).distance
+    for way in (1, -1):
+        for rpm, acceleration, degrees in ((1, QUICK, _SLOW), (_RAMPED, 1, 2 * _SHORT)):
+            before = motion.wait_standing(probe)
+            speed = way * rpm if runs else rpm
+            exchange = motion.ask(probe, command, way * degrees, quiet_ns=0, rpm=speed, acceleration=acceleration)
+            text = f"{command.name} at speed {rpm} and acceleration {acceleration} is refused or not answered"
+            taken = exchange.is_read and not probe.refused(exchange)
+            probe.expect("a refusal or no answer", holds=taken, expected="motion", refutes=text, exchange=exchange)
+            probe.wait(exchange.sent_ns + _MIDWAY_NS - probe.gate.now_ns())
+            on = motion.position(probe)
+            law = course.run(0, rpm, acceleration) if runs else course.move(degrees / 360, rpm, acceleration)
+            since_ns, until_ns = (on.t_ns + side * on.spread_ns - exchange.sent_ns for side in (-1, 1))
+            late_ns = exchange.reply.first_ns - exchange.sent_ns if exchange.reply is not None else 0
+            first_ns = (since_ns - late_ns - _LAG_NS) / (1 + ramp.SLOW_QUIRK) - ramp.step_ns(acceleration)
+            low, high = law.turns(first_ns, until_ns / (1 - CLOCK_SHARE) + ramp.step_ns(acceleration))
+            text = f"{command.name} at speed {rpm} and acceleration {acceleration} leaves its course"
+            within = motion.miss(probe) + probe.noise.swing
+            probe.expect(
+                abs(on.value - before.value),
+                at_least=low * 360 - within,
+                at_most=high * 360 + within,
+                unit="degrees",
+                refutes=text,
+                exchange=exchange,
+            )
+            motion.stop(probe)
+    motion.wait_standing(probe)
+
+
+#: Degrees that are moved by the slowest ramp, and at the lowest speed; the speed of that ramp (rpm).
+_SHORT, _SLOW, _RAMPED = 8, 4, 20
+#: When the shaft is looked at: at the lowest speed it has gone a degree and more.
+_MIDWAY_NS = 250 * MS
