@@ -15,7 +15,8 @@ WRITERS = {
     # The host's end, in the hands of the gate.
     "conformance/bus/serial.py": {"serial.Serial", "os.write"},
     "conformance/bus/tcp.py": {"socket.create_connection"},
-    "conformance/bus/python_can.py": {"can.Bus"},
+    # Its socket is a second name of the bus's own, to give that more room.
+    "conformance/bus/python_can.py": {"can.Bus", "socket.socket"},
     # The drives' end.
     "conformance/serve/pty.py": {"os.write"},
     "conformance/serve/tcp.py": {"socket.create_server"},

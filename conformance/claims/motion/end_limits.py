@@ -137,7 +137,7 @@ def _send_left(probe: Probe, command: Command, rpm: int = _RPM) -> Exchange:
 # --- towards the limit ------------------------------------------------------------------------------------------------
 
 
-@_of_limits("a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-stops-{run}")
+@_of_limits("a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-stops-{run}", quirks=may_meet(_DEAF))
 def _stops_at(probe: Probe, run: Command) -> None:
     """With the end limit on, {run} towards the left stops at its end stop, in each bus mode, slow and fast, at both levels."""
     for row in covering.rows({"mode": run.modes or ("",), "rpm": (_RPM, _FAST), "trigger": (0, 1)}):
@@ -150,6 +150,7 @@ def _stops_at(probe: Probe, run: Command) -> None:
         text = f"{run.name} does not stop at an end limit of level {row['trigger']} {mode and 'in ' + mode}".rstrip()
         expected = "0, where the end stop is"
         probe.expect(seen, near=0, unit="counts", expected=expected, refutes=text, exchange=exchange)
+        _hear_again(probe)
 
 
 @_of_limits(
@@ -182,7 +183,9 @@ def _with_right_limit(dialect: Dialect) -> Iterator[Case]:
         yield from _runs_and_moves(dialect)
 
 
-@_of_limits("a shaft that runs beyond it", each=_with_right_limit, name="{command}/end-limit-stops-{run}-right")
+@_of_limits(
+    "a shaft that runs beyond it", each=_with_right_limit, name="{command}/end-limit-stops-{run}-right", quirks=may_meet(_DEAF)
+)
 def _stops_at_the_right(probe: Probe, run: Command) -> None:
     """With the end limit on, {run} towards the right stops at the right end stop, at both levels."""
     motion.ready_to_move(probe)
@@ -196,6 +199,7 @@ def _stops_at_the_right(probe: Probe, run: Command) -> None:
         motion.stop(probe)
         text, expected = f"{run.name} does not stop at the right end limit", f"{right}, where the right end stop is"
         probe.expect(seen, near=right, unit="counts", expected=expected, refutes=text, exchange=exchange)
+        _hear_again(probe)
 
 
 def _ask_again(probe: Probe, command: Command, values: dict[str, int]) -> Exchange:
@@ -207,6 +211,12 @@ def _ask_again(probe: Probe, command: Command, values: dict[str, int]) -> Exchan
             probe.meets(_DEAF)
     probe.reply(exchange)
     return exchange
+
+
+def _hear_again(probe: Probe) -> None:
+    """Ask a drive that stood at a limit for a move by nothing: where it is deaf, it hears what comes behind."""
+    move = probe.command(Verb.MOVE_RELATIVE_AXIS)
+    _ask_again(probe, move, motion.values_of(probe.dialect, move, 0, rpm=_RPM, acceleration=QUICK))
 
 
 @_of_limits("a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-holds-{run}", quirks=may_meet(_DEAF))
@@ -222,6 +232,7 @@ def _holds_at(probe: Probe, run: Command) -> None:
         after = motion.position(probe)
         motion.stop(probe)
         expect_stays(before, after, exchange, f"{run.name} towards a closed end limit of level {trigger} turns the shaft")
+        _hear_again(probe)
 
 
 @_of_limits("another status", each=that_tell_their_end(_moves), name="{command}/end-limit-told-{run}")
