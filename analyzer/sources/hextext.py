@@ -476,7 +476,8 @@ class _Reader:
         if not self._manner.prose:
             # Programs repeat in words what they sent and received. Bytes behind a label with a sender are new.
             new = [each for each in said if not each.left and not self._is_known(each.data)]
-            said = [e for e in new if e.role is not Role.UNKNOWN and _LABELLED.search(line.text[: e.column - 1]) is not None]
+            labels = "" if line.text.startswith(_REMARKS) else line.text
+            said = [e for e in new if e.role is not Role.UNKNOWN and _LABELLED.search(labels[: e.column - 1]) is not None]
             self._passed += len(new) > len(said)
         if not said:
             yield self._source.comment(t_ns, line.text)
