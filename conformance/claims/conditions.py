@@ -253,9 +253,9 @@ def _others(dialect: Dialect) -> Iterator[Condition]:
         needs = risks(Verb.SET_PROTECTION, Verb.RELEASE_PROTECTION)
         yield Condition("protected", "while the rotor protection holds", protect, _release, needs, **facts)
     if Verb.SET_HOME in verbs:
-        named = tuple(verbs[Verb.SET_HOME].request_forms[0].layout.named)
-        facts = {"settings": named, "emulated": True, "stands": True, "stays": False}
-        yield Condition("homed", "after homing", _find_home, _nothing, risks(Verb.SET_HOME, Verb.HOME), **facts)
+        facts = {"settings": homing.fields(dialect), "emulated": True, "stands": True, "stays": False}
+        needs = risks(*(verb for verb in homing.SETS_HOME if verb in verbs), Verb.HOME)
+        yield Condition("homed", "after homing", _find_home, _nothing, needs, **facts)
     if Verb.CLEAR_ERRORS in verbs:
         there, gone = partial(_trip, present=True), partial(_trip, present=False)
         needs = risks(Verb.CLEAR_ERRORS)

@@ -202,6 +202,11 @@ def switching(dialect: Dialect, on: bool) -> tuple[Command, dict[str, int]]:
     return command, dict.fromkeys(command.request_forms[0].layout.named, int(on))
 
 
+def tells_on(dialect: Dialect) -> bool:
+    """Say whether a read tells that the motor is on."""
+    return any(verb in dialect.by_verb for verb, *_ in _ON_READ)
+
+
 def is_on(probe: Probe) -> bool | None:
     """Read whether the motor is on; None for a value that says neither, or where nothing tells it."""
     for verb, name, on, off in _ON_READ:

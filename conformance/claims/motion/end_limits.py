@@ -50,7 +50,7 @@ _DEAF = "deaf-after-limit-stop"
 
 
 def _fields(case: Case) -> tuple[str, ...]:
-    return (*case.dialect.by_verb[Verb.SET_HOME].request_forms[0].layout.named, "limit_remap", "respond", "active")
+    return (*homing.fields(case.dialect), "limit_remap", "respond", "active")
 
 
 _settings = commands(Verb.SET_HOME)
@@ -69,8 +69,13 @@ _runs_and_moves = _motions(*motion.RUNS_AND_MOVES)
 
 
 def _of_limits(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    risks = risks_by(Verb.RUN_SPEED, Verb.HOME, Verb.SET_HOME, Verb.SET_RESPOND)
+    risks = risks_by(Verb.RUN_SPEED, Verb.HOME, *homing.SETS_HOME, Verb.SET_RESPOND)
     return of_motion(each=each, refuted_by=refuted_by, emulated=True, risks=risks, settings=_fields, **facts)
+
+
+def _deaf_after_moves(case: Case) -> tuple[str, ...]:
+    # A run tells no stop, and no drive was seen to be deaf after one.
+    return () if case["run"].motion.kind is MotionKind.RUN else known(case.dialect, _DEAF)
 
 
 # --- between the end stops --------------------------------------------------------------------------------------------
@@ -137,7 +142,9 @@ def _send_left(probe: Probe, command: Command, rpm: int = _RPM) -> Exchange:
 # --- towards the limit ------------------------------------------------------------------------------------------------
 
 
-@_of_limits("a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-stops-{run}", quirks=may_meet(_DEAF))
+@_of_limits(
+    "a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-stops-{run}", quirks=_deaf_after_moves
+)
 def _stops_at(probe: Probe, run: Command) -> None:
     """With the end limit on, {run} towards the left stops at its end stop, in each bus mode, slow and fast, at both levels."""
     for row in covering.rows({"mode": run.modes or ("",), "rpm": (_RPM, _FAST), "trigger": (0, 1)}):
@@ -154,11 +161,7 @@ def _stops_at(probe: Probe, run: Command) -> None:
 
 
 @_of_limits(
-    "a shaft that runs beyond it",
-    each=_runs_and_moves,
-    name="{command}/end-limit-stops-{run}-ccw",
-    # A run tells no stop, and no drive was seen to be deaf after one.
-    quirks=lambda case: () if case["run"].motion.kind is MotionKind.RUN else known(case.dialect, _DEAF),
+    "a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-stops-{run}-ccw", quirks=_deaf_after_moves
 )
 def _stops_at_the_other_side(probe: Probe, run: Command) -> None:
     """With the end limit on and homing counter-clockwise, {run} that way stops at the left end stop, and goes back from it."""
@@ -184,7 +187,10 @@ def _with_right_limit(dialect: Dialect) -> Iterator[Case]:
 
 
 @_of_limits(
-    "a shaft that runs beyond it", each=_with_right_limit, name="{command}/end-limit-stops-{run}-right", quirks=may_meet(_DEAF)
+    "a shaft that runs beyond it",
+    each=_with_right_limit,
+    name="{command}/end-limit-stops-{run}-right",
+    quirks=_deaf_after_moves,
 )
 def _stops_at_the_right(probe: Probe, run: Command) -> None:
     """With the end limit on, {run} towards the right stops at the right end stop, at both levels."""
@@ -281,8 +287,8 @@ def _backing_off(dialect: Dialect) -> Iterator[Case]:
     each=_backing_off,
     name="{command}/end-limit-by-level",
     refuted_by="a shaft that turns on",
-    risks=risks_by(Verb.HOME, Verb.SET_NO_LIMIT_HOME, *_TURNING),
-    settings=homing.fields,
+    risks=risks_by(Verb.HOME, *homing.SETS_HOME, *_TURNING),
+    settings=_fields,
     at_best=Certainty.LIKELY,
     quirks=may_meet(_DEAF),
 )

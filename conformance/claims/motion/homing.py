@@ -31,20 +31,24 @@ _LIMIT_NS = 20 * SECOND_NS
 _WAYS = {_CW: -1, _CCW: 1}
 _DIRECTIONS = {"cw": _CW, "ccw": _CCW}
 _homings = commands(Verb.HOME)
-_WITHOUT_WAY_BACK = (Verb.SET_HOME,)
-_WITH_WAY_BACK = (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME)
+#: What sets how a drive homes.
+SETS_HOME = (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME)
 
 
-def fields(case: Case) -> tuple[str, ...]:
+def fields(dialect: Dialect) -> tuple[str, ...]:
     """Return the settings of homing."""
-    found = [c for v in _WITH_WAY_BACK if (c := case.dialect.by_verb.get(v)) is not None]
+    found = [c for v in SETS_HOME if (c := dialect.by_verb.get(v)) is not None]
     return tuple(dict.fromkeys(n for c in found for f in c.request_forms for n in f.layout.named))
 
 
+def _fields(case: Case) -> tuple[str, ...]:
+    return fields(case.dialect)
+
+
 def _of_homing(
-    refuted_by: str, *, each: Cases = _homings, sets: tuple[Verb, ...] = _WITHOUT_WAY_BACK, **facts: Any
+    refuted_by: str, *, each: Cases = _homings, **facts: Any
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    facts = {"emulated": True, "risks": risks_by(*sets), "settings": fields, **facts}
+    facts = {"emulated": True, "risks": risks_by(*SETS_HOME), "settings": _fields, **facts}
     return of_motion(each=each, refuted_by=refuted_by, **facts)
 
 
@@ -57,7 +61,7 @@ def set_home(probe: Probe, **values: int) -> None:
     What a user has set of it is not told by all drives, so that all of it is set.
     """
     wanted = {"home_trigger": 0, "home_direction": _CW, "home_speed": 60, "end_limit": 0, "home_mode": 0, **values}
-    for verb in _WITH_WAY_BACK:
+    for verb in SETS_HOME:
         command = probe.dialect.by_verb.get(verb)
         if command is None:
             continue
@@ -159,12 +163,7 @@ def _finds_switch(probe: Probe, way: str) -> None:
         _expect_flags(probe, exchange)
 
 
-@_of_homing(
-    "a shaft that does not leave the end stop, or stops elsewhere",
-    each=_both_ways,
-    name="{command}/from-closed-{way}",
-    sets=_WITH_WAY_BACK,
-)
+@_of_homing("a shaft that does not leave the end stop, or stops elsewhere", each=_both_ways, name="{command}/from-closed-{way}")
 def _from_closed(probe: Probe, command: Command, way: str) -> None:
     """From a closed end stop the shaft first turns the other way, then comes back to it, at either level."""
     direction = _DIRECTIONS[way]
@@ -198,7 +197,7 @@ def _zero(probe: Probe) -> None:
 
 
 def _without_switch(dialect: Dialect) -> Iterator[Case]:
-    modes = [v for v in _WITH_WAY_BACK if (c := dialect.by_verb.get(v)) and _has_mode(c)]
+    modes = [v for v in SETS_HOME if (c := dialect.by_verb.get(v)) and _has_mode(c)]
     for way in _DIRECTIONS if modes else ():
         for angle in (0, 0x1000, 0x3000, 0x12000, 0x25000):
             yield from (Case(dialect, case.command, {"way": way, "angle": angle}) for case in _homings(dialect))
@@ -208,7 +207,7 @@ def _has_mode(command: Command) -> bool:
     return any("home_mode" in form.layout.named for form in command.request_forms)
 
 
-@_of_homing("another place", each=_without_switch, name="{command}/without-switch-{way}-{angle:x}", sets=_WITH_WAY_BACK)
+@_of_homing("another place", each=_without_switch, name="{command}/without-switch-{way}-{angle:x}")
 def _is_held_then_zero(probe: Probe, way: str, angle: int) -> None:
     """Without an end stop the shaft turns {way} until it is held, goes back by {angle:#x} counts, and that point is zero."""
     direction = _DIRECTIONS[way]
@@ -287,7 +286,7 @@ def _with_way_back(dialect: Dialect) -> Iterator[Case]:
 _ALL_THE_WAY = "Homing {} reads 5 until the shaft stands, on its way there and back."
 
 
-@_of_homing("another status while the shaft turns", each=_with_way_back, name="{command}/status-{how}", sets=_WITH_WAY_BACK)
+@_of_homing("another status while the shaft turns", each=_with_way_back, name="{command}/status-{how}")
 def _status_all_the_way(probe: Probe, command: Command, how: str) -> None:
     closed = how == "from-closed"
     way = _WAYS[_CCW if how.endswith("-ccw") else _CW]

@@ -140,21 +140,15 @@ def _ended_at_once(dialect: Dialect) -> Iterator[Case]:
     verbs = (Verb.EMERGENCY_STOP, Verb.HOME, Verb.SET_HOME, Verb.RUN_SPEED, Verb.MOVE_RELATIVE_AXIS)
     needed = [command for verb in verbs if (command := dialect.by_verb.get(verb)) is not None]
     if len(needed) == len(verbs):
-        risks = frozenset[Risk]().union(*(command.all_risks for command in needed)) - {Risk.UNKNOWN}
-        known = [c for v in (Verb.SET_HOME, Verb.SET_NO_LIMIT_HOME) if (c := dialect.by_verb.get(v)) is not None]
+        known = [c for v in homing.SETS_HOME if (c := dialect.by_verb.get(v)) is not None]
+        risks = frozenset[Risk]().union(*(command.all_risks for command in (*needed, *known))) - {Risk.UNKNOWN}
         settings = motion.settings(dialect, *(name for c in known for name in c.request_forms[0].layout.named))
         facts = {"risks": motion.risks(dialect, *risks, Risk.UNBOUNDED, Risk.TORQUE), "settings": settings}
         for case in commands(Verb.READ_STATUS)(dialect):
             yield Case(dialect, case.command, facts=facts)
 
 
-@of_motion(
-    each=_ended_at_once,
-    name="{command}/behind-emergency",
-    refuted_by="another status",
-    quirks=may_meet("status-stays-slowing"),
-    at_best=Certainty.LIKELY,
-)
+@of_motion(each=_ended_at_once, name="{command}/behind-emergency", refuted_by="another status", at_best=Certainty.LIKELY)
 def _behind_emergency(probe: Probe) -> None:
     """Behind an emergency stop the status is 1, whatever it ended: a ramp up or down of a run or a move, or homing."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
@@ -172,10 +166,6 @@ def _behind_emergency(probe: Probe) -> None:
         turned = abs(motion.speed(probe).value)
         exchange = probe.ask(Verb.EMERGENCY_STOP)
         seen = _status(probe)
-        if seen == _DOWN and "status-stays-slowing" in probe.claim.quirks:
-            probe.wait(_STAYS_NS)
-            seen = _status(probe)
-            probe.meets("status-stays-slowing")
         motion.wait_standing(probe)
         if turned < 2:
             raise Inconclusive(f"the shaft does not turn before the emergency stop: it {what}")
