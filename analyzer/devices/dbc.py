@@ -137,6 +137,12 @@ def _parsed(text: Text, format: str) -> list[Message]:
     # A parser that files of strangers reach can raise anything.
     except Exception as error:
         raise _refused(text, getattr(error, f"e_{format}", None) or error) from None
+    for message in loaded.messages:
+        # An attribute that XML leaves out is nothing to cantools.
+        if not message.name:
+            raise text.error(f"expected a name of the message 0x{message.frame_id:X}, got none")
+        if not all(signal.name for signal in message.signals):
+            raise text.error(f"expected a name of each signal of {message.name}, got none")
     return list(loaded.messages)
 
 

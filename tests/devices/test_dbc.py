@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 from collections import OrderedDict
 
 import cantools
@@ -257,6 +258,15 @@ def test_a_file_of_entities_is_refused(tmp_path):
 def test_another_format_of_cantools(tmp_path):
     text = any_database(random.Random(1)).as_kcd_string()
     assert load([write(tmp_path, text, "bus.kcd")], [], print)[0].dialects[0].commands
+
+
+@pytest.mark.parametrize("element", ["Message", "Signal"])
+def test_a_name_that_is_missing(element, tmp_path):
+    text = any_database(random.Random(1)).as_kcd_string()
+    nameless = re.sub(rf'(<{element}\b[^>]*?) name="[^"]*"', r"\1", text, count=1)
+    assert nameless != text
+    with pytest.raises(ServotapError, match=r"bus.kcd.*: expected a name of"):
+        load([write(tmp_path, nameless, "bus.kcd")], [], print)
 
 
 def test_two_files_of_one_identifier(tmp_path):
