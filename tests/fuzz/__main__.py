@@ -101,14 +101,20 @@ class Session:
         """Shrink a finding that is new and write it into the corpus."""
         if (finding.target, finding.key) in self.found:
             return
+        once = f"{finding.key} once, not again: --target {finding.target} --seed {finding.seed} --number {finding.number}"
         if finding.key == MUTATOR:
+            if "MemoryError" in finding.text:
+                # Inputs before this one have left memory behind: here it is made, or what was wrong comes again.
+                made(finding.target, finding.seed, finding.number, self._seeds[finding.target])
+                eprint(once)
+                return
             self.found[finding.target, finding.key] = finding
             eprint(f"FOUND {finding.text} (--target {finding.target} --seed {finding.seed} --number {finding.number})")
             return
         given = made(finding.target, finding.seed, finding.number, self._seeds[finding.target])
         if finding.key.startswith(("hang", "MemoryError")) and not outcomes(finding.target, [given])[0]:
             # A busy machine charges a process for more than it worked, and inputs before this one have left memory behind.
-            eprint(f"{finding.key} once, not again: --target {finding.target} --seed {finding.seed} --number {finding.number}")
+            eprint(once)
             return
         self.found[finding.target, finding.key] = finding
         path = self._corpus / finding.target / f"{finding.key}-{finding.seed}-{finding.number}"
