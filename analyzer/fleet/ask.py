@@ -117,7 +117,7 @@ class Question:
             raise
         finally:
             timer.cancel()
-            # A query that still runs for an answer nobody takes would outlive this program, and crash it.
+            # A query that still runs would outlive this program and crash it.
             while self._asked:
                 self._asked.pop().close()
 

@@ -151,7 +151,7 @@ class ModbusLink(Link):
 
 @dataclass(frozen=True)
 class ModbusSlaveLink(ModbusLink):
-    """Modbus-RTU of slaves without a list of commands: a command is a function, whatever its registers.
+    """Modbus-RTU of slaves without a list of commands: a command is a function with any registers.
 
     All that follows the function is its own data. `units`: the only addresses that there are; empty: any.
     """

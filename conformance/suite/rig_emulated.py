@@ -110,6 +110,7 @@ class EmulatedRig(ClaimRig):
         gate = Gate(EmulatedLine([drive]), self._allowance)
         if drive.rest.since_ns < 0:
             gate.wait(_POWERED_NS)
+            # A shaft that turns on is judged by the claims about stops; a stop may also need more than was allowed.
             with contextlib.suppress(Inconclusive, Refused):
                 resting.let_stand(plain_probe(self.dialect, self.address, gate))
         return gate

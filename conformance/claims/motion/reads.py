@@ -430,7 +430,7 @@ def _is_enable_pin(probe: Probe, command: Command) -> None:
 
 
 class _Look(NamedTuple):
-    """PEND behind a move, beside the count of pulses. `anew`: the drive was restarted before it."""
+    """The level of PEND and the count of pulses after a move. `anew`: the drive was restarted before it."""
 
     level: int
     period: int

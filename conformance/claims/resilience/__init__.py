@@ -1,1 +1,1 @@
-"""Claims about a drive that goes on hearing and obeying whatever came before."""
+"""Claims about a drive that still hears and obeys after many, damaged or odd requests."""

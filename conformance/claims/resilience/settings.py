@@ -344,7 +344,7 @@ _SPEED_SHARE, _RUN_RPM, _RUN_NS = 0.06, 60, 100 * MS
 
 
 def _expect_run(probe: Probe, subdivision: int, when: str) -> None:
-    """Refute unless a run has the speed that the subdivision makes of the one that is sent."""
+    """Refute a run whose shaft has another speed than the sent one at this subdivision."""
     law, run = probe.dialect.subdivision, probe.command(Verb.RUN_SPEED)
     assert law is not None  # there is a subdivision to set
     values = motion.values_of(probe.dialect, run, rpm=_RUN_RPM, acceleration=STEEP, subdivision=subdivision)

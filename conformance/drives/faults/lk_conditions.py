@@ -126,7 +126,7 @@ def _on_while_it_turns(drive: Drive, command: Command, asked: Values, values: Va
 
 
 def _offset_of_next(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
-    """Tell the offset that is stored, not the one that is used until power comes on again."""
+    """Tell the stored offset, although the drive uses the older one until power comes on again."""
     return values | {"encoder_offset": drive.settings["encoder_zero"]}
 
 

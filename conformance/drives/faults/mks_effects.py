@@ -93,7 +93,7 @@ def _gripping(of: Callable[[MksCore], bool]) -> Callable[[MksCore], None]:
 
 
 def _limits_by_low_pins(drive: MksCore) -> None:
-    """Take a low pin for the end stop whatever home_trigger says, but while homing."""
+    """Take a low pin for the end stop at both levels of home_trigger, except while homing."""
     effective = drive.effective
 
     def low(side: str) -> bool:
@@ -103,7 +103,7 @@ def _limits_by_low_pins(drive: MksCore) -> None:
 
 
 def _closed_start_by_low_pins(drive: MksCore) -> None:
-    """Take a low pin for the end stop where homing begins at it, whatever home_trigger says."""
+    """Take a low pin for the end stop at both levels of home_trigger, where homing begins at it."""
     effective, home = drive.effective, drive.behaviours[Verb.HOME]
     begins = False
 

@@ -264,7 +264,7 @@ def _told_behind(settings: bool, verb: Verb, **told: int) -> Change:
 
 
 def _stops_of_all(change: Callable[[int, int], int]) -> Callable[[MksCore], None]:
-    """Stop by another acceleration where a stop is for all drives: made of the one that is sent, and that of the motion."""
+    """Stop by another acceleration where a stop is for all drives. `change` gets the acceleration sent and the motion's."""
 
     def install(drive: MksCore) -> None:
         shared, moved = False, 0
