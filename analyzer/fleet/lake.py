@@ -130,9 +130,11 @@ class Lake:
     @contextlib.contextmanager
     def reading(self, table: str) -> Iterator[None]:
         """Raise UnreadableError where a table cannot be read: it is damaged, its store refuses."""
+        arrow = needed("pyarrow").ArrowException
         try:
             yield
-        except (OSError, self._delta.exceptions.DeltaError) as error:
+        # Damaged text of a data file is a ValueError of Python's.
+        except (OSError, ValueError, arrow, self._delta.exceptions.DeltaError) as error:
             raise UnreadableError(f"{self._uri(table)} cannot be read: {_told(error)}") from None
 
     # --- tables ---------------------------------------------------------------------------------------------------

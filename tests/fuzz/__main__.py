@@ -101,7 +101,7 @@ class Session:
         """Shrink a finding that is new and write it into the corpus."""
         if (finding.target, finding.key) in self.found:
             return
-        once = f"{finding.key} once, not again: --target {finding.target} --seed {finding.seed} --number {finding.number}"
+        once = f"{finding.key} once, not again: {_options(finding)}"
         if finding.key == MUTATOR:
             if "MemoryError" in finding.text:
                 # Inputs before this one have left memory behind: here it is made, or what was wrong comes again.
@@ -109,7 +109,7 @@ class Session:
                 eprint(once)
                 return
             self.found[finding.target, finding.key] = finding
-            eprint(f"FOUND {finding.text} (--target {finding.target} --seed {finding.seed} --number {finding.number})")
+            eprint(f"FOUND {finding.text} ({_options(finding)})")
             return
         given = made(finding.target, finding.seed, finding.number, self._seeds[finding.target])
         if finding.key.startswith(("hang", "MemoryError")) and not outcomes(finding.target, [given])[0]:
@@ -118,9 +118,7 @@ class Session:
             return
         self.found[finding.target, finding.key] = finding
         path = self._corpus / finding.target / f"{finding.key}-{finding.seed}-{finding.number}"
-        eprint(
-            f"FOUND {finding.target}: {finding.key} (--target {finding.target} --seed {finding.seed} --number {finding.number})"
-        )
+        eprint(f"FOUND {finding.target}: {finding.key} ({_options(finding)})")
         save(shrunk(finding, given, self._shrink_s), path)
         lines = finding.text.strip().splitlines()
         # A stack begins with where it was, a traceback ends with it.
@@ -135,13 +133,19 @@ class Session:
         eprint(f"{spent:6.0f} s  {now.total()} inputs, {now.total() / spent:.0f}/s  {len(self.found)} findings")
 
     def summary(self) -> str:
-        """Return inputs and findings of each target."""
+        """Return inputs and findings of each target, and at the end how each finding is repeated."""
         rows = [
             f"{name:<15} {self.counts[name]:>9} inputs {self.counts[name] / max(0.001, self.seconds[name]):>7.0f}/s"
             f"  {', '.join(key for target, key in self.found if target == name)}"
             for name in self._targets
         ]
-        return "\n".join([*rows, f"{'all':<15} {self.counts.total():>9} inputs, {len(self.found)} findings"])
+        found = [f"FOUND {each.target}: {each.key} ({_options(each)})" for each in self.found.values()]
+        return "\n".join([*rows, f"{'all':<15} {self.counts.total():>9} inputs, {len(self.found)} findings", *found])
+
+
+def _options(finding: Finding) -> str:
+    """Return the options that repeat the input of a finding."""
+    return f"--target {finding.target} --seed {finding.seed} --number {finding.number}"
 
 
 def replay(targets: list[str], corpus: Path) -> int:
