@@ -337,8 +337,7 @@ class _Section:
     @property
     def breaches(self) -> list[Breaches]:
         """What is wrong, the worst first."""
-        gravity = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.INFO: 2}
-        return sorted(self.traffic.breaches.values(), key=lambda each: (gravity[each.severity], -each.count))[:60]
+        return sorted(self.traffic.breaches.values(), key=lambda each: (-each.severity.rank, -each.count))[:60]
 
     @property
     def talkers(self) -> list[tuple[Drive, float]]:

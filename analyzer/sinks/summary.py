@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
     from analyzer.columns.pairs import Plain
 
-_GRAVITY = (Severity.INFO, Severity.WARNING, Severity.ERROR)
 #: Findings of each rule that are kept to be shown.
 FIRST_FEW = 3
 #: How far a double is shifted right to keep its exponent and the first five bits of its mantissa.
@@ -297,7 +296,7 @@ class Summary:
         self.findings[found.rule] += 1
         self.severities[found.severity] += 1
         worst = self.worst.get(found.rule)
-        if worst is None or _GRAVITY.index(found.severity) > _GRAVITY.index(worst):
+        if worst is None or found.severity.rank > worst.rank:
             self.worst[found.rule] = found.severity
         kept = self.first.setdefault(found.rule, [])
         if len(kept) < FIRST_FEW:
