@@ -30,8 +30,8 @@ def target_of(path: Path) -> Path:
 def free_target(path: Path, replace: bool, captures: Iterable[str] = ()) -> Path:
     """Return the file that is to be written, behind symbolic links, before any work is done for it.
 
-    `captures`: the files that are read; `-` is standard input. Raises UsageError for a folder, for what is no regular file, and
-    for one of the captures. A file that exists is refused, too, unless `replace` is set.
+    `captures`: the files that are read; `-` is standard input. Raises UsageError for a folder, a device, a
+    pipe, and one of the captures. A file that exists is refused, too, unless `replace` is set.
     """
     target = target_of(path)
     if target.exists():
@@ -136,7 +136,7 @@ class Output:
 
 
 class OutputFolder:
-    """A folder of tables under construction beside the target. It takes the target's name only when it is whole.
+    """A folder of tables while they are written. It stands beside the target and takes the target's name only when it is whole.
 
     `target`: the name it is to have; `replace`: whether a folder of that name that holds nothing but tables may be replaced.
     Raises UsageError where no folder can be made.

@@ -12,7 +12,7 @@ What comes out is a call as programs of python-can have it, which `can_text` rea
 
 Sums, shifts and masks of known numbers are computed. What is known at run time only is passed over, but for two things. In a
 frame whose last byte is known it counts as 0, because then no check follows from it. A base with a node added is the first
-node. An identifier that is a name alone is the one that the sum at the end of the data has in it.
+node. An identifier that only has a name follows from the sum at the end of the data.
 """
 
 from __future__ import annotations

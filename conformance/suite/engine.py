@@ -5,8 +5,9 @@ reason says so. Where the claim was a sequence of steps (a walk), emulated drive
 manual has it, and one with each known fault. Where the steps refute one of them in the same way, they are shortened there,
 which costs no motion. What is left is confirmed on the real drive.
 
-A user's settings may spoil a claim that was written for others. So a claim that refutes a drive is tried on ideal ones that
-are set as the drive is, as far as that is known, or may be: what refutes them too is inconclusive, and says what to set.
+A user's settings may spoil a claim that was written for others. A claim that refutes a drive is therefore tried on ideal
+drives. These have the drive's settings where they are known, and likely ones where not. If the claim refutes an ideal drive
+too, it is inconclusive and says what to set.
 
 A known quirk may spoil a claim that does not name it. So the claim is tried on emulated drives that follow the manual except
 for the quirks that the real drive has shown. If it refutes one of them in the same way, the quirk is named as the reason.

@@ -33,7 +33,7 @@ from conformance.talk.probe import Probe
 _RAMP, _SLOPE, _LIMIT = 54_000, 540.0, 18_000
 #: The speeds of a run, and those of a move with a speed of its own, the last one back to its end (rpm).
 _RUNS, _CHANGES = (30, 60, 20, -30, 0), (30, 60, 20, -30)
-#: The length of a move that is changed on its way, of the one that ends, and of one within a turn, in degrees.
+#: Lengths of moves in degrees: one is changed on its way, one is the last, one stays within a turn.
 _FAR, _BACK, _IN_TURN = 3000, 300, 340
 #: How long a speed is kept before it changes, how often it is read, and how long the last move takes to its end.
 _KEEPS_NS, _EVERY_NS, _REST_NS = 100 * MS, 12 * MS, 4 * SECOND_NS

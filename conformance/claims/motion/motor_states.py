@@ -150,7 +150,7 @@ def _ended_at_once(dialect: Dialect) -> Iterator[Case]:
 
 @of_motion(each=_ended_at_once, name="{command}/behind-emergency", refuted_by="another status", at_best=Certainty.LIKELY)
 def _behind_emergency(probe: Probe) -> None:
-    """Behind an emergency stop the status is 1, whatever it ended: a ramp up or down of a run or a move, or homing."""
+    """Behind an emergency stop of any motion the status is 1: in a ramp of a run or a move, at full speed, or homing."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     homing.set_home(probe, home_speed=_RPM)
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
