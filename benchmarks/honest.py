@@ -101,8 +101,9 @@ def drawn(number: int, seed: int, share: int = STORED) -> str:
 def accused(
     text: str, seed: int = 0, every: int = 1, part: str = "", tells: bool = True
 ) -> tuple[str, Counter[str], list[str]]:
-    """Run each so many of the claims on a drive, those with a part in their id; return what came out, and what was refuted.
+    """Run each so many of the claims on a drive, those with a part in their id.
 
+    Returns the drive with what repeats the run, how many came out how, and what was refuted.
     `tells`: the user tells what the drive cannot tell of its settings.
     """
     target = parse(text)
@@ -121,7 +122,7 @@ def accused(
         counts[verdict.outcome.value] += 1
         if verdict.outcome is Outcome.REFUTED:
             refuted.append(f"{verdict.claim.id}: {verdict.reason} ({verdict.expected}; {verdict.got})")
-    return text, counts, refuted
+    return f"{text} (seed {seed}, settings {'told' if tells else 'not told'})", counts, refuted
 
 
 def _numbered(given: tuple[str, int, int, str, bool]) -> tuple[str, Counter[str], list[str]]:
@@ -156,14 +157,15 @@ def main() -> int:
     began, guilty = time.monotonic(), 0
     total: Counter[str] = Counter()
     with get_context("spawn").Pool(arguments.jobs) as pool:
-        for text, counts, refuted in pool.imap(
-            _numbered,
-            drives(arguments.drives, arguments.seed, arguments.every, arguments.set, arguments.part, arguments.stored),
-        ):
+        drawn_drives = drives(
+            arguments.drives, arguments.seed, arguments.every, arguments.set, arguments.part, arguments.stored
+        )
+        for number, (text, counts, refuted) in enumerate(pool.imap(_numbered, drawn_drives), 1):
             total += counts
             guilty += bool(refuted)
+            # A run takes hours: what it has shown so far.
+            print(f"{number} drives, {guilty} accused, {time.monotonic() - began:.0f} s", end="\r", file=sys.stderr, flush=True)
             if refuted:
-                # Of a user who tells its settings, or of one who does not: as drawn.
                 print(text, *refuted, sep="\n    ", flush=True)
     shown = ", ".join(f"{count} {name}" for name, count in total.most_common())
     print(f"{arguments.drives} honest drives, {guilty} accused; {shown}; {time.monotonic() - began:.0f} s")

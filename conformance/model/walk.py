@@ -440,8 +440,7 @@ class Walk:
 
     def _asked(self, command: Command, values: Mapping[str, int] | None = None) -> tuple[Answer | None, Told | None]:
         exchange = self.probe.ask(command, values, quiet_ns=0)
-        # A reply without its checksum may be a damaged one.
-        if not exchange.is_read or (exchange.reply is not None and exchange.reply.bare):
+        if not exchange.is_read:
             exchange = self.probe.ask(command, values, quiet_ns=0)
         assert exchange.sent is not None
         told = self.twin.hear(exchange.sent, self._twin_ns(exchange.sent_ns), reads=True)

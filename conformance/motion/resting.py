@@ -230,19 +230,21 @@ def _supply(probe: Probe) -> dict[str, float]:
 
 
 def _of_line(probe: Probe) -> Noise:
-    """Return the bytes of an idle line that come before every reply and behind it, and how many of its last ones come twice."""
+    """Return the bytes of an idle line that come before every reply and behind it, and what is known of the end of a reply."""
     if probe.dialect.bus == "can":
         return QUIET
     before: set[bytes] = set()
     behind: set[bytes] = set()
     last: set[bytes] = set()
     repeated: set[int] = set()
+    checked = False
     # The replies end in different bytes.
     for command in (motion.reads_position(probe.dialect), motion.reads_speed(probe.dialect)) * (_FEWER // 2):
         exchange = probe.ask(command, quiet_ns=0)
         answer = exchange.reply
         if answer is None:
             return QUIET
+        checked = checked or (answer.is_whole and not answer.bare)
         first, _, rest = exchange.received.partition(answer.data)
         before.add(first)
         behind.add(rest)
@@ -252,7 +254,8 @@ def _of_line(probe: Probe) -> Noise:
     # A driver that lets go of the line makes a start bit of it, and ones; a byte of zeros is sent.
     trailing = trailing if trailing.strip(_HIGH) == b"" else b""
     repeats = min(repeated) if len(repeated) == 1 and len(last) > 1 and not trailing else 0
-    return Noise(stray=_idle(before), trailing=trailing, repeats=repeats if repeats <= _MOST_STRAY else 0)
+    repeats = repeats if repeats <= _MOST_STRAY else 0
+    return Noise(stray=_idle(before), trailing=trailing, repeats=repeats, checked=checked)
 
 
 def _idle(found: set[bytes]) -> bytes:

@@ -273,17 +273,20 @@ class Dialogue:
         self._pipeline.feed(chunk if self._bare is None else self._bare.completed(chunk))
 
     def _without_stray(self, got: Chunk) -> Chunk:
-        """Return what comes without what the line shows before a reply: at the begin, or where the next one begins alike."""
+        """Return what comes without what the line shows before a reply: where one begins, and behind a whole one."""
         data, rest, held = got.data, got.data.removeprefix(self._stray), self._held
         begin = self._exchange.received[:1]
         self._held = None
         if not self._pending:
             data = rest
+        elif self._half_way:
+            # It goes on with a frame, whatever its bytes look like. Only behind a whole one the next can begin.
+            pass
         elif data == self._stray and held is None:
             self._held, data = got, b""
         elif held is not None and data[:1] != begin:
             data = held.data + (rest if rest[:1] == begin else data)
-        elif rest[:1] == begin and len(rest) > 1:  # one such byte is the end of this reply
+        elif rest[:1] == begin:
             data = rest
         return replace(got, data=data)
 

@@ -7,6 +7,8 @@ inconclusive; so the probe reads such a reply, and the claims about checksums an
 
 Rules kept here:
 - Only what lacks its checksum and nothing else is read: with the sum that fits, it is a whole reply of the dialect.
+- Only drives of which no reply came with a checksum before the run judges (`Noise.checked`). Of others such a reply has lost
+  some bytes, and its values are no values.
 - Only dialects of which such drives are known; elsewhere a missing checksum stays what it is, bytes that are no frame.
 - The bytes stay as they came: reports show them without the sum.
 """

@@ -64,9 +64,9 @@ class Noise:
     `loop`: how far from its target it says that it is. `share`: of a speed, measured while the shaft turns. `lag`: how many
     degrees it went on after a stop at once. `supply`: volts, amperes and degrees Celsius by their units. `stray`, `trailing`:
     bytes of the line before and behind each reply. `repeats`: how many of the last bytes of each reply come once more.
-    `latency_ns`: of its slowest reply. `rescaled`: whether the shaft turns at
-    another speed than is sent, as it does at some subdivisions. `hindrance`: why the drive cannot turn the shaft, by its own
-    word; empty where it can.
+    `checked`: whether a reply came with its checksum; one that lacks it has then lost some bytes. `latency_ns`: of its slowest
+    reply. `rescaled`: whether the shaft turns at another speed than is sent, as it does at some subdivisions. `hindrance`: why
+    the drive cannot turn the shaft, by its own word; empty where it can.
     """
 
     degrees: float = 0.0
@@ -78,6 +78,7 @@ class Noise:
     stray: bytes = b""
     trailing: bytes = b""
     repeats: int = 0
+    checked: bool = False
     latency_ns: int = 0
     rescaled: bool = False
     hindrance: str = ""

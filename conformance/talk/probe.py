@@ -162,7 +162,7 @@ class Probe:
             pause_ns=_PAUSE_NS,
             # On CAN a frame may be another drive's or host's; on a serial line only the drive's bytes come back.
             direction=Role.UNKNOWN if self.dialect.bus == "can" else Role.REPLY,
-            bare=BareReplies(self.dialect),
+            bare=None if self.noise.checked else BareReplies(self.dialect),
             log=self.raw.append,
             stray=self.noise.stray,
             repeats=self.noise.repeats,

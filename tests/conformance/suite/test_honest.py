@@ -192,6 +192,13 @@ ONCE_ACCUSED = [
         2800003,
         "set_direction/and-the-bus",
     ),
+    # A reply pauses before a byte that is the line's and one with which a reply begins.
+    (
+        "mks-rs485@18,model=42D,encoder-noise=1,speed-noise=0.5%,speed-lag=5ms,clock=+0.5%,settle=50ms,latency=2..5ms,"
+        "turnaround-noise=FF,byte-gap=1,end_limit=1,home_speed=0,motor_direction=1,protection=1",
+        1200013,
+        "read_pulses/counts-moves",
+    ),
 ]
 
 

@@ -19,6 +19,7 @@ from conformance.gate.gate import Allowance, Gate, Refused
 from conformance.talk import reply_match
 from conformance.talk.dialogue import MS, Dialogue, Until
 from conformance.talk.exchange import Completion, Exchange
+from conformance.talk.no_checksum import BareReplies
 
 MKS, LK = dialects.get("mks-rs485"), dialects.get("lk-rs485")
 READ = build(MKS, "read_speed", 1)
@@ -195,3 +196,18 @@ def test_a_wait_for_the_end_of_a_frame_ends():
     exchange = dialogue(*[b"\xfb"] * 2000, drive="mks-rs485@7").ask(READ, 10 * MS)
     assert exchange.replies == []
     assert took_ms(exchange) < 80
+
+
+@pytest.mark.parametrize("stray", [b"\xff", b"\x00"])
+@pytest.mark.parametrize("pulses", [0xFFFBFFFB, 0xFFFFFB00, 0xFFFFFFFF, 0x00FB00FB, 0])
+def test_a_byte_that_the_line_shows_before_a_reply_is_no_byte_of_one(stray: bytes, pulses: int):
+    """Wherever a reply pauses: what its second part begins with is its own, even if it looks like the begin of a reply."""
+    signed = pulses - (1 << 32 if pulses >> 31 else 0)
+    reply = build(MKS, "read_pulses", 1, {"pulses": signed}, Role.REPLY)
+    for pause in range(1, len(reply)):
+        pieces = (stray + reply[:pause], reply[pause:], stray + reply)
+        line = Line(*pieces, drive="mks-rs485@7")
+        talk = Dialogue(Gate(line, Allowance(frozenset(Risk))), [MKS], stray=stray, bare=BareReplies(MKS))
+        exchange = talk.ask(build(MKS, "read_pulses", 1), 50 * MS, until=Until.TIMEOUT)
+        assert [a.data for a in exchange.answers] == [reply, reply], pause
+        assert exchange.received == reply * 2
