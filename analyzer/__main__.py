@@ -17,6 +17,8 @@ def main() -> int:
     handler = signal.getsignal(signal.SIGINT)
     if handler is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # Modules that are loaded leave next to nothing to collect, and each search would go through all that is there by then.
+    gc.disable()
     from analyzer import own_process
     from analyzer.cli import main as command
 

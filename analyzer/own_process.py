@@ -10,13 +10,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.abc import MetaPathFinder
 
 #: Whether this process is the program's own. Its main function sets it.
 is_own = False
 
 
-class _Hidden(MetaPathFinder):
+class _Hidden:
     """Finds one module before all others do, as one that is not installed."""
 
     def __init__(self, name: str) -> None:

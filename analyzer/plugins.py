@@ -7,28 +7,57 @@ One that fails is named on standard error and left out: a recording does not end
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
-from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from analyzer.values import printable
+
+if TYPE_CHECKING:
+    from importlib.metadata import Distribution, EntryPoint
 
 T = TypeVar("T")
 #: The packages of this project: what fails in them is a fault of servotap.
 OWN = frozenset(("analyzer", "conformance", "servotap"))
 #: The groups of entry points begin so.
 PREFIX = "servotap."
+#: What finds modules in folders; and the folders, beside these, that tell of a package.
+_FOLDERS, _ABOUT = "_frozen_importlib_external", (".dist-info", "egg-info")
 
 
 def points(group: str) -> list[EntryPoint]:
     """Return the entry points of a group."""
+    if not _may_have(group):
+        return []
+    from importlib.metadata import distributions, entry_points
+
     try:
         return list(entry_points(group=group))
     # The files of any package that is installed can be damaged.
     except Exception:
         return [point for package in distributions() for point in attempt(_named(package), partial(_of, package, group)) or ()]
+
+
+def _may_have(group: str) -> bool:
+    """Say whether a package that is installed may have entry points of a group.
+
+    To look for its name in their lists is faster than to load what reads them. What is no folder, and what cannot be read, may.
+    """
+    if any(hasattr(finder, "find_distributions") and finder.__module__ != _FOLDERS for finder in sys.meta_path):
+        return True
+    heading = f"[{group}]".encode()
+    try:
+        for folder in filter(os.path.exists, (path or "." for path in sys.path)):
+            with os.scandir(folder) as there:
+                lists = [Path(each.path, "entry_points.txt") for each in there if each.name.lower().endswith(_ABOUT)]
+            if any(heading in each.read_bytes() for each in lists if each.exists()):
+                return True
+    except OSError:
+        return True
+    return False
 
 
 def _of(package: Distribution, group: str) -> list[EntryPoint]:
@@ -37,6 +66,8 @@ def _of(package: Distribution, group: str) -> list[EntryPoint]:
 
 def whose(error: BaseException) -> str:
     """Return the package that adds to servotap and has code in the traceback of an error; empty where none has."""
+    from importlib.metadata import distributions
+
     seen, at = set(), error.__traceback__
     while at is not None:
         seen.add(str(at.tb_frame.f_globals.get("__name__")).partition(".")[0])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import gc
 import os
 import re
 import signal
@@ -151,6 +152,8 @@ def _main(words: list[str]) -> int:
         return 2
     load = partial(import_module, entry[0])
     module = load() if entry[0].startswith(_OWN) else attempt(f"the command {name} ({entry[0]})", load)
+    # Its start had it off.
+    gc.enable()
     return 2 if module is None else _run(name, module, rest)
 
 

@@ -28,13 +28,13 @@ from analyzer.records import Severity
 from analyzer.sinks.forked import available
 from analyzer.sinks.mcap_file import McapFile
 from analyzer.sinks.mcap_log import LIBRARY, PROFILE, McapLog
-from analyzer.sinks.process import SinkProcess
 from analyzer.sinks.summary import Summary
 from analyzer.table.extras import needed
 from analyzer.values import printable
 
 if TYPE_CHECKING:
     from analyzer.sinks.parquet import ParquetTables
+    from analyzer.sinks.process import SinkProcess
     from analyzer.sinks.workers import Workers
 
 EXAMPLES = """\
@@ -131,6 +131,8 @@ class _Sinks:
 
         self.given: tuple[Sink, ...]
         if several and self._workers is None:
+            from analyzer.sinks.process import SinkProcess
+
             self._process = SinkProcess(reading.possible, make)
             self.given = (self._process,)
         else:

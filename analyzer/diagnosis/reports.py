@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import cache
 from typing import NamedTuple
 
 from analyzer.framer import GLITCHES
 
 
 class Report(NamedTuple):
-    """A library's words. `cause`: what they stand for; `what`: what they mean; `next`: what to do."""
+    """A library's words, as a pattern. `cause`: what they stand for; `what`: what they mean; `next`: what to do."""
 
-    pattern: re.Pattern[str]
+    pattern: str
     cause: str
     what: str
     next: str
@@ -34,53 +35,55 @@ _CODE = (
 )
 
 
-def _report(pattern: str, cause: str, what: str, todo: str) -> Report:
-    return Report(re.compile(pattern, re.IGNORECASE), cause, what, todo)
+@cache
+def _compiled(pattern: str) -> re.Pattern[str]:
+    """Return a pattern that is asked: few captures have words, and all of these take long to compile."""
+    return re.compile(pattern, re.IGNORECASE)
 
 
 #: The more exact words stand first: one text often has several, of several layers of a program.
 REPORTS = (
-    _report(
+    Report(
         rf"\billegal[ _]?data[ _]?address|\billegaldataaddress|{_CODE.format(2)}", "wrong_register",
         "the unit has no such register, or the quantity reaches over the last one",
         "Look the register up: many manuals count from 1, from 40001, or in hexadecimal; try one less",
     ),
-    _report(
+    Report(
         rf"\billegal[ _]?data[ _]?value|\billegaldatavalue|{_CODE.format(3)}", "value_out_of_range",
         "the unit does not take the value or the quantity", "Look up the range of the register, and how many are read at once",
     ),
-    _report(
+    Report(
         rf"\billegal[ _]?function|{_CODE.format(1)}", "wrong_function", "the unit does not know the function",
         "Look up which function the register has (03, 04, 06 or 10)",
     ),
-    _report(
+    Report(
         rf"\b(?:slave|server)[ _](?:device )?(?:is )?busy|{_CODE.format(6)}", "too_fast",
         "the unit is busy with what it was asked before",
         "Wait for the end of what runs, then ask again",
     ),
-    _report(
+    Report(
         rf"\bgateway[ _](?:target|path)|{_CODE.format('(?:0?b|11|10|0?a)')}", "no_reply",
         "the unit behind the gateway does not answer",
         "Check the unit's address behind the gateway, its speed, wires and power",
     ),
-    _report(
+    Report(
         r"expected at least \d+ bytes? \((?!0 )\d+ received\)|\b(?:data )?length error, expected \d+,? got (?!0\b)\d+"
         r"|\blooking for \d+ bytes?, received (?!0\b)\d+"
         r"|\b(?:response|reply|message|packet|frame) (?:is |was )?(?:too short|incomplete)\b|\btoo short (?:response|reply)",
         "reply_cut", "a part of the reply came", "Read until the length of the reply is there or a timeout has passed",
     ),
-    _report(
+    Report(
         r"\blength not corresponding to the computed length", "wrong_length",
         "a reply has another length than its function and its count make",
         "Compare the reply with the manual byte by byte, and empty the input behind each reply that does not fit",
     ),
-    _report(
+    Report(
         r"transaction[_ ]?id\s*=?\s*\d+,? but (?:got|received)"
         r"|transaction[_ ]?id\W{1,4}\d+\W{1,3}(?:does not|doesn't) match"
         r"|\b(?:unexpected|wrong|invalid) transaction[_ ]?id", "late_reply",
         "a reply came that belongs to a request before", "Wait longer for each reply, and clear the input before each request",
     ),
-    _report(
+    Report(
         r"no response received|\blooking for \d+ bytes?, received 0\b"
         r"|\(0 received\)|no communication with the instrument|\bNoResponseError|TransactionTimedOut"
         r"|no response (?:received )?from the (?:remote )?(?:unit|slave|device)|request result: 0x(?:0?b|e4)\b"
@@ -90,7 +93,7 @@ REPORTS = (
         r"|\b(?:read|write)\w*\b[^\n]{0,40}\bfailed: ?(?:connection|operation) timed out",
         "no_reply", "no reply came in time", _TRY,
     ),
-    _report(
+    Report(
         r"(?<![\w.])-?\d(?:\.\d+)?e-(?:3[89]|4[0-5])\b", "wrong_byte_order",
         "a float comes out next to nothing: the words or bytes that make it stand in the wrong order, or it is no float",
         "Swap the two words (CDAB), then the bytes of each (BADC), until a known value comes out; a value that counts in whole "
@@ -99,29 +102,22 @@ REPORTS = (
 )  # fmt: skip
 #: A check that was expected and one that was got, in any of the usual words.
 _CHECKS = (
-    re.compile(
+    (
         r"\bcrc[^\n]{0,60}?\bexpected:?\s*(?:0x)?(?P<meant>[0-9a-f]{1,4})\b[^\n]{0,30}?\b(?:got|received|but|actual)\b:?[^\n]{0,12}?"
-        r"\s(?:0x)?(?P<got>[0-9a-f]{1,4})\b",
-        re.IGNORECASE,
+        r"\s(?:0x)?(?P<got>[0-9a-f]{1,4})\b"
     ),
-    re.compile(
-        r"\bcrc received:?\s*(?:0x)?(?P<got>[0-9a-f]{1,4})\b[^\n]{0,12}?\bcrc calculated:?\s*(?:0x)?(?P<meant>[0-9a-f]{1,4})\b",
-        re.IGNORECASE,
-    ),
-    re.compile(
+    (r"\bcrc received:?\s*(?:0x)?(?P<got>[0-9a-f]{1,4})\b[^\n]{0,12}?\bcrc calculated:?\s*(?:0x)?(?P<meant>[0-9a-f]{1,4})\b"),
+    (
         r"\bcrc check failed!?\s*(?P<meant>[0-9a-f]{1,4})\s*!=\s*(?P<got>[0-9a-f]{1,4})\b"
-        r"(?:\s+(?P<bytes>[0-9a-f]{2}(?:[. :][0-9a-f]{2})+)\b)?",
-        re.IGNORECASE,
+        r"(?:\s+(?P<bytes>[0-9a-f]{2}(?:[. :][0-9a-f]{2})+)\b)?"
     ),
-    re.compile(
+    (
         r"\bcrc[^\n]{0,30}?\b(?:received|got)\b:?\s*(?:0x)?(?P<got>[0-9a-f]{1,4})\b[^\n]{0,20}?\b(?:calculated|expected|computed)\b"
-        r"[^\n]{0,8}?\s(?:0x)?(?P<meant>[0-9a-f]{1,4})\b",
-        re.IGNORECASE,
+        r"[^\n]{0,8}?\s(?:0x)?(?P<meant>[0-9a-f]{1,4})\b"
     ),
 )
-_FAILED_CHECK = re.compile(
-    r"\bcrc(?:16)? ?(?:check )?(?:error|fail\w*|mismatch)|\b(?:invalid|wrong|bad|incorrect) crc|\bchecksum error in rtu",
-    re.IGNORECASE,
+_FAILED_CHECK = (
+    r"\bcrc(?:16)? ?(?:check )?(?:error|fail\w*|mismatch)|\b(?:invalid|wrong|bad|incorrect) crc|\bchecksum error in rtu"
 )
 
 
@@ -151,7 +147,7 @@ class Checks(NamedTuple):
 
 def checks(words: str) -> list[Checks]:
     """Return the checks that words compare."""
-    found = next((rows for rows in (list(each.finditer(words)) for each in _CHECKS) if rows), [])
+    found = next((rows for rows in (list(_compiled(each).finditer(words)) for each in _CHECKS) if rows), [])
     return [Checks(row[0], int(row["meant"], 16), int(row["got"], 16), _bytes(row.groupdict().get("bytes"))) for row in found]
 
 
@@ -163,13 +159,13 @@ def reports(words: str) -> Iterator[tuple[Report, str, int]]:
     """Yield what libraries report, with their words, and how often."""
     silent = 0
     for report in REPORTS:
-        found = [row[0] for row in report.pattern.finditer(words)]
+        found = [row[0] for row in _compiled(report.pattern).finditer(words)]
         if found:
             silent = len(found) if report.cause == "no_reply" else silent
             yield report, found[0], len(found)
     compared = checks(words)
     # A check that fails as often as nothing comes is one of nothing.
-    if compared or len(_FAILED_CHECK.findall(words)) > silent:
+    if compared or len(_compiled(_FAILED_CHECK).findall(words)) > silent:
         yield _of_checks(words, compared)
 
 
@@ -201,8 +197,8 @@ def _of_checks(words: str, compared: list[Checks]) -> tuple[Report, str, int]:
         )
     else:
         cause, what, todo = "noise", "replies come damaged", _LINE
-    shown = compared[0].text if compared else next(iter(_FAILED_CHECK.findall(words)), "")
-    times = len(compared) or len(_FAILED_CHECK.findall(words))
+    shown = compared[0].text if compared else next(iter(_compiled(_FAILED_CHECK).findall(words)), "")
+    times = len(compared) or len(_compiled(_FAILED_CHECK).findall(words))
     return Report(_FAILED_CHECK, cause, what, todo), shown, times
 
 
@@ -214,6 +210,6 @@ def speaks(line: str) -> bool:
     """Say whether a line has a library's report of an exchange."""
     return (
         MISFIT.search(line) is not None
-        or any(report.pattern.search(line) for report in REPORTS)
-        or _FAILED_CHECK.search(line) is not None
+        or any(_compiled(report.pattern).search(line) for report in REPORTS)
+        or _compiled(_FAILED_CHECK).search(line) is not None
     )

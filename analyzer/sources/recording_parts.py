@@ -26,7 +26,6 @@ CLOCK_METADATA = "servotap.clock"
 _NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d{4,})\.mcap")
 #: Digits of the number of a part, fewer than these.
 _DIGITS = 10
-_MAGIC = b"\x89MCAP0\r\n"
 #: How many records may stand before the recording's own one.
 _FIRST_FEW = 4
 
