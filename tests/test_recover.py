@@ -5,14 +5,21 @@ from __future__ import annotations
 import io
 import random
 import shutil
+import struct
+import zlib
 
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.records import Chunk, Header, Message
+from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from analyzer.cli import main
 from analyzer.live.lock import RUNNING, Lock
+from analyzer.sinks.mcap_chunk import record_bytes
 from analyzer.sinks.mcap_repair import is_whole, repair
+from analyzer.sources.mcap_scan import HEAD, MAGIC
 from tests.collect import sum8
 from tests.live.spooled import Spools, content, decoded_of, metadata, port, raw_of, read
 from tests.live.test_recorder_killed import ARM, LEFT, RIGHT, fill
@@ -283,3 +290,41 @@ def test_a_private_log_stays_private(tmp_path):
         broken.log.chmod(0o600)
         assert main(["recover", str(broken.log)]) == 0
         assert broken.log.stat().st_mode & 0o777 == 0o600
+
+
+def record(opcode, body):
+    return HEAD.pack(opcode, len(body)) + body
+
+
+#: Records in a chunk that the `mcap` library cannot read, by what is wrong with them.
+UNREADABLE = {
+    "a message without its times": record(Opcode.MESSAGE, b"\1\0\0\0"),
+    "a schema that breaks off": record(Opcode.SCHEMA, b"\2\0\xff\0\0\0x"),
+    "a topic that is no text": record(Opcode.CHANNEL, b"\2\0\0\0\1\0\0\0\xff\0\0\0\0\0\0\0\0"),
+    "a channel that is too long": record(Opcode.CHANNEL, b"\2\0\0\0\1\0\0\0x\0\0\0\0\0\0\0\0more"),
+}
+
+
+@pytest.mark.parametrize("what", UNREADABLE)
+@pytest.mark.parametrize("place", ["first", "middle", "last"])
+def test_what_the_library_cannot_read_in_a_chunk_is_left_out_and_counted(tmp_path, cli, what, place):
+    bad = UNREADABLE[what]
+    wanted = [(n, b'{"x":%d}' % n) for n in range(20)]
+    inner = [record(Opcode.CHANNEL, b"\1\0\0\0\2\0\0\0/x\4\0\0\0json\0\0\0\0")]
+    inner += [record(Opcode.MESSAGE, struct.pack("<HIQQ", 1, n, n, n) + data) for n, data in wanted]
+    at = {"first": 0, "middle": 11, "last": len(inner)}[place]
+    data = b"".join([*inner[:at], bad, *inner[at:]])
+    path = tmp_path / "x.mcap"
+    chunk = Chunk(
+        compression="", data=data, message_start_time=0, message_end_time=19,
+        uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data),
+    )  # fmt: skip
+    path.write_bytes(MAGIC + record_bytes(Header("", "")) + record_bytes(chunk))
+    said = cli("recover", path).out
+    assert "left out of a chunk: 1 damaged record" in said
+    assert f"{len(bad)} bytes of x.mcap in total" in said
+    found = path.read_bytes()
+    assert [(sequence, text) for _, sequence, _, text in messages(found)] == wanted
+    # A reader that does not seek reads all of it, too.
+    assert sum(isinstance(each, Message) for each in StreamReader(io.BytesIO(found), validate_crcs=True).records) == 20
+    assert "nothing was changed" in cli("recover", path).out

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from analyzer.cli.decode_targets import Capture
 from analyzer.cli.reading import progress
 from analyzer.cli.time_range import TimeRange
 from analyzer.diagnosis.watch import Watch
+from analyzer.scratch import scratch_folder
 from analyzer.sources import Source, open_source
 from analyzer.sources.times import ShownTime
 
@@ -56,8 +56,8 @@ def as_log(path: str, arguments: argparse.Namespace) -> Iterator[AsLog]:
             with progress(source, f"reading {source.name}"):
                 yield AsLog(source, source.name, wanted.shown, wanted.since_ns, wanted.until_ns)
         return
-    with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
-        target = Path(folder) / "capture.mcap"
+    with scratch_folder() as folder:
+        target = folder / "capture.mcap"
         given = argparse.Namespace(**vars(arguments) | {"to": "mcap", "jobs": cores(), "force": True})
         done = decode(
             Capture(path, target),

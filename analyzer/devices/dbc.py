@@ -10,9 +10,10 @@ Rules kept here:
 from __future__ import annotations
 
 import logging
+import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,19 +35,20 @@ _FORMATS = {".dbc": "dbc", ".kcd": "kcd", ".sym": "sym", ".arxml": "arxml"}
 _XML = frozenset({"kcd", "arxml"})
 #: The longest message that J1939 carries, in bytes, and as many multiplexer values as anyone numbers.
 _LONGEST, _MOST_VALUES = 1785, 1 << 16
-#: The head of a message. A name is short: what has no end is not looked through for each begin.
-_MESSAGE = r"^BO_ \s*\d+ [^:]{0,300}:\s*(\d+)"
+#: Multiplexer values of a whole file: each takes memory.
+_MOST_NUMBERS = 16 * _MOST_VALUES
 #: Numbers that cantools makes as many objects of: what they are, their pattern, the most.
 _LIMITS = (
-    ("bytes of a message", _MESSAGE, _LONGEST),
+    # A name is short: what has no end is not looked through for each begin.
+    ("bytes of a message", r"^BO_ \s*\d+ [^:]{0,300}:\s*(\d+)", _LONGEST),
     ("bits of a signal", r":\s*\d+\|(\d+)@", 8 * _LONGEST),
     ("first bit of a signal", r":\s*(\d+)\|\d+@", 8 * _LONGEST),
     ("length", r"""\b(?:length|offset)\s*=\s*["'](\d+)""", 8 * _LONGEST),
     ("length", r"^[ \t]*(?:Len|DLC|MaxLength)\s*=\s*(\d+)", 8 * _LONGEST),
     ("length", r"<(?:LENGTH|BIT-LENGTH|FRAME-LENGTH|START-POSITION)>\s*(\d+)", 8 * _LONGEST),
 )
-#: Signals of a message times its bits, over all messages: cantools looks at each bit for each signal, two million in a second.
-_MOST_LOOKS = 8_000_000
+#: Bits at which cantools looks to check a file: two million in a second. It checks each message twice.
+_MOST_LOOKS = 16_000_000
 
 
 def messages(text: Text, name: str, note: Callable[[str], None]) -> Dialect:
@@ -88,33 +90,71 @@ def _check_size(text: Text, format: str) -> None:
         for found in re.finditer(pattern, text.text, re.MULTILINE | re.IGNORECASE):
             if len(found[1]) > len(str(most)) or int(found[1]) > most:
                 raise text.error(f"{what}: expected {most} at most, got {found[1]}", text.line_at(found.start(1)))
-    _check_looks(text)
-    values_at = -1
+    values_at, numbers = -1, 0
     for mark in re.finditer(r"^SG_MUL_VAL_ |;", text.text, re.MULTILINE):
         if mark[0] != ";":
             values_at = mark.start() if values_at < 0 else values_at
         elif values_at >= 0:
-            _check_ranges(text, values_at, mark.start())
+            numbers += _numbers(text, values_at, mark.start())
             values_at = -1
+            if numbers > _MOST_NUMBERS:
+                raise text.error(f"multiplexer values: expected {_MOST_NUMBERS} in a file at most", text.line_at(mark.start()))
 
 
-def _check_ranges(text: Text, start: int, stop: int) -> None:
-    """Raise UnreadableError for a range of multiplexer values that is longer than anyone numbers them."""
+def _numbers(text: Text, start: int, stop: int) -> int:
+    """Return how many multiplexer values stand in a place. Raises UnreadableError for a range longer than anyone has."""
+    numbers = 0
     for found in re.finditer(r"(?<!\d)(\d++)\s*+-\s*+(\d++)", text.text[start:stop]):
         if len(found[2]) > len(str(1 << 64)) or int(found[2]) - int(found[1]) > _MOST_VALUES:
             raise text.error(
                 f"multiplexer values: expected {_MOST_VALUES} at most, got {found[0]}", text.line_at(start + found.start())
             )
+        numbers += max(0, int(found[2]) - int(found[1])) + 1
+    return numbers
 
 
-def _check_looks(text: Text) -> None:
-    """Raise UnreadableError for so many signals in so long messages that cantools would look at their bits for minutes."""
-    looks = bits = 0
-    for found in re.finditer(rf"{_MESSAGE}|^\s?SG_ ", text.text, re.MULTILINE):
-        bits = bits if found[1] is None else 8 * int(found[1])
-        looks += bits if found[1] is None else 0
-        if looks > _MOST_LOOKS:
-            raise text.error("expected fewer signals in messages so long", text.line_at(found.start()))
+def _looks(message: Message) -> int:
+    """Return at how many bits cantools looks to check a message: each, for each of its signals, in each place of a multiplexer.
+
+    Eight signals, or bits that are copied, count as one bit.
+    """
+    bits = 8 * message.length
+    below: dict[str | None, list[Signal]] = {}
+    for signal in message.signals:
+        below.setdefault(signal.multiplexer_signal, []).append(signal)
+
+    def of(signals: Sequence[Signal], times: int) -> int:
+        looks = 0
+        for signal in signals:
+            seen = times * len(signal.multiplexer_ids or (0,))
+            looks += seen * bits
+            if signal.is_multiplexer:
+                inner = below.get(signal.name, [])
+                values = {each for child in inner for each in child.multiplexer_ids or ()} | set(signal.choices or ())
+                looks += seen * len(values) * (len(inner) + bits) // 8 + of(inner, seen)
+        return looks
+
+    return of(below.get(None, []), 1)
+
+
+@contextmanager
+def _bounded() -> Iterator[None]:
+    """Have cantools refuse a file at whose bits it would look for minutes. All formats come to the same check."""
+    kind, left = needed("cantools.database.can.message").Message, _MOST_LOOKS
+    check = kind.refresh
+
+    def bounded(message: Message, strict: bool | None = None) -> None:
+        nonlocal left
+        left -= _looks(message)
+        if left < 0:
+            raise ValueError(f"expected fewer signals in messages so long, got too many with message {message.name}")
+        check(message, strict)
+
+    kind.refresh = bounded
+    try:
+        yield
+    finally:
+        kind.refresh = check
 
 
 @contextmanager
@@ -132,7 +172,7 @@ def _quiet() -> Iterator[None]:
 def _parsed(text: Text, format: str) -> list[Message]:
     database = needed("cantools.database")
     try:
-        with _quiet():
+        with _quiet(), _bounded():
             loaded = database.load_string(text.text, database_format=format, strict=True, sort_signals=None)
     # A parser that files of strangers reach can raise anything.
     except Exception as error:
@@ -143,7 +183,22 @@ def _parsed(text: Text, format: str) -> list[Message]:
             raise text.error(f"expected a name of the message 0x{message.frame_id:X}, got none")
         if not all(signal.name for signal in message.signals):
             raise text.error(f"expected a name of each signal of {message.name}, got none")
+        for signal in message.signals:
+            _check_numbers(text, message, signal)
     return list(loaded.messages)
+
+
+def _check_numbers(text: Text, message: Message, signal: Signal) -> None:
+    """Raise UnreadableError for a number that is larger than any float."""
+    for what in ("scale", "offset", "minimum", "maximum"):
+        number = getattr(signal, what)
+        try:
+            usable = number is None or math.isfinite(number)
+        except OverflowError:
+            usable = False
+        if not usable:
+            line = text.line_of(rf"^\s*SG_ {re.escape(signal.name)}\b")
+            raise text.error(f"{message.name}.{signal.name}: expected a {what} that a float can hold, got {number}", line)
 
 
 def _refused(text: Text, error: Exception) -> Exception:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
 
 #: What a question may do, in this order: the last one keeps it from changing them.
 _BOUNDS = ("python_enable_replacements = false", "enable_external_access = false", "lock_configuration = true")
+
+
+#: A question of one word, which is meant for a table.
+_NAME = re.compile(r"[\w-]+(\.[\w-]+)?")
 
 
 def _memory() -> int:
@@ -68,8 +73,8 @@ def answering() -> Iterator[None]:
     """Raise UsageError where a question cannot be answered; much of that shows only as its rows are fetched."""
     try:
         yield
-    # Python's dates end with the year 9999, those of SQL do not.
-    except (needed("duckdb").Error, needed("pyarrow").ArrowException, OverflowError) as error:
+    # Python's dates end with the year 9999, those of SQL do not. A value that Python cannot have is a ValueError of it.
+    except (needed("duckdb").Error, needed("pyarrow").ArrowException, OverflowError, ValueError) as error:
         raise UsageError(f"the question cannot be answered: {printable(str(error))}") from None
     except RecursionError:
         raise UsageError("the question is nested too deeply: expected fewer brackets and subqueries in each other") from None
@@ -125,11 +130,9 @@ class Question:
         """Return a table as a dataset of Arrow, with what is in all tables alone. Raises UsageError for no table."""
         name = self.tables.get(table, table)
         if name not in self.tables.values():
-            raise UsageError(
-                f"no table {printable(table)}{near(table, self.tables)} (servotap ask {self.lake.place.url} lists them)"
-            )
+            raise self._no_table(table)
         self._check_log(name)
-        found: pyarrow.dataset.Dataset = self.lake.open(name).to_pyarrow_dataset()
+        found = self.lake.dataset(name)
         if self._pending:
             compute = needed("pyarrow.compute")
             if name == CAPTURES:
@@ -138,6 +141,11 @@ class Question:
             hidden = needed("pyarrow").array([row["capture"] for row in rows if row["batch"] in self._pending], "string")
             return found.filter(~compute.field("capture").isin(hidden))
         return found
+
+    def _no_table(self, name: str) -> UsageError:
+        return UsageError(
+            f"no table {printable(name)}{near(name, self.tables)} (servotap ask {self.lake.place.url} lists them)"
+        )
 
     def _check_log(self, table: str) -> None:
         """Raise UnreadableError where a commit of a table was emptied: readers pass over it, and its rows are gone."""
@@ -158,6 +166,8 @@ class Question:
         with answering():
             parsed = json.loads(connection.execute("select json_serialize_sql(?)", [query]).fetchall()[0][0])
             if parsed["error"]:
+                if _NAME.fullmatch(query.strip()):
+                    raise self._no_table(query.strip())
                 raise UsageError(
                     f"the question cannot be read: {printable(parsed['error_message'])}; "
                     "expected SQL, as in: select count(*) from captures"
@@ -178,9 +188,7 @@ class Question:
         """Make a table of the lake one of a connection. Raises UsageError where the lake has none of that name."""
         full = f"{schema.replace('-', '_')}.{name}" if schema else name
         if full not in self.tables:
-            raise UsageError(
-                f"no table {printable(full)}{near(full, self.tables)} (servotap ask {self.lake.place.url} lists them)"
-            )
+            raise self._no_table(full)
         source = f"lake {full}"
         connection.register(source, self.dataset(full))
         place = f'"{schema}".' if schema else ""
@@ -191,7 +199,10 @@ class Question:
     def columns(self, table: str) -> Iterator[Column]:
         """Yield the columns of a table."""
         self._check_log(self.tables[table])
-        for each in self.lake.open(self.tables[table]).schema().fields:
+        opened = self.lake.open(self.tables[table])
+        with self.lake.reading(self.tables[table]):
+            fields = opened.schema().fields
+        for each in fields:
             about = each.metadata or {}
             kind = str(getattr(each.type, "type", each.type))
             yield Column(each.name, kind, str(about.get("unit", "")), str(about.get("note", "")))

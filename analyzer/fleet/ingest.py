@@ -15,7 +15,6 @@ import logging
 import posixpath
 import re
 import sys
-import tempfile
 import time
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -36,6 +35,7 @@ from analyzer.fleet.ranges import HUGE, Range, Scan, Task, do, is_split, joined,
 from analyzer.fleet.rows import TAKEN, Taken, Work
 from analyzer.live import profile
 from analyzer.live.spool import spool_folder
+from analyzer.scratch import scratch_folder
 from analyzer.table.extras import needed
 from analyzer.values import printable, quote
 
@@ -220,7 +220,7 @@ def workers(scheduler: str, count: int) -> Iterator[Any]:
         address: Any = scheduler
         if scheduler == "local":
             # Dask leaves a folder behind in the one for temporary files.
-            folder = opened.enter_context(tempfile.TemporaryDirectory(prefix="servotap-", ignore_cleanup_errors=True))
+            folder = str(opened.enter_context(scratch_folder()))
             needed("dask").config.set({"temporary-directory": folder})
             address = opened.enter_context(
                 distributed.LocalCluster(

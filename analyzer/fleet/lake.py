@@ -38,7 +38,7 @@ from analyzer.values import printable
 
 if TYPE_CHECKING:
     import deltalake
-    import pyarrow
+    import pyarrow.dataset
 
 CAPTURES = "captures"
 JOURNAL = "journal"
@@ -100,6 +100,8 @@ class Lake:
     def __init__(self, place: Place, *, make: bool = False, partitions: Sequence[str] = PARTITIONS) -> None:
         self.place = place
         self._delta = needed("deltalake")
+        # What its libraries raise. Damaged text of a data file is a ValueError of Python's.
+        self._errors = (OSError, ValueError, needed("pyarrow").ArrowException, self._delta.exceptions.DeltaError)
         protocol = store_of(place.url)
         if not place.root.isprintable() or _MISREAD & set(place.root):
             raise UsageError(f"{place.url}: a lake needs a path of printable text without {' '.join(sorted(_MISREAD))}")
@@ -116,25 +118,28 @@ class Lake:
                 self._create(CAPTURES, captures_schema(), (), _SETTINGS | {_PARTITIONS: ",".join(partitions)})
         elif not self._exists(CAPTURES):
             raise UnreadableError(f"{place.url} is no lake: make one with servotap ingest CAPTURES --to {place.url}")
-        said = self.open(CAPTURES).metadata().configuration.get(_PARTITIONS, ",".join(PARTITIONS))
-        self.destination = Destination(place, tuple(said.split(",")))
+        captures = self.open(CAPTURES)
+        with self.reading(CAPTURES):
+            said = captures.metadata().configuration.get(_PARTITIONS, ",".join(PARTITIONS))
+            partitions = said.split(",")
+            if not set(partitions) <= set(PARTITIONS):
+                raise ValueError(f"expected partitions by {' or '.join(PARTITIONS)}, got {said}")
+        self.destination = Destination(place, tuple(partitions))
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
         """Raise UsageError where the lake cannot be written: its disk is full, its store refuses."""
         try:
             yield
-        except (OSError, self._delta.exceptions.DeltaError) as error:
+        except self._errors as error:
             raise UsageError(f"{self.place.url} cannot be written: {_told(error)}") from None
 
     @contextlib.contextmanager
     def reading(self, table: str) -> Iterator[None]:
         """Raise UnreadableError where a table cannot be read: it is damaged, its store refuses."""
-        arrow = needed("pyarrow").ArrowException
         try:
             yield
-        # Damaged text of a data file is a ValueError of Python's.
-        except (OSError, ValueError, arrow, self._delta.exceptions.DeltaError) as error:
+        except self._errors as error:
             raise UnreadableError(f"{self._uri(table)} cannot be read: {_told(error)}") from None
 
     # --- tables ---------------------------------------------------------------------------------------------------
@@ -155,6 +160,21 @@ class Lake:
             else:
                 opened.update_incremental()
         return opened
+
+    def dataset(self, table: str) -> pyarrow.dataset.Dataset:
+        """Return a table as it is now, as a dataset of Arrow. Raises UnreadableError for one whose files are not below it."""
+        opened, files = self.open(table), None
+        if self.place.local:
+            # The store of Delta Lake is one of Python. Arrow waits for ever where one of its threads meets an error of Python
+            # while another begins to read.
+            arrow = needed("pyarrow.fs")
+            files = arrow.SubTreeFileSystem(self._uri(table), arrow.LocalFileSystem())
+        with self.reading(table):
+            found: pyarrow.dataset.Dataset = opened.to_pyarrow_dataset(filesystem=files)
+            for path in getattr(found, "files", ()):
+                if ".." in path.split("/") or path.startswith("/"):
+                    raise ValueError(f"its log names a file that is not below it: {path}")
+        return found
 
     def table(self, name: str, schema: pyarrow.Schema) -> deltalake.DeltaTable:
         """Return a table, made if it is not there. `schema`: without the partitions."""
@@ -213,9 +233,9 @@ class Lake:
 
     def rows(self, *columns: str) -> list[dict[str, Any]]:
         """Return some columns of all captures."""
-        opened = self.open(CAPTURES)
+        dataset = self.dataset(CAPTURES)
         with self.reading(CAPTURES):
-            found: list[dict[str, Any]] = opened.to_pyarrow_dataset().to_table(columns=list(columns)).to_pylist()
+            found: list[dict[str, Any]] = dataset.to_table(columns=list(columns)).to_pylist()
             return found
 
     def known(self) -> Mapping[str, str]:

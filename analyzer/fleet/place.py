@@ -9,7 +9,6 @@ import contextlib
 import errno
 import posixpath
 import stat
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.scratch import scratch_folder
 from analyzer.table.extras import needed
 from analyzer.values import printable, quote
 
@@ -146,8 +146,8 @@ class Place:
                 raise UnreadableError("a pipe, a socket or a device: expected a file")
             yield path
             return
-        with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
-            target = Path(folder) / posixpath.basename(found.name)
+        with scratch_folder() as folder:
+            target = folder / posixpath.basename(found.name)
 
             def fetch() -> None:
                 self.fs.get_file(found.key, str(target))

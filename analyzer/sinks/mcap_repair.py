@@ -2,8 +2,9 @@
 
 Works on logs of any program. A chunk that breaks off (a killed process, a full disk) is read up to the break. A chunk with
 only its head damaged is read whole, if its check fits. A record is copied only if it is valid for its kind; else the search
-goes on for the next valid record. Each of these is reported as a `Fault`. Topics whose declaration was lost
-with a chunk are declared from the old summary, if there is one. Otherwise their messages go to a topic that says so.
+goes on for the next valid record. A chunk that holds invalid records is packed anew without them. Each of these is reported
+as a `Fault`. Topics whose declaration was lost with a chunk are declared from the old summary, if there is one. Otherwise
+their messages go to a topic that says so.
 
 Memory is bounded by one chunk and by the index of the new summary.
 """
@@ -110,10 +111,11 @@ def unreadable(path: Path, position: Callable[[int], None] = lambda at: None) ->
                 for count, _ in enumerate(reader.iter_messages(log_time_order=False), 1):
                     if count % 4096 == 0:
                         position(stream.tell())
-            else:
-                stream.seek(0)
-                records = StreamReader(stream, validate_crcs=True, record_size_limit=scan.RECORD_LIMIT).records
-                count = sum(isinstance(record, Message) for record in records)
+            stream.seek(0)
+            records = StreamReader(
+                stream, emit_chunks=bool(count), validate_crcs=True, record_size_limit=scan.RECORD_LIMIT
+            ).records
+            count += sum(isinstance(record, Message) for record in records)
             expected = summary.statistics.message_count
             return "" if count == expected else f"{counted(count, 'message')}, and its summary says {expected}"
     # As above.
@@ -197,10 +199,34 @@ def _check_chunk(chunk: scan.Packed) -> bytes:
     data = scan.unpack(chunk)
     if len(data) != chunk.size:
         raise ValueError(f"a chunk of {chunk.size} bytes, got {len(data)}")
-    times = [int.from_bytes(data[at + 6 : at + 14], "little") for opcode, at, _ in scan.walk(data) if opcode == scan.MESSAGE]
+    times = [
+        int.from_bytes(data[at + 6 : at + 14], "little")
+        for opcode, at, stop in scan.walk(data)
+        if opcode == scan.MESSAGE and stop - at >= scan.MESSAGE_SIZE
+    ]
     if times and (min(times), max(times)) != (chunk.start_ns, chunk.end_ns):
         raise ValueError("the times of a chunk are not those of its messages")
     return data
+
+
+def _sound_records(data: bytes) -> tuple[bytes, int, int]:
+    """Return the records of a chunk that the library reads, how many others there are, and their bytes."""
+    spans = [
+        (first - scan.HEAD.size, stop)
+        for opcode, first, stop in scan.walk(data)
+        if (stop - first < scan.MESSAGE_SIZE if opcode == scan.MESSAGE else _unsound_inside(opcode, data[first:stop]))
+    ]
+    if not spans:
+        return data, 0, 0
+    begins = [0, *(stop for _, stop in spans)]
+    ends = [*(start for start, _ in spans), len(data)]
+    kept = b"".join(data[begin:end] for begin, end in zip(begins, ends, strict=True))
+    return kept, len(spans), len(data) - len(kept)
+
+
+def _unsound_inside(opcode: int, body: bytes) -> str:
+    """Say why a declaration in a chunk is none; all other kinds are passed over by the library."""
+    return unsound(opcode, body) if opcode in (scan.SCHEMA, scan.CHANNEL) else ""
 
 
 def _chunk_data(body: bytes) -> bytes | None:
@@ -297,7 +323,12 @@ class _Repair:
         if opcode == scan.CHUNK:
             self._put_loose()
             chunk = scan.packed(body)
-            self._copy_chunk(body, chunk, scan.unpack(chunk))
+            data, count, size = _sound_records(scan.unpack(chunk))
+            if count:
+                self._outcome.faults.append(Fault(at, size, f"left out of a chunk: {counted(count, 'damaged record')}"))
+                self._repack(data)
+            else:
+                self._copy_chunk(body, chunk, data)
             self._outcome.chunks += 1
         else:
             self._other(opcode, body)
@@ -390,20 +421,25 @@ class _Repair:
             if opcode != scan.CHUNK or at + scan.HEAD.size + length <= end or body[28:36] != b"\x04\x00\x00\x00zstd":
                 return ""
             data = _unpack_begin(body[44:])
-        times = []
         stop = 0
         with contextlib.suppress(ValueError):
-            for kind, first, stop in scan.walk(data):
-                if kind == scan.MESSAGE:
-                    times.append(scan.message(data[first:stop]).log_ns)
-        if not times and not whole:
+            for _, _, stop in scan.walk(data):  # noqa: B007
+                pass
+        sound, count, _ = _sound_records(data[:stop])
+        messages = sum(kind == scan.MESSAGE for kind, _, _ in scan.walk(sound))
+        if not messages and not whole:
             return ""
         self._put_loose()
-        self._repack(data[:stop], min(times, default=0), max(times, default=0))
-        read = f"{counted(len(times), 'message')} read"
+        self._repack(sound)
+        read = f"{counted(messages, 'message')} read"
+        if count:
+            read += f", left out: {counted(count, 'damaged record')}"
         return f"the head of a chunk is damaged: {read}" if whole else f"a truncated chunk: {read}"
 
-    def _repack(self, data: bytes, start_ns: int, end_ns: int) -> None:
+    def _repack(self, data: bytes) -> None:
+        """Copy records as a chunk of their own."""
+        times = [scan.message(data[first:stop]).log_ns for kind, first, stop in scan.walk(data) if kind == scan.MESSAGE]
+        start_ns, end_ns = min(times, default=0), max(times, default=0)
         packed = zstandard.ZstdCompressor(level=_LEVEL).compress(data)
         record = record_bytes(
             Chunk(
@@ -418,8 +454,7 @@ class _Repair:
         if self._loose:
             data = b"".join(self._loose)
             self._loose.clear()
-            times = [scan.message(data[first:stop]).log_ns for _, first, stop in scan.walk(data)]
-            self._repack(data, min(times), max(times))
+            self._repack(data)
 
     # --- chunks and declarations ----------------------------------------------------------------------------------
 

@@ -29,6 +29,8 @@ METADATA, DATA_END = 12, 15
 RECORD_LIMIT = budget.RECORD_LIMIT
 UNPACKED_LIMIT = budget.CONTAINER_LIMIT
 _MESSAGE = struct.Struct("<HIQQ")
+#: Bytes of a message before its data.
+MESSAGE_SIZE = _MESSAGE.size
 _CHUNK = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
 _COMPRESSIONS = ("", "zstd", "lz4")
@@ -73,10 +75,10 @@ class Packed(NamedTuple):
 
 def message(body: bytes) -> LogMessage:
     """Return the message of a record. Raises ValueError for one that is too short."""
-    if len(body) < _MESSAGE.size:
-        raise ValueError(f"a message of {len(body)} bytes, expected at least {_MESSAGE.size}")
+    if len(body) < MESSAGE_SIZE:
+        raise ValueError(f"a message of {len(body)} bytes, expected at least {MESSAGE_SIZE}")
     channel_id, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(body)
-    return LogMessage(channel_id, sequence, log_ns, publish_ns, body[_MESSAGE.size :])
+    return LogMessage(channel_id, sequence, log_ns, publish_ns, body[MESSAGE_SIZE:])
 
 
 def packed(body: bytes) -> Packed:

@@ -13,7 +13,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from typing import IO
 
@@ -22,6 +21,7 @@ import msgspec
 from analyzer.catalogue import Role
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
+from analyzer.scratch import scratch_folder
 from analyzer.sources.budget import child_limits
 from analyzer.sources.mf4_child import LENGTH, Batch
 from analyzer.sources.source import Source
@@ -67,7 +67,7 @@ def _installed() -> bool:
 def _records(source: Source) -> Iterator[CanFrame]:
     with contextlib.ExitStack() as stack:
         # asammdf leaves a file of its own there when it is ended.
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="servotap-"))
+        folder = str(stack.enter_context(scratch_folder()))
         path = _as_file(source, folder)
         size = os.stat(path).st_size
         child = subprocess.Popen(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import NamedTuple
 
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk
+from analyzer.scratch import scratch_folder
 from analyzer.sources import open_source
 
 
@@ -20,8 +19,8 @@ class Pasted(NamedTuple):
 
 def read_text(text: str) -> Pasted:
     """Return the traffic of a text in any form of capture; none where it is of no form."""
-    with tempfile.TemporaryDirectory(prefix="servotap-") as folder:
-        path = Path(folder) / "text"
+    with scratch_folder() as folder:
+        path = folder / "text"
         path.write_text(text.rstrip("\n") + "\n", "utf-8", "replace")
         try:
             with open_source(path) as source:

@@ -16,12 +16,11 @@ If another plugin has an option of the same name, only `--servo-NAME` is there.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-import tempfile
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -106,10 +105,13 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(_Controller(config), "servotap-controller")
     real = _any_real(config)
     if real or config.getoption("servotap_budget"):
-        handle, path = tempfile.mkstemp(prefix="servotap-budget-")
-        os.close(handle)
-        os.environ[BUDGET] = path
-        config.add_cleanup(lambda: Path(path).unlink(missing_ok=True))
+        from analyzer.scratch import scratch_folder
+
+        opened = contextlib.ExitStack()
+        config.add_cleanup(opened.close)
+        path = opened.enter_context(scratch_folder()) / "budget.json"
+        path.touch()
+        os.environ[BUDGET] = str(path)
 
 
 def _any_real(config: pytest.Config) -> bool:

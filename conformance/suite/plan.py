@@ -8,13 +8,10 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 import multiprocessing
-import os
 import shlex
 import signal
-import tempfile
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -22,6 +19,7 @@ import msgspec
 from analyzer import __version__
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
+from analyzer.scratch import scratch_folder
 from analyzer.values import near, quote, storable
 from conformance import claims as registry
 from conformance.claim import Claim, Outcome, Theme, Verdict
@@ -203,14 +201,10 @@ def _one_budget(plan: Plan) -> Iterator[Plan]:
     if allowance is None or allowance.budget.path is not None:
         yield plan
         return
-    handle, name = tempfile.mkstemp(prefix="servotap-budget-")
-    os.close(handle)
-    path = Path(name)
-    try:
+    with scratch_folder() as folder:
+        path = folder / "budget.json"
         path.write_bytes(msgspec.json.encode(allowance.budget.spent))
         yield replace(plan, allowance=replace(allowance, budget=replace(allowance.budget, path=path)))
-    finally:
-        path.unlink(missing_ok=True)
 
 
 def proving_claims(plan: Plan, target: Target) -> list[Claim]:

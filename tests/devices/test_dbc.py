@@ -234,6 +234,8 @@ BAD = {
     "huge": (b" " * (MOST_BYTES + 1), "expected at most 4 MiB"),
     "length": (BATTERY.replace("Status: 8", "Status: 99999999999"), ":5: bytes of a message: expected 1785 at most"),
     "bits": (BATTERY.replace("0|16@", "0|16000000000@"), ":6: bits of a signal: expected 14280 at most"),
+    "scale": (BATTERY.replace("0.1,0", "1e400,0"), ":6: Status.Voltage: expected a scale that a float can hold, got inf"),
+    "maximum": (BATTERY.replace("|60]", f"|{10**400}]"), "expected a maximum that a float can hold, got 1000"),
     "multiplexer": (BATTERY + "SG_MUL_VAL_ 291 Cell Page 4-4000000000;\n", ":19: multiplexer values: expected 65536 at most"),
 }
 
@@ -292,7 +294,42 @@ def test_a_text_that_repeats_is_looked_through_once(name, tmp_path):
         devices(tmp_path, f'VERSION ""\n{begin}{piece * ((1 << 20) // len(piece))}{end}')
 
 
-def test_signals_at_whose_bits_cantools_would_look_for_minutes_are_refused(tmp_path):
-    signals = "".join(f' SG_ s{n} : {n}|1@1+ (1,0) [0|0] "" A\n' for n in range(8000))
-    with pytest.raises(ServotapError, match=r"dbc:\d+: expected fewer signals in messages so long"):
-        devices(tmp_path, f'VERSION ""\nBU_: A\nBO_ 1 M: 1785 A\n{signals}\n')
+def _signals_in(format, count):
+    """Return a file of one message of 1785 bytes with so many signals of one bit."""
+    signals = [can.Signal(f"s{n}", n, 1) for n in range(count)]
+    database = Database([can.Message(1, "M", 1785, signals, strict=False)], strict=False)
+    return getattr(database, f"as_{format}_string")()
+
+
+@pytest.mark.parametrize("format", ["dbc", "kcd", "sym"])
+def test_signals_at_whose_bits_cantools_would_look_for_minutes_are_refused(format, tmp_path):
+    few = load([write(tmp_path, _signals_in(format, 20), f"few.{format}")], [], print)[0]
+    assert len(few.dialects[0].commands[0].request.fields) == 20
+    with pytest.raises(
+        ServotapError, match=r"many\..*: expected fewer signals in messages so long, got too many with message M"
+    ):
+        load([write(tmp_path, _signals_in(format, 1200), f"many.{format}")], [], print)
+    # What bounds it ends with the file.
+    assert len(load([write(tmp_path, _signals_in(format, 20), f"few.{format}")], [], print)) == 1
+
+
+#: Multiplexers whose values are few lines of text, and more than anyone can look at.
+NESTED = {
+    "multiplexers in each other": (
+        "".join(f' SG_ s{n} {"m0M" if n else "M"} : {8 * n}|8@1+ (1,0) [0|0] "" A\n' for n in range(4)),
+        "".join(f"SG_MUL_VAL_ 1 s{n} s{n - 1} 0-255;\n" for n in range(1, 4)),
+        "expected fewer signals in messages so long",
+    ),
+    "long ranges many times": (
+        ' SG_ M M : 0|8@1+ (1,0) [0|0] "" A\n' + "".join(f' SG_ s{n} m0 : 8|8@1+ (1,0) [0|0] "" A\n' for n in range(40)),
+        "".join(f"SG_MUL_VAL_ 1 s{n} M 0-65000;\n" for n in range(40)),
+        "multiplexer values: expected 1048576 in a file at most",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NESTED)
+def test_multiplexers_of_more_values_than_anyone_can_look_at_are_refused(name, tmp_path):
+    signals, values, told = NESTED[name]
+    with pytest.raises(ServotapError, match=told):
+        devices(tmp_path, f'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n{signals}\n{values}')

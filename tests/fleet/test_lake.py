@@ -11,6 +11,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
+from pyarrow.fs import PyFileSystem
 
 from analyzer.cli import main
 from analyzer.errors import UnreadableError, UsageError
@@ -520,6 +521,10 @@ def test_a_lake_whose_name_delta_lake_reads_otherwise_is_refused(tmp_path, name)
         ("select error('x')", "x"),
         ("select 'x'::int", "convert"),
         ("select 'infinity'::timestamp", "range"),
+        ("junk", "no table junk (servotap ask"),
+        ("captuers", "no table captuers; did you mean captures?"),
+        ("mks-can.read_speed_reply", "no table mks-can.read_speed_reply"),
+        ("not a table", "expected SQL, as in: select"),
     ],
 )
 def test_a_question_without_an_answer_is_told(tmp_path, capsys, query, told):
@@ -543,6 +548,49 @@ def test_a_damaged_lake_is_told_in_a_line(tmp_path, name):
     damaged.write_text("}{")
     with pytest.raises(UnreadableError, match=damaged.parts[-2] if "journal" in name else "captures cannot be read"):
         Question(Lake(made.place)).dataset("captures")
+
+
+def test_arrow_reads_the_files_of_a_folder_itself(captures, tmp_path):
+    """By a store of Python, Arrow waits for ever where a file fails in one thread while another begins to read."""
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    datasets = [made.dataset(table) for table in made.tables()]
+    assert len(datasets) > 5
+    for dataset in datasets:
+        assert not isinstance(dataset.filesystem, PyFileSystem)
+        assert not isinstance(dataset.filesystem.base_fs, PyFileSystem)
+
+
+def changed_in_log(made, table, old, new):
+    """Write a word of the log of a table anew."""
+    commits = Path(made.place.path(f"{table}/_delta_log")).glob("*.json")
+    changed = 0
+    for path in commits:
+        text = path.read_text()
+        changed += text.count(old)
+        path.write_text(text.replace(old, new))
+    assert changed
+    return Lake(Place(made.place.url))
+
+
+@pytest.mark.parametrize("path", ["../secret.parquet", "states/../../../secret.parquet"])
+def test_a_lake_whose_log_names_a_file_outside_of_it_is_not_read(captures, tmp_path, path, capsys):
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    parquet.write_table(pa.table({"capture": ["is-to-read-this"]}), tmp_path / "lake" / "secret.parquet")
+    parquet.write_table(pa.table({"capture": ["is-to-read-this"]}), tmp_path / "secret.parquet")
+    (own,) = {each.name for each in (tmp_path / "lake" / "captures").glob("*.parquet")}
+    again = changed_in_log(made, "captures", own, path)
+    with pytest.raises(UnreadableError, match="captures cannot be read"):
+        Question(again).dataset("captures")
+    assert main(["ask", str(tmp_path / "lake"), "select capture from captures"]) == 2
+    assert "is-to-read-this" not in "".join(capsys.readouterr())
+
+
+def test_what_a_damaged_lake_would_be_partitioned_by_is_told(captures, tmp_path):
+    made = lake(tmp_path / "lake")
+    with pytest.raises(UnreadableError, match="expected partitions by date or machine, got date,rogue"):
+        changed_in_log(made, "captures", "date,machine", "date,rogue")
 
 
 @pytest.mark.parametrize("output", [[], ["-o", "answer.csv"]])

@@ -87,8 +87,10 @@ class Board:
 
 def confine(stacks: int) -> None:
     """Bound memory and files of this process, and have it say on `stacks` where it is when its time is up."""
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+    # Memory that can be written, and not the addresses: threads and the allocators of libraries reserve far more of these than
+    # they use. Where there were none left, the process ended, or waited for a thread that could not begin.
+    used = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_DATA, (used + MEMORY, used + MEMORY))
     resource.setrlimit(resource.RLIMIT_FSIZE, (WRITTEN, WRITTEN))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     faulthandler.enable(stacks)

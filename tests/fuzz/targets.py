@@ -7,7 +7,7 @@ bounds time and memory. Some targets state more:
     pipeline  the same, for any capture, behind its source
     columns   by blocks comes out what frame by frame does; of a serial line, what chunk by chunk does
     decode    the same, in the log as the library `mcap` reads it
-    recover   the result is read by the library; each record that is whole in the spools stands in it (where bytes alone
+    recover   the result can be read by the library; each record that is whole in the spools stands in it (where bytes alone
               were changed, and no checksum made to fit)
 """
 
@@ -45,7 +45,7 @@ from tests.columns.both_ways import same_capture, same_line, short_runs
 from tests.columns.serial_traffic import chunks_of
 from tests.fuzz import fleet, pages
 from tests.fuzz.corpus import INPUT, Input, lay_out
-from tests.fuzz.running import Fault, Place, Run, Target, check_log, command, fed, messages, run_words
+from tests.fuzz.running import Fault, Place, Run, Target, check_log, command, fed, heard_words, messages, run_words
 from tests.fuzz.seeds import (
     DEVICES,
     FILES,
@@ -222,9 +222,12 @@ def _columns_serial(given: Input, place: Place) -> None:
 
 def _recover(given: Input, place: Place) -> None:
     lay_out(given, place.folder)
-    if run_words(("recover", LOG), place) == 0:
+    status, said = heard_words(("recover", LOG), place)
+    if status == 0:
         for _ in messages(place.folder):
             pass
+    elif b"the result cannot be read back" in said:
+        raise Fault(said.decode("utf-8", "replace"))
 
 
 def _recover_bytes(given: Input, place: Place) -> None:
