@@ -7,7 +7,7 @@ Without an open request the first form that fits is taken.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from analyzer.catalogue import Command, Dialect, Form, Role
@@ -15,6 +15,9 @@ from analyzer.codec import Codec, Violation, codec
 from analyzer.context import Context, Request, State
 from analyzer.link import EXTENDED_ID, Head
 from analyzer.records import Frame, Lane, Message
+
+#: Heads of frames that are known to have no lane; of more, each frame is looked at anew.
+_MOST_HEADS = 1 << 16
 
 _Entry = tuple[Command, Form, Codec]
 #: By function and code.
@@ -81,19 +84,22 @@ class Decoder:
         """
         data, can = frame.data, frame.can
         size = len(data)
-        key = (data[: self._head_bytes], size, 0) if can is None else (can.id, size, data[0] if size else 0)
+        width = self._head_bytes or self._link.deciding(data)
+        if not width:
+            return None
+        key = (data[:width], size, 0) if can is None else (can.id, size, data[0] if size else 0)
         try:
             lane = self._lanes[key]
         except KeyError:
-            lane = self._lanes[key] = self._new_lane(frame) if self._head_bytes else None
+            lane = self._new_lane(frame)
+            if lane is not None or len(self._lanes) < _MOST_HEADS:
+                self._lanes[key] = lane
         if lane is None or lane.__class__ is Lane:
             return lane
         return lane.choose(data, context) if isinstance(lane, _Several) else _chosen(lane, data, context)  # type: ignore[arg-type]
 
     def lanes(self, frame: Frame) -> tuple[Lane, ...]:
         """Return every lane that frames of this head and length can have; none if each must be looked at."""
-        if not self._head_bytes:
-            return tuple(self._asked_lanes(frame))
         found = self._new_lane(frame)
         if found is None or isinstance(found, Lane):
             return () if found is None else (found,)
@@ -121,8 +127,12 @@ class Decoder:
     def _new_lane(self, frame: Frame) -> Lane | tuple[Lane, Lane] | _Several | None:
         """Return the lane of frames like this, or those that are chosen from.
 
-        That is a request's and a reply's, where the two look alike; or those of several commands of one code.
+        That is a request's and a reply's, where the two look alike; or those of several commands, of which a request's values
+        or the open request tell the one.
         """
+        if not self._head_bytes:
+            asked = tuple(self._asked_lanes(frame))
+            return _Several(asked) if asked else None
         head = self._link.parse(frame.data, frame.can.id if frame.can is not None else None)
         if head.code is None or head.exception is not None or head.quantity is not None:
             return None
@@ -144,7 +154,7 @@ class Decoder:
         if len(lanes) == 1 and not chosen:
             return lanes[0]
         if lanes and len({role for role, _ in fitting}) == 1:
-            return _Several(lanes)
+            return _Several(tuple(lanes))
         if chosen:
             return None
         alike = len(lanes) == 2 and lanes[0].is_request and not lanes[1].is_request
@@ -388,23 +398,29 @@ def slot_fields(slot: Slot) -> dict[str, Any]:
 
 
 class _Several:
-    """Lanes of one role: of commands that share a code (run and stop), or of values that tell them apart."""
+    """Lanes of one role: of commands that share a code (run and stop), of values or of open requests that tell them apart."""
 
-    def __init__(self, lanes: list[Lane]) -> None:
-        self.lanes = tuple(lanes)
+    def __init__(self, lanes: tuple[Lane, ...]) -> None:
+        self.lanes = lanes
         self._first = lanes[0]
+        self._of_command: dict[int, list[Lane]] = {}
+        for lane in lanes:
+            self._of_command.setdefault(id(lane.command), []).append(lane)
 
     def choose(self, data: bytes, context: Context) -> Lane | None:
         """Return the first lane whose layout fits; for replies, the lane that the drive's only open request awaits."""
         first = self._first
+        lanes: Sequence[Lane] = self.lanes
+        if not first.is_request:
+            waiting = context.open.get(first.address)
+            if waiting is None or len(waiting) != 1:
+                return None
+            lanes = self._of_command.get(id(waiting[0].command), ())
         own = data[first.start : first.stop]
-        if first.is_request:
-            return next((lane for lane in self.lanes if lane.codec.matches(own)), None)
-        waiting = context.open.get(first.address)
-        if waiting is None or len(waiting) != 1:
-            return None
-        command = waiting[0].command
-        return next((lane for lane in self.lanes if lane.command is command and lane.codec.matches(own)), None)
+        for lane in lanes:
+            if lane.codec.matches(own):
+                return lane
+        return None
 
 
 def _chosen(lanes: tuple[Lane, Lane], data: bytes, context: Context) -> Lane | None:

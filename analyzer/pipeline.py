@@ -423,7 +423,7 @@ class Pipeline:
                 self._foreign(port, frame, address)
                 return
         decoder = port.decoders[frame.dialect.name]
-        if frame.checksum_ok and not context.borrowed:
+        if frame.checksum_ok and not context.borrowed and not port.nodes.withheld:
             lane = decoder.lane(frame, context)
             if (
                 lane is not None
