@@ -18,7 +18,8 @@ from mcap.writer import CompressionType, Writer
 from analyzer.cli import main
 from analyzer.live.lock import RUNNING, Lock
 from analyzer.sinks.mcap_chunk import record_bytes
-from analyzer.sinks.mcap_repair import is_whole, repair
+from analyzer.sinks.mcap_repair import repair
+from analyzer.sinks.mcap_sound import is_whole
 from analyzer.sources.mcap_scan import HEAD, MAGIC
 from tests.collect import sum8
 from tests.live.spooled import Spools, content, decoded_of, metadata, port, raw_of, read

@@ -30,7 +30,8 @@ from analyzer.live.log_parts import LogParts, log_of
 from analyzer.live.recorder import Recorder
 from analyzer.live.recording import Recording
 from analyzer.live.spool import SpoolReader, segments, spool_folder, stems
-from analyzer.sinks.mcap_repair import RepairResult, broken_before, repair, unreadable
+from analyzer.sinks.mcap_repair import RepairResult, repair
+from analyzer.sinks.mcap_sound import broken_before, unreadable
 from analyzer.sources.recording_parts import base_of, look, parts_named
 from analyzer.sources.times import iso
 from analyzer.values import counted, printable

@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import posixpath
+import socket
 import stat
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
+from urllib.request import getproxies, proxy_bypass
 
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.scratch import scratch_folder
@@ -21,6 +25,10 @@ from analyzer.table.extras import needed
 from analyzer.values import printable, quote
 
 T = TypeVar("T")
+
+#: Ports of the endpoints of stores. Seconds in which one has to answer, and how often it is tried.
+_PORTS = {"http": 80, "https": 443}
+_CONNECT_S, _CONNECTS = 3.0, 3
 
 #: Attempts at one call, and seconds before the second; each further wait is twice as long.
 ATTEMPTS, FIRST_WAIT = 6, 0.1
@@ -31,16 +39,16 @@ _FINAL = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryEr
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 
 
-def again(call: Callable[[], T], wait: Callable[[float], None] = time.sleep) -> T:
+def again(call: Callable[[], T], wait: Callable[[float], None] = time.sleep, attempts: int = ATTEMPTS) -> T:
     """Call a store, again and again where it fails, and return the result. Raises its last error, as OSError."""
-    for attempt in range(ATTEMPTS):
+    for attempt in range(attempts):
         try:
             return call()
         except _FINAL:
             raise
         # Each store has errors of its own, and not all of them are of the system.
         except Exception as error:
-            if attempt < ATTEMPTS - 1 and not no_room(error):
+            if attempt < attempts - 1 and not no_room(error):
                 wait(FIRST_WAIT * 2**attempt)
             elif isinstance(error, OSError):
                 raise
@@ -77,6 +85,7 @@ class Place:
 
     def __post_init__(self) -> None:
         fsspec = needed("fsspec")
+        _check_endpoint(self.url, self.options)
         try:
             self.fs, self.root = fsspec.url_to_fs(self.url, **self.options)
         except ImportError as error:
@@ -197,6 +206,42 @@ class Place:
         """Remove a file, if it is there."""
         with contextlib.suppress(FileNotFoundError):
             again(lambda: self.fs.rm_file(self.path(name)))
+
+
+def _check_endpoint(url: str, options: Mapping[str, Any]) -> None:
+    """Raise UsageError where no server answers at the endpoint of a store: its own client would try for a minute."""
+    named = options.get("endpoint_url") or options.get("client_kwargs", {}).get("endpoint_url")
+    if not named and url.startswith(("s3://", "s3a://")):
+        named = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
+    if not named:
+        return
+    try:
+        endpoint = urlsplit(named)
+        port = endpoint.port
+    except ValueError:
+        endpoint, port = urlsplit(""), None
+    if endpoint.scheme not in _PORTS or not endpoint.hostname:
+        raise UsageError(f"endpoint_url={quote(named)}: expected a URL of a server, as http://minio:9000")
+    if endpoint.scheme in getproxies() and not proxy_bypass(endpoint.hostname):
+        return
+    try:
+        again(lambda: _connect(endpoint.scheme, str(endpoint.hostname), port or _PORTS[endpoint.scheme]), attempts=_CONNECTS)
+    except OSError as error:
+        raise UsageError(
+            f"endpoint_url={quote(named)}: no such server answers there ({printable(error.strerror or str(error))}): "
+            "check http or https, the host, the port, and that the server runs"
+        ) from None
+
+
+def _connect(scheme: str, host: str, port: int) -> None:
+    """Connect to a server. Whether it is the right one, the store's own client looks. Raises OSError."""
+    with socket.create_connection((host, port), _CONNECT_S) as connection:
+        if scheme == "https":
+            import ssl
+
+            context = ssl.create_default_context()
+            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+            context.wrap_socket(connection, server_hostname=host).close()
 
 
 #: What stores call the time of a file, and what changes with its content. A folder's own files have times and numbers.

@@ -36,12 +36,11 @@ from analyzer.events import SETUPS
 from analyzer.fleet.files import Destination, Files
 from analyzer.fleet.lake import RANGES
 from analyzer.fleet.place import Place, no_room
-from analyzer.fleet.rows import TAKEN, Capture, Taken, Work, decoded, sha256_of, take
+from analyzer.fleet.rows import TAKEN, Capture, Taken, Work, decoded, reason_of, sha256_of, take
 from analyzer.pipeline import Item, Pipeline, PortSetup
 from analyzer.records import Chunk, Event
 from analyzer.sinks.object_table import Table, TableUnpickler, dumped
 from analyzer.sinks.parquet import ParquetTables
-from analyzer.values import printable
 
 #: Bytes of a capture from which on it is split, and of a range's items, about.
 HUGE, RANGE_BYTES = 256 << 20, 32 << 20
@@ -187,7 +186,7 @@ def scan(task: Scan, to: Destination, options: argparse.Namespace) -> Taken:
     except (ServotapError, OSError) as error:
         if no_room(error):
             raise
-        return Taken([row | {"status": "unreadable", "reason": printable(str(error))}], read=size)
+        return Taken([row | {"status": "unreadable", "reason": reason_of(error, work.found.name)}], read=size)
     return Taken([row], frames=frames, read=size, ranges=ranges)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import hashlib
+import posixpath
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
@@ -189,6 +190,12 @@ def take(works: list[Work], to: Destination, options: argparse.Namespace) -> Tak
     return taken
 
 
+def reason_of(error: Exception, name: str) -> str:
+    """Return why a capture cannot be read, without the name of its file: that stands beside it."""
+    file = posixpath.basename(name)
+    return printable(str(error).removeprefix(f"{file}:").removeprefix(f"{file} ").lstrip())
+
+
 def _take_one(work: Work, shared: Files, seen: set[str], options: argparse.Namespace) -> tuple[dict[str, Any], list[Added]]:
     """Decode a capture; return its row of the table `captures`, and its own files."""
     row = work.row()
@@ -207,7 +214,7 @@ def _take_one(work: Work, shared: Files, seen: set[str], options: argparse.Names
     except (ServotapError, OSError) as error:
         if no_room(error):
             raise
-        return row | {"status": "unreadable", "reason": printable(str(error))}, []
+        return row | {"status": "unreadable", "reason": reason_of(error, work.found.name)}, []
     except Exception as error:
         # One capture may bring out a fault of the decoder: the others are taken all the same, and it can be tried again.
         return row | {"status": "failed", "reason": printable(f"a fault of servotap: {type(error).__name__}: {error}")}, []
@@ -258,10 +265,10 @@ def decoded(
         except UnreadableError as error:
             if not pipeline.sequence:
                 raise
-            status, reason = "incomplete", str(error)
+            status, reason = "incomplete", reason_of(error, source.name)
         end(pipeline)
         pipeline.close()
-        return {"status": status, "reason": printable(reason)} | _about(reading, summary.settle(), watch)
+        return {"status": status, "reason": reason} | _about(reading, summary.settle(), watch)
 
 
 def _about(reading: OpenCapture, summary: Summary, watch: Watch) -> dict[str, Any]:

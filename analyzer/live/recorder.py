@@ -35,7 +35,7 @@ from analyzer.live.snapshot_pipe import SnapshotWriter
 from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.pipeline import Sink
 from analyzer.records import Event
-from analyzer.sinks.mcap_repair import unreadable
+from analyzer.sinks.mcap_sound import unreadable
 
 #: Time between two looks at the spools, two flushes, two snapshots.
 LOOK_NS = 15_000_000

@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import socket
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import pyarrow as pa
@@ -207,6 +210,18 @@ def test_what_cannot_be_read_says_why_and_is_tried_again(tmp_path):
     assert [name for name, _ in ingest(made, folder, retry=True).unread] == ["b.txt"]
     statuses = Question(made).sql("select status, count(*) from captures group by 1 order by 1").fetchall()
     assert statuses == [("decoded", 1), ("unreadable", 1)]
+
+
+def test_a_capture_that_cannot_be_read_is_named_once(tmp_path):
+    folder = tmp_path / "in" / "m1"
+    folder.mkdir(parents=True)
+    (folder / "empty.log").write_bytes(b"")
+    (folder / "broken.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (folder / "a.log").write_text("a.log is no capture\n")
+    said = dict(ingest(lake(tmp_path / "lake"), folder.parent).unread)
+    assert said["m1/empty.log"] == "is empty"
+    assert said["m1/a.log"].startswith("is not a recognised capture format")
+    assert "broken.mcap" not in said["m1/broken.mcap"]
 
 
 def test_a_place_that_cannot_be_read_is_replaced_by_its_content(tmp_path, monkeypatch):
@@ -460,6 +475,52 @@ def test_a_store_that_fails_now_and_then_is_asked_again():
     with pytest.raises(OSError, match="No space"):
         places.again(lambda: (_ for _ in ()).throw(OSError(28, "No space")), waits.append)
     assert len(waits) == 2
+
+
+@pytest.fixture
+def waits(monkeypatch):
+    """The seconds that were waited between attempts; in truth, none."""
+    waited = []
+    monkeypatch.setattr(places, "again", partial(places.again, wait=waited.append))
+    return waited
+
+
+@pytest.mark.parametrize("command", [["ask", "s3://plant/lake"], ["ingest", "s3://plant/hall", "--to", "lake"]])
+@pytest.mark.parametrize("option", ["endpoint_url=http://127.0.0.1:{port}", ""])
+def test_an_endpoint_at_which_no_server_answers_is_told_within_seconds(command, option, waits, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        # It is bound and does not listen: a connection is refused.
+        port = free.getsockname()[1]
+        if not option:
+            monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}")
+        words = ["--store", option.format(port=port)] if option else []
+        assert main([*command, *words]) == 2
+    said = capsys.readouterr().err
+    assert f"endpoint_url='http://127.0.0.1:{port}': no such server answers there (Connection refused): check" in said
+    assert sum(waits) < 1
+
+
+def test_a_server_that_speaks_no_tls_is_no_endpoint_of_https(waits):
+    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as pool:
+
+        def answer():
+            for _ in range(3):
+                with server.accept()[0] as connection:
+                    connection.recv(4096)
+                    connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+
+        answered = pool.submit(answer)
+        with pytest.raises(UsageError, match="check http or https"):
+            Place("s3://plant/hall", {"endpoint_url": f"https://127.0.0.1:{server.getsockname()[1]}"})
+        answered.result()
+
+
+@pytest.mark.parametrize("url", ["minio:9000", "http://", "http://minio:99999", "nonsense"])
+def test_what_is_no_endpoint_is_told(url):
+    with pytest.raises(UsageError, match="expected a URL of a server"):
+        Place("s3://plant/hall", {"endpoint_url": url})
 
 
 def test_what_is_no_file_is_told_and_not_waited_for(tmp_path):
