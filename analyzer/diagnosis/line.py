@@ -67,6 +67,8 @@ _ONE_PARITY = 14
 _HIGH_BITS = 8
 #: Where frames repeat, so many of what is read begin with the same byte; and so many checks fit where it is a protocol.
 _BEGIN_ALIKE, _CHECKED = 0.6, 0.5
+#: Characters of bytes that are text with a head or a tail.
+_READABLE = 0.6
 _PRINTED = frozenset(b"\t\n\r") | frozenset(range(0x20, 0x7F))
 #: Checks that many protocols have.
 _CHECKS: tuple[Callable[[bytes], bool], ...] = (
@@ -219,8 +221,13 @@ def _side(scene: Scene, side: Role, all_garbled: list[_Garbled]) -> Iterator[Sus
         best = max((best, *_at_other_speeds(garbled), *_of_replies(garbled)), key=lambda way: way.taken)
     if best.fits:
         yield _said(best, [each.trouble for each in all_garbled])
-    elif not _sound(scene, side) and (_same_line_noise(garbled) or _no_reply_at_all(garbled)):
+    elif _heard(scene, side) and not _sound(scene, side) and (_same_line_noise(garbled) or _no_reply_at_all(garbled)):
         yield _unknown(garbled)
+
+
+def _heard(scene: Scene, side: Role) -> bool:
+    """Say whether bytes came over the line, in answer to a host that speaks a protocol known here, if it is shown."""
+    return side is not Role.REQUEST and (not scene.shows_sent or _sound(scene, Role.REQUEST) > 0)
 
 
 def _most_met(garbled: list[_Garbled]) -> list[_Garbled]:
@@ -259,12 +266,21 @@ def _same_line_noise(garbled: Sequence[_Garbled]) -> bool:
     if _of_few_bytes(b"".join(stretches)):
         return True
     stretches = [data for data in stretches if len(data) > 1]
-    if len(stretches) < _FEWEST:
+    if len(stretches) < _FEWEST or _framed(stretches):
         return False
     most = Counter(data[0] for data in stretches).most_common(1)[0][1]
-    return most >= _BEGIN_ALIKE * len(stretches) and not any(
+    return most >= max(_FEWEST, _BEGIN_ALIKE * len(stretches)) and not any(
         sum(len(data) > 2 and check(data) for data in stretches) >= _CHECKED * len(stretches) for check in _CHECKS
     )
+
+
+def _framed(stretches: Sequence[bytes]) -> bool:
+    """Say whether different bytes have one head and one tail, or readable text: a protocol that is read as it was sent."""
+    distinct = set(stretches)
+    first, last = {data[:1] for data in distinct}, {data[-1:] for data in distinct}
+    text = sum(byte in _PRINTED for data in distinct for byte in data)
+    one_frame = len(distinct) > 1 and len(first) == len(last) == 1 and min(map(len, distinct)) > _DIFFERENT
+    return one_frame or text >= _READABLE * sum(map(len, distinct))
 
 
 def _no_reply_at_all(garbled: Sequence[_Garbled]) -> bool:

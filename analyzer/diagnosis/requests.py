@@ -52,6 +52,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     answers = {p.asked_by for p in scene.pieces if p.is_reply and not _refuses(p)}
     answered = {p.data for p in scene.pieces if p.is_request and p.sequence in answers}
     for troubles, piece, refusal in _failing(scene):
+        if refusal is None and piece.sequence in answers:
+            continue
         # The same bytes met with a good reply, so the device has this function and this register.
         if refusal not in (None, piece) and piece.data in answered and _about_register(refusal):
             continue

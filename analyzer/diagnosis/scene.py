@@ -290,7 +290,7 @@ class Scene:
     @cached_property
     def troubles(self) -> tuple[Trouble, ...]:
         """All that is wrong, each once: what only follows from another is left out."""
-        damaged = [Trouble("damaged", s.offset, s) for s in self.stretches]
+        damaged = [Trouble("damaged", s.offset, s) for s in self.stretches if not self._is_body(s)]
         by_sequence = {piece.sequence: piece for piece in self.pieces}
         following = self._followed()
         # A capture of one side alone shows what it shows.
@@ -307,6 +307,16 @@ class Scene:
                 continue
             others.append(Trouble(found.rule, found.offset, None, piece))
         return (*damaged, *others)
+
+    def _is_body(self, stretch: Stretch) -> bool:
+        """Say whether bytes are those of the frame right behind them without its check: programs print both."""
+        at = bisect_left(self.pieces, stretch.stop, key=lambda piece: piece.offset)
+        whole = self.pieces[at] if stretch.opens and stretch.ends and at < len(self.pieces) else None
+        return (
+            whole is not None and whole.sound and whole.can is None and whole.message is not None
+            and whole.data[: -len(whole.message.frame.dialect.link.checks(whole.data)[-1].expected)] == stretch.data
+            and stretch.direction in (self.direction(whole.offset), Role.UNKNOWN)
+        )  # fmt: skip
 
     def _followed(self) -> frozenset[int]:
         """Return the numbers of the requests behind which damaged bytes come before anything else."""

@@ -270,10 +270,12 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
         return
     first, frame = alike[0]
     troubles, frames = _of(spoiled)
-    places = "one frame is" if len(spoiled) == 1 else f"{len(spoiled)} frames are"
+    places = (
+        "one frame is damaged" if len(spoiled) == 1 else f"{len(spoiled)} frames are damaged, here and there,"
+    ) + " and the others get through"
     yield Suspicion(
         "noise", Confidence.LIKELY if len(spoiled) >= _NOISE else Confidence.POSSIBLE, troubles,
-        f"Noise on the line: {places} damaged, here and there, and the others get through.",
+        f"Noise on the line: {places}.",
         f"{shown(first.stretch.data)} at byte {first.stretch.offset} resembles {shown(frame)}; "
         f"{counted(len(spoiled), 'time')}, {counted(len(sound), 'frame')} near them sound",
         "Check the ground between host and drives, the termination (120 Ohm at both ends only) and the bias; lay the bus away "

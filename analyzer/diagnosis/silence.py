@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -108,14 +109,31 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -
             frames,
         )  # fmt: skip
         return
-    if (len(asked.troubles) > 1 or len(scene.pieces) == 1) and not scene.listed:
+    if (len(asked.troubles) > 1 and not scene.listed) or (len(scene.pieces) == 1 and _missed(scene)):
         yield Suspicion(
             "no_reply", Confidence.LIKELY if len(asked.troubles) > 1 else Confidence.POSSIBLE, asked.troubles,
             f"The requests to address {who} are right, and no drive answers.",
             evidence,
-            _order(dialect),
+            _order(dialect, ours=any(t.piece is not None and _is_listed(t.piece) for t in asked.troubles)),
             frames,
         )  # fmt: skip
+
+
+#: Words of people who miss a reply.
+_MISSED = re.compile(
+    r"\b(?:no|not|nothing|never|nobody|none|cannot|without|zero|\w+n't)\b[^.!?\n]{0,60}?\b(?:re(?:spon|pl|act|ceiv|ad|turn|sult)\w*|"
+    r"answer\w*|mov\w+|work\w*|communicat\w*|connect\w*|get\w*|data|happen\w*|turn\w*|back|luck|success)|"
+    r"nothing|time[ds]?[ -]?out|fail|unanswered|\bsilen(?:ce|t(?! interval))|stuck|unable|"
+    r"nicht|kein|\bpas\b|[不没沒无無]|нет|\bне\b",
+    re.IGNORECASE,
+)
+#: A case that is only thought of.
+_SUPPOSED = re.compile(r"\beven if\b[^.!?\n]*", re.IGNORECASE)
+
+
+def _missed(scene: Scene) -> bool:
+    """Say whether a request that is all there is was sent, and its reply missed: bare bytes say that, or words beside them."""
+    return not scene.words or any(_MISSED.search(_SUPPOSED.sub("", words)) for words in scene.words)
 
 
 def _falls_silent(scene: Scene, asked: _Asked, who: str) -> Iterator[Suspicion]:
@@ -187,8 +205,19 @@ def _effect(dialect: Dialect, effect: Effect, value: int | None) -> tuple[str, s
     return None
 
 
-def _order(dialect: Dialect) -> str:
-    """Return what to try where the bytes cannot tell, in this order."""
+def _is_listed(piece: Piece) -> bool:
+    """Say whether a request is of a command that the manual of the drives has."""
+    message = piece.message
+    return message is not None and message.command not in (None, *message.frame.dialect.fallbacks.values())
+
+
+def _order(dialect: Dialect, *, ours: bool) -> str:
+    """Return what to try where the bytes cannot tell, in this order. `ours`: nothing asked for is foreign to the manual."""
+    if not ours:
+        return (
+            "Try in this order: the device's power, and a common ground, then A and B swapped, then the speed, the format and "
+            "the address that its manual names; `servotap scan PORT` tries speeds and addresses by itself"
+        )
     tried = ["the drive's power, and a common ground"]
     if dialect.bus == "can":
         tried += ["CAN_H and CAN_L swapped, and 120 Ohm at both ends", "the bit rate in the drive's menu"]

@@ -104,7 +104,11 @@ def _reported(scene: Scene, words: str) -> Iterator[Suspicion]:
     by_bytes = any(t.rule not in _SILENCE for t in scene.explained)
     left = [t for t in scene.troubles if t not in scene.explained] if by_bytes else []
     replied = any(p.is_reply and p.sound for p in scene.pieces)
+    silent = not replied or scene.damaged or any(t.rule in _SILENCE for t in scene.troubles)
     for report, text, times in found:
+        # Where each request has its reply, the program has lost it, and no drive is silent.
+        if report.cause == "no_reply" and not silent:
+            continue
         if report.cause in _OF_LINE and not scene.damaged and (replied or _misread(scene, checks(words))):
             continue
         yield Suspicion(

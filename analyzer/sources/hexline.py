@@ -125,7 +125,8 @@ _ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
             "",
             rf"\s*(?P<label>hex|data|bytes|frame|packet|buffer|payload|msg|message|raw)\s*\d*\s*[:=]\s*{_BYTES}",
         ),
-        (When.UNMARKED, "", rf"(?P<bullet>[-•]|\d{{1,3}}[.)])\s+{_BYTES}"),
+        # One byte behind a bullet is what a list explains.
+        (When.UNMARKED, "", rf"(?P<bullet>[-•]|\d{{1,3}}[.)])\s+{_BYTES}(?!{_PAIR}\s*$)"),
         # `echo -ne '\\xFA' > /dev/ttyUSB0`.
         (When.UNMARKED, "", r"(?:\$\s+)?(?P<shell>echo|printf)\s+(?:-\w+\s+)*(?=['\"])"),
         (When.UNMARKED, "", rf"\s*(?P<letter>out|in)\s+{_BYTES}"),
@@ -201,6 +202,7 @@ _SENTENCE_WORDS = 3
 _BRACKETS = {"[": "]", "{": "}", "(": ")"}
 _CLOSERS = " ]})>\"'□`"
 _ITEM_LIMIT = 10
+_COLONS_OF_TIME = 2
 
 
 def bytes_of(text: str) -> bytes | None:
@@ -371,7 +373,11 @@ class _Peeler:
         if not self.decimal and self.number is None and (lead := self.lead.match(text)) is not None:
             self.number, self.led = int(lead[1]), True
             text = text[lead.end() :]
-        return written.read(text)
+        found = written.read(text)
+        if found is None and self.marked and self.stamp.kind and text.count(":") == _COLONS_OF_TIME:
+            # Behind a time and a mark three bytes are no time of day.
+            found = written.read(text.replace(":", " "))
+        return found
 
     def _item(self) -> bool:
         """Peel the next item off; say whether there was one."""

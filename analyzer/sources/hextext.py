@@ -86,7 +86,7 @@ _LABELLED = re.compile(r"[:=>|]\s*[\[({<'\"`]?\s*$")
 _KEPT = re.compile(r"\bold[_ ]data\s*[:=]\s*$", re.IGNORECASE)
 _LONGEST_JOINED = 256
 #: A request to read registers.
-_READ_BYTES, _REGISTERS, _READ_CODES = 8, (0x03, 0x04), (b"\x03", b"\x04")
+_READ_BYTES, _REGISTERS = 8, (0x03, 0x04)
 _SPOILT = re.compile(r"[\s,:-]{0,2}(?:0x\w{1,2}|\d\w?|\w\d)\b")
 _WORDS = re.compile(r"[^\W\d_]{3,}")
 _LABEL = re.compile(r"data|bytes?|hex|frame|buffer|message|msg|payload|raw", re.IGNORECASE)
@@ -211,7 +211,8 @@ def _asks(data: bytes) -> bool:
 
 def _replies(data: bytes) -> bool:
     """Say whether bytes are a reply of registers, and no request."""
-    return len(data) != _READ_BYTES and data[1:2] in _READ_CODES and data[2] == len(data) - 5 and modbus_crc(data) == 0
+    long = len(data) >= _LEAST_CHECKED and len(data) != _READ_BYTES
+    return long and data[1] in _REGISTERS and data[2] == len(data) - _LEAST_CHECKED and modbus_crc(data) == 0
 
 
 def _is_deaf(traffic: Sequence[HexLine], roles: Sequence[Role]) -> bool:
@@ -219,6 +220,15 @@ def _is_deaf(traffic: Sequence[HexLine], roles: Sequence[Role]) -> bool:
     if Role.REQUEST not in roles:
         return roles.count(Role.REPLY) >= _LISTENER_LINES or any(p.role is Role.REPLY and _asks(p.data) for p in traffic)
     return Role.REPLY not in roles and any(_replies(p.data) for p in traffic) and any(_asks(p.data) for p in traffic)
+
+
+def _is_turned(traffic: Sequence[HexLine]) -> bool:
+    """Say whether a server writes: all requests that can be told are marked as received, and all replies as sent."""
+    asked = {p.role for p in traffic if _asks(p.data)}
+    return asked == {Role.REPLY} and {p.role for p in traffic if _replies(p.data)} == {Role.REQUEST}
+
+
+_OTHER_SIDE = {Role.REQUEST: Role.REPLY, Role.REPLY: Role.REQUEST, Role.UNKNOWN: Role.UNKNOWN}
 
 
 def _is_single(lines: Sequence[str]) -> bool:
@@ -255,6 +265,8 @@ class _Manner(NamedTuple):
     brackets: bool = False
     #: Every line has the same mark, as in a listener's log: it does not tell who sent.
     deaf: bool = False
+    #: A server writes: what it sends are replies.
+    turned: bool = False
     #: A number stands before the bytes of each line.
     led: bool = False
     #: There is no line of a log: sentences are read.
@@ -288,6 +300,7 @@ class _Manner(NamedTuple):
             brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
             led=len(traffic) > 1 and all(p.led for p in traffic[:2]),
             deaf=_is_deaf(traffic, roles),
+            turned=_is_turned(traffic),
             prose=prose,
             fields=prose and _has_fields(lines),
             cells=prose and _has_cells(lines),
@@ -305,6 +318,8 @@ class _Manner(NamedTuple):
             role = Role.UNKNOWN
         elif self.brackets and line.sign.startswith("each"):
             role = Role.REQUEST if line.sign == "each[" else Role.REPLY
+        elif self.turned:
+            role = _OTHER_SIDE[role]
         return line if role is line.role else line._replace(role=role)
 
     def notes(self, parts: list[HexLine]) -> Iterator[str]:
@@ -312,6 +327,8 @@ class _Manner(NamedTuple):
         radixes = {p.radix for p in parts if p.shape is Shape.TRAFFIC}
         if self.deaf:
             yield "every line has the same mark, as a listener's log does: the marks do not tell the sender"
+        if self.turned:
+            yield "a server writes this log: it receives requests, and what it sends are replies"
         if self.quoted:
             yield "lines of words begin with '>', too: it is read as a quotation, not as sent by the host"
         if self.arrow:

@@ -33,8 +33,8 @@ _VERBS = {
 _MARKED = r"(?:0[xX][0-9A-Fa-f]{1,2})"
 _PAIR = r"[0-9A-Fa-f]{2}"
 _PAIRS = rf"(?:{_PAIR}){{1,4}}"
-#: A number that is compared is a check.
-_NOTHING_BEFORE = r"(?<![\w.:/+@#-])(?<!!=)"
+#: A number that is compared is a check. A label may touch its bytes: `frame:01 03`.
+_NOTHING_BEFORE = r"(?:(?<![\w.:/+@#-])|(?<=[G-Zg-z]\w:)|(?<=\w[G-Zg-z]:))(?<!!=)"
 _ITEM = r"(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})"
 #: Ways to write bytes inside a text; the names of groups tell apart what is checked further.
 _RUN = re.compile(
@@ -75,7 +75,7 @@ _SENTENCE = re.compile(r"[.!?;]\s")
 _SIGN = re.compile(rf"(?:^|(?<=[\s\])|]))({'|'.join(map(re.escape, sorted(SIGNS, key=len, reverse=True)))})[\s:<\[({{'\"]*$")
 _NOT = frozenset(("not", "never", "no", "cannot", "without"))
 _WISHED = re.compile(
-    r"\b(?:instead of|rather than|expect\w*|should|shall|supposed to|must be|correct\w*|ought)\b", re.IGNORECASE
+    r"\b(?:instead of|rather than|expect\w*(?! \d+ bytes)|should|shall|supposed to|must be|correct\w*|ought)\b", re.IGNORECASE
 )
 #: Who answers gives nothing away of what was sent: these take the request as their object.
 _TOWARDS = frozenset(("answer", "answers", "respond", "responds", "reply", "replies", "react", "reacts"))
@@ -108,7 +108,7 @@ def mentions(line: str, libmodbus: bool = False) -> list[Quotation]:
     found: list[Quotation] = []
     begin = 0
     brackets = {"[": Role.REQUEST, "<": Role.REPLY} if libmodbus else {}
-    for run in _RUN.finditer(line):
+    for run in _RUN.finditer(_SMALL_WORD.sub(lambda word: " " * len(word[0]), line)):
         data = _data(run)
         if data is None:
             continue
@@ -130,6 +130,8 @@ def mentions(line: str, libmodbus: bool = False) -> list[Quotation]:
     return found
 
 
+#: A word of two letters that could be a byte: `be FB 01`. Bytes of one frame are all small, or all in capitals.
+_SMALL_WORD = re.compile(r"(?<![\w.:/-])[a-f]{2}(?= +(?:\d\d +)*(?:[A-F][0-9A-F]|\d[A-F])(?![0-9A-Za-z]))")
 #: Characters between bytes and the same bytes again.
 _AGAIN = 25
 #: Characters before bytes that are looked at for who sent them: with all of a long line, its cost would grow with its square.
