@@ -32,6 +32,7 @@ from analyzer.errors import UnreadableError
 from analyzer.sinks.mcap_chunk import record_bytes
 from analyzer.sinks.mcap_file import Writable
 from analyzer.sinks.mcap_taken import TakenFile
+from analyzer.sources import magic
 from analyzer.sources import mcap_scan as scan
 from analyzer.sources.recording_parts import METADATA
 from analyzer.values import counted
@@ -82,7 +83,7 @@ class RepairResult:
 def is_whole(path: Path) -> bool:
     """Say whether a log was finished: it has its summary. Raises UnreadableError if the file is not an MCAP log."""
     with path.open("rb") as stream:
-        if stream.read(len(scan.MAGIC)) != scan.MAGIC:
+        if stream.read(len(magic.MCAP)) != magic.MCAP:
             raise UnreadableError(f"{path} is not an MCAP log, expected the beginning 89 4D 43 41 50 30 0D 0A")
     from mcap.reader import SeekingReader
 
@@ -124,9 +125,9 @@ def unreadable(path: Path, position: Callable[[int], None] = lambda at: None) ->
 def broken_before(path: Path, end: int | None = None, position: Callable[[int], None] = lambda at: None) -> str:
     """Say what is not sound in a log before a place, where a record ends; `None`: before its summary. Nothing if all is."""
     with path.open("rb") as stream:
-        if stream.read(len(scan.MAGIC)) != scan.MAGIC:
+        if stream.read(len(magic.MCAP)) != magic.MCAP:
             return "it does not begin as an MCAP log"
-        at = len(scan.MAGIC)
+        at = len(magic.MCAP)
         while end is None or at < end:
             position(at)
             record = record_at(stream, at)
@@ -247,9 +248,9 @@ class _Repair:
 
     def run(self) -> RepairResult:
         header = Header("", "")
-        at = len(scan.MAGIC)
+        at = len(magic.MCAP)
         self._stream.seek(0)
-        if self._stream.read(at) != scan.MAGIC:
+        if self._stream.read(at) != magic.MCAP:
             if self._search(0) is None:
                 raise UnreadableError(
                     f"{self._path} is not an MCAP log, expected the beginning 89 4D 43 41 50 30 0D 0A, or any whole record"
@@ -280,7 +281,7 @@ class _Repair:
     def _begins(self) -> bool:
         """The file begins as a log does."""
         self._stream.seek(0)
-        return self._stream.read(len(scan.MAGIC)) == scan.MAGIC
+        return self._stream.read(len(magic.MCAP)) == magic.MCAP
 
     def _step(self, at: int) -> int:
         """Deal with the record at a place; return where the next one begins."""
