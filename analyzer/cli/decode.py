@@ -122,7 +122,8 @@ class _Sinks:
 
         def make() -> tuple[McapLog | ParquetTables, Summary]:
             if isinstance(output, OutputFolder):
-                from analyzer.sinks.parquet import ParquetTables, files_in
+                from analyzer.sinks.parquet import ParquetTables
+                from analyzer.sinks.parquet_file import files_in
 
                 return ParquetTables(files_in(output.part), source.clock), Summary()
             byte_ns, bit_ns = options.byte_ns, options.synthetic_bit_ns

@@ -65,6 +65,25 @@ class Plain:
     behind: Integers
     latencies: Integers
 
+    @property
+    def joins(self) -> object:
+        """What is the same of blocks that follow each other and can be joined: frames of a serial line are not."""
+        block = self.block
+        return (self.dialect.name, block.port) if isinstance(block, CanBlock) else id(block)
+
+    @classmethod
+    def joined(cls, plains: Sequence[Plain]) -> Plain:
+        """Return what is plain in blocks that join; times may run backwards from one to the next."""
+        if len(plains) == 1:
+            return plains[0]
+        lanes: dict[Lane, int] = {}
+        for lane in (lane for plain in plains for lane in plain.lanes):
+            lanes.setdefault(lane, len(lanes))
+        numbers = [np.array([*(lanes[each] for each in plain.lanes), -1]).take(plain.lane, mode="wrap") for plain in plains]
+        block = CanBlock.joined([plain.block for plain in plains if isinstance(plain.block, CanBlock)])
+        columns = (np.concatenate([getattr(p, name) for p in plains]) for name in ("offsets", "behind", "latencies"))
+        return cls(plains[0].dialect, block, tuple(lanes), np.concatenate(numbers), *columns)
+
     def frame(self, row: int) -> Frame:
         """Return one frame."""
         return self.block.frame_of(row, self.dialect, int(self.offsets[row]))

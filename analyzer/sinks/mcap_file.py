@@ -36,7 +36,7 @@ from mcap.records import (
 
 from analyzer.sinks.mcap_chunk import CHUNK_SIZE, MESSAGE, Batch, Chunk, Packed, Part, Run, pack, record_bytes
 from analyzer.sinks.mcap_index import Index, MemoryIndex
-from analyzer.sources.mcap_scan import MAGIC
+from analyzer.sources.magic import MCAP
 
 if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
@@ -155,7 +155,7 @@ class McapFile:
         packer: Packer | None = None,
     ) -> None:
         self._begin(stream, chunk_size, index or MemoryIndex(), patient, packer or _Thread())
-        self._put(MAGIC + record_bytes(Header(profile, library)))
+        self._put(MCAP + record_bytes(Header(profile, library)))
 
     def _begin(self, stream: Writable, chunk_size: int, index: Index, patient: bool, packer: Packer) -> None:
         self._stream = stream
@@ -425,7 +425,7 @@ class McapFile:
         data = b"".join(offsets)
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, place), zlib.crc32(data, crc))
         footer = Footer(summary_start=start, summary_offset_start=place, summary_crc=crc)
-        self._put(b"".join((*batch, data, record_bytes(footer), MAGIC)))
+        self._put(b"".join((*batch, data, record_bytes(footer), MCAP)))
 
     def _put(self, data: bytes) -> None:
         self._stream.write(data)

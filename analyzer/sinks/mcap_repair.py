@@ -41,6 +41,7 @@ from analyzer.sinks.mcap_sound import (
     unsound,
 )
 from analyzer.sinks.mcap_taken import TakenFile
+from analyzer.sources import magic
 from analyzer.sources import mcap_scan as scan
 from analyzer.sources.recording_parts import METADATA
 from analyzer.values import counted
@@ -110,9 +111,9 @@ class _Repair:
 
     def run(self) -> RepairResult:
         header = Header("", "")
-        at = len(scan.MAGIC)
+        at = len(magic.MCAP)
         self._stream.seek(0)
-        if self._stream.read(at) != scan.MAGIC:
+        if self._stream.read(at) != magic.MCAP:
             if self._search(0) is None:
                 raise UnreadableError(
                     f"{self._path} is not an MCAP log, expected the beginning 89 4D 43 41 50 30 0D 0A, or any whole record"
@@ -143,7 +144,7 @@ class _Repair:
     def _begins(self) -> bool:
         """The file begins as a log does."""
         self._stream.seek(0)
-        return self._stream.read(len(scan.MAGIC)) == scan.MAGIC
+        return self._stream.read(len(magic.MCAP)) == magic.MCAP
 
     def _step(self, at: int) -> int:
         """Deal with the record at a place; return where the next one begins."""

@@ -18,6 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 
 from analyzer.errors import UnreadableError
+from analyzer.sources import magic
 from analyzer.sources import mcap_scan as scan
 from analyzer.values import counted
 
@@ -38,7 +39,7 @@ _SIZES = {scan.DATA_END: 4, scan.FOOTER: 20}
 def is_whole(path: Path) -> bool:
     """Say whether a log was finished: it has its summary. Raises UnreadableError if the file is not an MCAP log."""
     with path.open("rb") as stream:
-        if stream.read(len(scan.MAGIC)) != scan.MAGIC:
+        if stream.read(len(magic.MCAP)) != magic.MCAP:
             raise UnreadableError(f"{path} is not an MCAP log, expected the beginning 89 4D 43 41 50 30 0D 0A")
     from mcap.reader import SeekingReader
 
@@ -81,9 +82,9 @@ def unreadable(path: Path, position: Callable[[int], None] = lambda at: None) ->
 def broken_before(path: Path, end: int | None = None, position: Callable[[int], None] = lambda at: None) -> str:
     """Say what is not sound in a log before a place, where a record ends; `None`: before its summary. Nothing if all is."""
     with path.open("rb") as stream:
-        if stream.read(len(scan.MAGIC)) != scan.MAGIC:
+        if stream.read(len(magic.MCAP)) != magic.MCAP:
             return "it does not begin as an MCAP log"
-        at = len(scan.MAGIC)
+        at = len(magic.MCAP)
         while end is None or at < end:
             position(at)
             record = record_at(stream, at)

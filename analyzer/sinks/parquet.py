@@ -13,7 +13,7 @@ frames of a block become columns at once; all others become rows, and each table
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
@@ -25,6 +25,7 @@ from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import Integers, column_codec
 from analyzer.columns.groups import taken
+from analyzer.columns.pairs import Plain
 from analyzer.columns.rows import alike, physical_column, states
 from analyzer.decoder import physical
 from analyzer.layout import STATE_UNITS, Field, FieldKind
@@ -38,11 +39,11 @@ from analyzer.table.extras import needed
 if TYPE_CHECKING:
     import pyarrow
 
-    from analyzer.columns.pairs import Plain
-
 #: Rows of all tables that are held, and that stand together in the files. A row that was taken alone needs more room.
 HELD = 1 << 17
 _ALONE = 8
+#: Places at which rows that were taken one by one part those of blocks; with more of them, all rows are copied in their order.
+_MOST_CUTS = 64
 _SECOND = 1_000_000_000
 #: Bits beyond which a number needs a sign's place.
 _LONG = 64
@@ -58,37 +59,6 @@ class Target(Protocol):
         """Take the end of the table; a table may have no rows."""
 
 
-class File:
-    """A Parquet file of one table; a table without rows leaves none."""
-
-    def __init__(self, path: Path, schema: pyarrow.Schema) -> None:
-        self._path = path
-        self._schema = schema
-        self._writer: Any = None
-
-    def write(self, rows: pyarrow.Table) -> None:
-        """Write the next rows as one row group."""
-        if self._writer is None:
-            # A name that is no UTF-8 is none for pyarrow.
-            self._stream = self._path.open("wb")
-            parquet = needed("pyarrow.parquet")
-            # Numbers differ from row to row: a dictionary of them would be made in vain.
-            words = [field.name for field in self._schema if not _is_number(field.type)]
-            options = {"compression": "zstd", "compression_level": 1, "use_dictionary": words}
-            self._writer = parquet.ParquetWriter(self._stream, self._schema, **options)
-        self._writer.write_table(rows)
-
-    def close(self) -> None:
-        """End the file."""
-        if self._writer is not None:
-            self._writer.close()
-            self._stream.close()
-
-
-def _is_number(kind: pyarrow.DataType) -> bool:
-    return str(kind).startswith(("int", "uint", "double", "timestamp"))
-
-
 class _Table:
     """A table: rows that were taken one by one, columns of many, and what both go to."""
 
@@ -100,7 +70,7 @@ class _Table:
         self._batches: list[pyarrow.Table] = []
 
     def add(self, columns: Mapping[str, Any], count: int) -> None:
-        """Take many rows; a column that is not given is empty."""
+        """Take many rows in their order; a column that is not given is empty."""
         pa = needed("pyarrow")
         arrays = [columns[f.name] if f.name in columns else pa.nulls(count, f.type) for f in self.schema]
         self._batches.append(pa.Table.from_arrays(arrays, schema=self.schema))
@@ -108,28 +78,35 @@ class _Table:
     def write(self) -> None:
         """Write what is held, in order."""
         pa = needed("pyarrow")
-        mixed = bool(self._batches)
-        if self.rows:
-            self._batches.append(pa.Table.from_pylist(self.rows, schema=self.schema))
-            self.rows.clear()
-        if not self._batches:
-            return
-        whole = pa.concat_tables(self._batches)
+        alone = [pa.Table.from_pylist(self.rows, schema=self.schema)] if self.rows else []
+        held = pa.concat_tables([*self._batches, *alone]) if self._batches or alone else None
+        if self._batches:
+            held = self._ordered(held, len(self.rows))
+        self.rows.clear()
         self._batches.clear()
-        if mixed:
-            order = np.argsort(whole["sequence"].to_numpy(), kind="stable")
-            whole = whole.take(pa.array(order)) if (np.diff(order) < 0).any() else whole
-        self._target.write(whole)
+        if held is not None:
+            self._target.write(held)
+
+    @staticmethod
+    def _ordered(held: pyarrow.Table, alone: int) -> pyarrow.Table:
+        """Return rows in the order of their numbers; so many at the end were taken one by one."""
+        pa = needed("pyarrow")
+        sequences = held["sequence"].to_numpy()
+        many = len(sequences) - alone
+        places, firsts = np.unique(sequences[:many].searchsorted(sequences[many:]), return_index=True)
+        if len(places) > _MOST_CUTS or (np.diff(sequences[:many]) < 0).any():
+            return held.take(pa.array(np.argsort(sequences, kind="stable")))
+        # Few rows between many: no row has to be copied.
+        parts, at = [], 0
+        for place, (start, stop) in zip(places.tolist(), pairwise([*firsts.tolist(), alone]), strict=True):
+            parts += [held.slice(at, place - at), held.slice(many + start, stop - start)]
+            at = place
+        return pa.concat_tables([*parts, held.slice(at, many - at)])
 
     def close(self) -> None:
         """Write the rest, and end the table."""
         self.write()
         self._target.close()
-
-
-def files_in(folder: Path) -> Callable[[str, pyarrow.Schema], Target]:
-    """Return what gives each table its file in a folder that exists."""
-    return lambda name, schema: File(folder / f"{name}.parquet", schema)
 
 
 class ParquetTables:
@@ -146,79 +123,120 @@ class ParquetTables:
         self._plain: Plain | None = None
         #: Runs that were taken of the block, and the sequence number of the first frame of each.
         self._taken: list[tuple[int, int, int]] = []
+        #: Blocks that are held, each with the sequence numbers of its rows, 0 where one is in no run.
+        self._blocks: list[tuple[Plain, Integers]] = []
         self._held = 0
 
     # --- frames by columns ----------------------------------------------------------------------------------------
 
     def begin(self, plain: Plain) -> None:
         """Take the next block of frames."""
-        self._settle()
+        self._hold()
+        if self._held >= HELD:
+            self._write()
         self._plain = plain
 
     def run(self, start: int, stop: int, sequence: int) -> None:
-        """Take plain exchanges; they become columns when the block has ended."""
+        """Take plain exchanges; they become columns together with those of other blocks."""
         self._taken.append((start, stop, sequence))
 
-    def _settle(self) -> None:
+    def _hold(self) -> None:
+        """Hold what was taken of the block."""
         plain = self._plain
         if plain is not None and self._taken:
             sequences = np.zeros(len(plain.lane), dtype=np.int64)
             for start, stop, sequence in self._taken:
                 sequences[start:stop] = np.arange(sequence, sequence + stop - start)
-            for group, lane in alike(plain):
-                rows = group[sequences[group] > 0]
-                if len(rows):
-                    self._columns(plain, rows, lane, sequences[rows])
+                self._held += stop - start
+            self._blocks.append((plain, sequences))
         self._taken = []
-        if self._held >= HELD:
-            for table in self._tables.values():
-                table.write()
-            self._held = 0
 
-    def _columns(self, plain: Plain, rows: Integers, lane: Lane, sequences: Integers) -> None:
+    def _write(self) -> None:
+        """Write all that is held."""
+        blocks, self._blocks = self._blocks, []
+        while blocks:
+            count = sum(1 for _ in takewhile(lambda each: each[0].joins == blocks[0][0].joins, blocks))
+            joined = Plain.joined([plain for plain, _ in blocks[:count]])
+            sequences = np.concatenate([numbers for _, numbers in blocks[:count]])
+            # What is joined is held no more.
+            del blocks[:count]
+            self._settle(joined, sequences)
+        for table in self._tables.values():
+            table.write()
+        self._held = 0
+
+    def _settle(self, plain: Plain, sequences: Integers) -> None:
+        """Give the rows of a block that have a number to their tables."""
+        carried: list[tuple[Integers, dict[str, NDArray[np.float64]]]] = []
+        for rows, lane in alike(plain, sequences > 0):
+            wire = self._columns(plain, rows, lane, sequences.take(rows))
+            if lane.states:
+                carried.append((rows, states(lane, wire)))
+        if carried:
+            self._carried(plain, carried, sequences)
+
+    def _places(self, plain: Plain, rows: Integers, sequences: Integers) -> dict[str, Any]:
+        """Return the columns that all tables have. `sequences`: of these rows."""
+        pa = self._pa
+        addresses = np.array([each.address for each in plain.lanes]).take(plain.lane.take(rows))
+        return {
+            "time": pa.array(plain.block.t_ns.take(rows)).view(self._time),
+            "bus": pa.repeat(topic_name(plain.block.port), len(rows)),
+            "address": pa.array(addresses.astype(np.int64, copy=False)),
+            "sequence": pa.array(sequences),
+        }
+
+    def _columns(self, plain: Plain, rows: Integers, lane: Lane, sequences: Integers) -> dict[str, Integers]:
+        """Take rows of lanes that read alike; return their fields as sent."""
         pa, block, count = self._pa, plain.block, len(rows)
         table = self._command(plain.dialect, lane.command, lane.role)
         sizes = int(block.sizes[rows[0]])
-        data = np.ascontiguousarray(block.data[rows, :sizes])
+        whole = taken(block.data, rows)
+        data = np.ascontiguousarray(whole[:, :sizes])
         places = (
             np.arange(0, (count + 1) * sizes, sizes, dtype=np.int32)[: count + 1] if sizes else np.zeros(count + 1, np.int32)
         )
-        addresses = np.array([each.address for each in plain.lanes])[plain.lane[rows]]
-        common = {
-            "time": pa.array(block.t_ns[rows]).view(self._time),
-            "bus": pa.repeat(topic_name(block.port), count),
-            "address": pa.array(addresses, pa.int64()),
-            "sequence": pa.array(sequences),
-        }
         columns = {
-            **common,
+            **self._places(plain, rows, sequences),
             "_raw": pa.Array.from_buffers(pa.binary(), count, [None, pa.py_buffer(places), pa.py_buffer(data)]),
             "_checksum_ok": pa.repeat(True, count),
-            "_offset": pa.array(plain.offsets[rows]),
+            "_offset": pa.array(plain.offsets.take(rows)),
         }
         if isinstance(block, CanBlock):
-            columns["_can_id"] = pa.array(block.ids[rows])
+            columns["_can_id"] = pa.array(block.ids.take(rows))
             marks = block.directions[rows]
             if marks.any():
                 names = pa.array([None if role is Role.UNKNOWN else role.value for role in DIRECTIONS])
                 columns["_direction"] = names.take(pa.array(marks))
         if not lane.is_request:
-            latencies = plain.latencies[rows]
+            latencies = plain.latencies.take(rows)
             columns["_latency"] = pa.array(latencies / _SECOND, mask=latencies <= 0)
-            columns["_request_sequence"] = pa.array(sequences - plain.behind[rows])
+            columns["_request_sequence"] = pa.array(sequences - plain.behind.take(rows))
         layout = lane.form.layout
-        wire = column_codec(layout, lane.start).wire(taken(block.data, rows))
+        wire = column_codec(layout, lane.start).wire(whole)
         for name, values in wire.items():
             shown = physical_column(values, layout.named[name])
-            columns[name] = pa.array(shown).cast(table.schema.field(name).type)
+            # What pyarrow casts by would have to be loaded.
+            columns[name] = pa.array(shown.astype(table.schema.field(name).type.to_pandas_dtype(), copy=False))
             if name in table.choices:
                 columns[name + "_name"] = self._names(values, table.choices[name])
         table.add(columns, count)
-        self._held += count
-        if lane.states:
-            found = {name: pa.array(each) for name, each in states(lane, wire).items()}
-            self._states().add({**common, **found}, count)
-            self._held += count
+        return wire
+
+    def _carried(
+        self, plain: Plain, carried: Sequence[tuple[Integers, Mapping[str, NDArray[np.float64]]]], sequences: Integers
+    ) -> None:
+        """Take the states that rows of a block carry, in the order of the rows, though each kind of frame has its own."""
+        rows = np.sort(np.concatenate([own for own, _ in carried]))
+        count = len(rows)
+        values = {name: np.zeros(count) for _, found in carried for name in found}
+        missing = {name: np.ones(count, dtype=np.bool_) for name in values}
+        for own, found in carried:
+            places = rows.searchsorted(own)
+            for name, each in found.items():
+                values[name][places], missing[name][places] = each, False
+        columns = {name: self._pa.array(each, mask=missing[name]) for name, each in values.items()}
+        self._states().add({**self._places(plain, rows, sequences.take(rows)), **columns}, count)
 
     def _names(self, values: NDArray[np.int64], field: Field) -> pyarrow.Array:
         known = sorted(field.choice_names)
@@ -229,7 +247,8 @@ class ParquetTables:
     def _count_one(self) -> None:
         self._held += _ALONE
         if self._held >= HELD:
-            self._settle()
+            self._hold()
+            self._write()
 
     # --- frames one by one ----------------------------------------------------------------------------------------
 
@@ -305,7 +324,8 @@ class ParquetTables:
 
     def finish(self, metadata: Mapping[str, str]) -> None:
         """End the files; the folder is whole after this."""
-        self._settle()
+        self._hold()
+        self._write()
         pa = self._pa
         schema = pa.schema({"name": pa.string(), "value": pa.string()})
         about = _Table(self._target("metadata", schema), schema, {})

@@ -4,8 +4,9 @@
         for record in source: ...
 
 A format is found by content, not by name. Each format is one module with `score` and `read` (see `source.py`), imported
-only when it is asked; libraries that a format needs are imported only when it is read. Formats of levels need NumPy all over,
-so what scores them stands in one module of its own.
+only when it is asked; libraries that a format needs are imported only when it is read. Binary formats are known by their
+beginnings (`magic.py`), so their modules have no `score`. Formats of levels need NumPy all over, so what scores them stands in
+one module of its own.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.sources import magic
 from analyzer.sources.lines import head_lines, is_text
 from analyzer.sources.logic.heads import SCORES, saleae_channels
 from analyzer.sources.source import Problem, Record, Source, quote
@@ -181,6 +183,8 @@ def _module(name: str) -> ModuleType:
 
 def _score(name: str, head: bytes) -> float:
     """Say how sure a format is of the first bytes of a capture, 0..1."""
+    if (begins := magic.begins(name, head)) is not None:
+        return float(begins)
     score: Callable[[bytes], float] = SCORES[name] if FORMATS[name].levels else _module(name).score
     return score(head)
 

@@ -21,11 +21,11 @@ from analyzer.catalogue import Role
 from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
+from analyzer.sources import magic
 from analyzer.sources.budget import CONTAINER_LIMIT
-from analyzer.sources.source import SECOND_NS, Source
+from analyzer.sources.source import SECOND_NS, TOGETHER, Source
 from analyzer.values import counted
 
-_MAGIC = b"LOGG"
 _SIGNATURE = b"LOBJ"
 _OBJECT = struct.Struct("<4sHHLL")  # signature, header size, header version, object size, object type
 _TIMES = {1: struct.Struct("<LHHQ"), 2: struct.Struct("<LBxHQ8x")}  # flags, ..., time; by header version
@@ -55,11 +55,6 @@ _MESSAGES = (1, 86)
 _MESSAGE_SIZE = _OBJECT.size + _TIMES[1].size + _CAN.size
 
 
-def score(head: bytes) -> float:
-    """Say how sure it is that these bytes are BLF, 0..1."""
-    return 1.0 if head.startswith(_MAGIC) else 0.0
-
-
 def read(source: Source) -> Iterator[CanFrame | CanBlock]:
     """Read the frames."""
     source.time_source = "capture: the start of the measurement, to 1 ms, and the time of each frame since then"
@@ -71,7 +66,7 @@ def _records(source: Source) -> Iterator[CanFrame | CanBlock]:
     begin = stream.exactly(8)
     size = _HEADER_SIZE.unpack_from(begin, 4)[0] if len(begin) == 8 else 0
     least, most = _HEADER_LIMITS
-    if not begin.startswith(_MAGIC) or not least <= size <= most:
+    if not begin.startswith(magic.BLF) or not least <= size <= most:
         raise UnreadableError(
             f"{source.name}: expected a BLF header (LOGG and its size), got {begin.hex(' ').upper() or 'nothing'}"
         )
@@ -79,14 +74,42 @@ def _records(source: Source) -> Iterator[CanFrame | CanBlock]:
     if len(header) < size:
         raise UnreadableError(f"{source.name}: the BLF header breaks off after {len(header)} of {size} bytes")
     start_ns = _start_ns(header)
-    for kind, data in _objects(source, _containers(source, size)):
-        # Data that are longer than one message are several.
-        if kind in _MESSAGES and len(data) >= 2 * _MESSAGE_SIZE and _OBJECT.unpack_from(data)[3] == _MESSAGE_SIZE:
+    for kind, data in _more_together(_objects(source, _containers(source, size))):
+        if _are_many(kind, data):
             yield from _together(source, kind, data, start_ns)
             continue
         taken = _frame(source, kind, data, start_ns)
         if taken is not None:
             yield taken
+
+
+def _are_many(kind: int, data: bytes) -> bool:
+    """Say whether data are several messages of one size."""
+    return kind in _MESSAGES and len(data) >= 2 * _MESSAGE_SIZE and _OBJECT.unpack_from(data)[3] == _MESSAGE_SIZE
+
+
+def _more_together(objects: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
+    """Yield objects; messages of several containers that follow each other as those of one, which costs less."""
+    held: list[bytes] = []
+    held_kind = size = 0
+    try:
+        for kind, data in objects:
+            many = _are_many(kind, data)
+            if held and (not many or kind != held_kind or size >= TOGETHER):
+                yield held_kind, b"".join(held)
+                held, size = [], 0
+            if many:
+                held.append(data)
+                held_kind, size = kind, size + len(data)
+            else:
+                yield kind, data
+    except Exception:
+        # What came before the fault is given first.
+        if held:
+            yield held_kind, b"".join(held)
+        raise
+    if held:
+        yield held_kind, b"".join(held)
 
 
 def _together(source: Source, kind: int, data: bytes, start_ns: int) -> Iterator[CanFrame | CanBlock]:
@@ -201,7 +224,7 @@ def _whole(source: Source, buffer: bytearray, *, final: bool) -> Iterator[tuple[
                 count = alike(buffer, at)
             source.stream.budget.record(count)
             end = at + count * size
-            yield kind, bytes(buffer[at:end])
+            yield kind, bytes(memoryview(buffer)[at:end])
             at = end
             continue
         at += len(_SIGNATURE)

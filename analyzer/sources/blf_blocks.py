@@ -8,6 +8,7 @@ import numpy as np
 
 from analyzer.catalogue import Role
 from analyzer.columns.block import DIRECTIONS, STANDARD_ID, CanBlock
+from analyzer.columns.groups import ranks
 from analyzer.sources.found import SHORTEST, Found, without_rest
 
 _OBJECT = np.dtype(
@@ -19,21 +20,26 @@ _OBJECT = np.dtype(
 SIZE = _OBJECT.itemsize
 _TEN_MICROSECONDS = 1
 _SENT, _REMOTE = 0x01, 0x80
+_MARKS = np.array([DIRECTIONS.index(Role.UNKNOWN), DIRECTIONS.index(Role.REQUEST)])
 _LAST_NS = 1 << 62
+#: Nanoseconds of a tick, and how many ticks a time has at most: otherwise, and where a tick is ten microseconds.
+_UNITS = np.array([1, 10_000], dtype=np.uint64)
+_TICKS = _LAST_NS // _UNITS
 
 
 def alike(buffer: bytearray, at: int) -> int:
     """Return how many objects with the header of this one follow each other; 1: too few to be read together."""
     most = (len(buffer) - at) // SIZE
-    head = buffer[at : at + 16]
+    head = bytes(buffer[at : at + 16])
     if most < SHORTEST or buffer[at + (SHORTEST - 1) * SIZE : at + (SHORTEST - 1) * SIZE + 16] != head:
         return 1
     # Ever more at a time: what is looked at in vain is no more than what was found.
     count, more = 0, SHORTEST
+    first, second = np.frombuffer(head, dtype=np.uint64)
     while count < most:
         begin, more = at + count * SIZE, min(more, most - count)
-        rows = np.frombuffer(bytes(buffer[begin : begin + more * SIZE]), dtype=np.uint8).reshape(more, SIZE)
-        same = (rows[:, :16] == np.frombuffer(head, dtype=np.uint8)).all(axis=1)
+        words = np.frombuffer(buffer, np.uint64, more * SIZE // 8, begin).reshape(more, SIZE // 8)
+        same = (words[:, 0] == first) & (words[:, 1] == second)
         if not same.all():
             count += int(same.argmin())
             break
@@ -49,14 +55,14 @@ def pieces(data: bytes, start_ns: int) -> Iterator[tuple[int, int, str, CanBlock
         yield 0, len(rows), "", None
         return
     found = Found.of(len(rows))
-    units = np.where(rows["unit"] == _TEN_MICROSECONDS, 10_000, 1).astype(np.uint64)
+    units = _UNITS.take(rows["unit"] == _TEN_MICROSECONDS)
     plain = (rows["id"] <= STANDARD_ID) & (rows["length"] <= 8) & (rows["flags"] & _REMOTE == 0)
-    plain &= rows["ticks"] < np.uint64(_LAST_NS) // units
+    plain &= rows["ticks"] < _TICKS.take(rows["unit"] == _TEN_MICROSECONDS)
     found.t_ns[:] = start_ns + (rows["ticks"] * units).astype(np.int64)
     found.ids[:], found.sizes[:] = rows["id"], rows["length"]
     found.data = without_rest(rows["data"], rows["length"])
-    found.marks[:] = np.where(rows["flags"] & _SENT, DIRECTIONS.index(Role.REQUEST), DIRECTIONS.index(Role.UNKNOWN))
-    channels = np.unique(rows["channel"])
+    found.marks[:] = _MARKS.take(rows["flags"] & _SENT)
+    channels = ranks(rows["channel"])[0]
     found.names += [f"can{channel}" if channel else "" for channel in channels.tolist()]
-    found.bus[plain] = np.searchsorted(channels, rows["channel"][plain])
+    found.bus[plain] = channels.searchsorted(rows["channel"][plain]) if len(channels) > 1 else 0
     yield from found.stretches()

@@ -34,7 +34,10 @@ for _high in b"0123456789ABCDEFabcdef":
         _BYTES[_low << 8 | _high] = int(chr(_high) + chr(_low), 16)
 _ZEROS = 0x3030303030303030
 _ALL = (1 << 64) - 1
+_DIGITS_OF_WORD = 8
 _MARKS = {None: 0, "R": 0, "r": 0, "T": 1, "t": 1}
+Words = NDArray[np.uint64]
+Span = tuple[int, int]
 
 
 def pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
@@ -73,9 +76,7 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: Fo
     fixed[:length] = 255
     for group in (1, 2, 4, 5):
         fixed[slice(*match.span(group))] = 0
-    seconds, wrong = _number(table, *match.span(1))
-    fraction, also_wrong = _number(table, *match.span(2))
-    odd = wrong | also_wrong
+    ticks, odd = _number(table, match.span(1), match.span(2))
     for word, kept in zip(table.view(np.uint64).T, fixed.view(np.uint64), strict=True):
         if kept:
             odd |= (word ^ word[0]) & kept
@@ -88,7 +89,7 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: Fo
         good &= (data < _NO_BYTE).all(axis=1)
     ids = high.astype(np.int64) << 8 | low
     good &= ids <= STANDARD_ID
-    t_ns = seconds * 1_000_000_000 + fraction * 10 ** (9 - len(match[2]))
+    t_ns = (ticks * np.uint64(10 ** (9 - len(match[2])))).astype(np.int64)
     # Of so many digits, the greatest numbers do not fit.
     good &= t_ns >= 0
     chosen = slice(None) if good.all() else good
@@ -96,7 +97,8 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: Fo
     found.t_ns[taken] = t_ns[chosen]
     found.ids[taken] = ids[chosen]
     found.sizes[taken] = size
-    found.marks[taken] = _MARKS[match[7]]
+    if mark := _MARKS[match[7]]:
+        found.marks[taken] = mark
     whole = np.zeros((len(rows), 8), dtype=np.uint8)
     whole[:, :size] = data
     found.data.view(np.uint64)[taken] = whole.view(np.uint64)[chosen]
@@ -108,22 +110,34 @@ def _kind(codes: Bytes, starts: Integers, length: int, rows: Integers, found: Fo
     return done
 
 
-def _number(table: Bytes, start: int, stop: int) -> tuple[Integers, NDArray[np.uint64]]:
-    """Return the numbers that digits in some columns stand for, and of each row something that is not 0 if they are none.
+def _number(table: Bytes, whole: Span, fraction: Span) -> tuple[Words, Words]:
+    """Return the numbers that the digits in some columns make, those of a fraction behind those of a whole.
 
-    Eight digits are reckoned at once, as the bytes of a word.
+    Beside them, of each row something that is not 0 if they are no digits. Eight are reckoned at once, as the bytes of a word.
     """
-    value, wrong = np.zeros(len(table), dtype=np.int64), np.zeros(len(table), dtype=np.uint64)
-    for first in range(stop - -(-(stop - start) // 8) * 8, stop, 8):
-        words = table[:, max(first, 0) : max(first, 0) + 8].view("<u8")[:, 0]
-        if first < start:
-            # The last digits stand in the upper bytes; in the others belong zeros.
-            kept = _ALL << 8 * (start - first) & _ALL
-            words = words << np.uint64(8 * max(-first, 0)) & np.uint64(kept) | np.uint64(_ZEROS & ~kept)
+    value, wrong = np.zeros((2, len(table)), dtype=np.uint64)
+    (start, stop), (point, end), weight = whole, fraction, 1
+    while stop > start or end > point:
+        behind = min(_DIGITS_OF_WORD, end - point)
+        before = min(_DIGITS_OF_WORD - behind, stop - start)
+        words = _last(table, end, behind) | _last(table, stop, before) >> np.uint64(8 * behind)
+        # The last digits stand in the upper bytes; in the others belong zeros.
+        words |= np.uint64(_ZEROS >> 8 * (behind + before))
+        if (words == words[0]).all():
+            # Of a time, the first digits are most often the same in all lines.
+            words = words[:1]
         digits = words ^ np.uint64(_ZEROS)
         wrong |= (digits | digits + np.uint64(0x7676767676767676)) & np.uint64(0x8080808080808080)
         for width, mask in ((8, 0x00FF00FF00FF00FF), (16, 0x0000FFFF0000FFFF), (32, 0x00000000FFFFFFFF)):
             # Of two neighbours, the one of more weight stands in the lower bits.
             digits = (digits * np.uint64(10 ** (width // 8)) + (digits >> np.uint64(width))) & np.uint64(mask)
-        value = value * 100_000_000 + digits.astype(np.int64)
+        value += digits * np.uint64(weight)
+        stop, end, weight = stop - before, end - behind, weight * 10**_DIGITS_OF_WORD
     return value, wrong
+
+
+def _last(table: Bytes, stop: int, count: int) -> Words:
+    """Return the last of the bytes before a column as the upper bytes of a word, zeros below them."""
+    first = max(stop - 8, 0)
+    words: Words = table[:, first : first + 8].view("<u8")[:, 0] << np.uint64(8 * (first + 8 - stop))
+    return words & np.uint64(_ALL << 8 * (8 - count) & _ALL)

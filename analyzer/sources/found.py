@@ -43,7 +43,7 @@ class Found:
         backwards.
         """
         count = len(self.t_ns)
-        breaks = np.flatnonzero((np.diff(self.bus) != 0) | (np.diff(self.t_ns) < 0)) + 1
+        breaks = np.flatnonzero((self.bus[1:] != self.bus[:-1]) | (self.t_ns[1:] < self.t_ns[:-1])) + 1
         single = 0
         for start, stop in pairwise([0, *breaks.tolist(), count]):
             bus = int(self.bus[start]) if count else -1

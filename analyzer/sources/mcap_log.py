@@ -23,8 +23,9 @@ from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
 from analyzer.events import RESUMED, SETUPS, TOPIC, checked
 from analyzer.records import CanFrame, Chunk, Event, Silence
+from analyzer.sources import magic
 from analyzer.sources.coverage import GAP_LIMIT, Coverage, Raw, Waiting
-from analyzer.sources.mcap_scan import MAGIC, LogMessage, Messages
+from analyzer.sources.mcap_scan import LogMessage, Messages
 from analyzer.sources.recording_parts import clock_of
 from analyzer.sources.source import COMMENT_LIMIT, Record, Source, clean_port, describe
 from analyzer.values import counted
@@ -78,14 +79,9 @@ class _Lane:
         self.idle = (len(parts), self.last) in ((4, "state"), (3, "stats")) or topic == "/findings"
 
 
-def score(head: bytes) -> float:
-    """Say how sure it is that these bytes are an MCAP log, 0..1."""
-    return 1.0 if head.startswith(MAGIC) else 0.0
-
-
 def read(source: Source) -> Iterator[Record | CanBlock]:
     """Read the messages in the order of the log."""
-    if not source.head.startswith(MAGIC):
+    if not source.head.startswith(magic.MCAP):
         raise UnreadableError(f"{source.name}: expected an MCAP log (89 4D 43 41 50 ...), got another beginning")
     if source.size is not None:
         source.clock = clock_of(source.files[0])

@@ -20,6 +20,7 @@ from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema
 from analyzer.errors import ServotapError
 from analyzer.events import TOPIC
 from analyzer.sources import mcap_scan as scan
+from analyzer.sources.magic import MCAP
 from analyzer.sources.mcap_scan import LogMessage, Messages
 from analyzer.sources.source import Source, describe
 from analyzer.sources.tail import Rewound, Tail
@@ -93,7 +94,7 @@ def records_of_part(source: Source, skips: Mapping[int, int]) -> Iterator[LogRec
 
 
 def _top(source: Source, reader: Reader, *, magic: bool = True) -> Iterator[LogRecord]:
-    if magic and reader.read(len(scan.MAGIC)) != scan.MAGIC:
+    if magic and reader.read(len(MCAP)) != MCAP:
         raise ValueError("it does not begin as an MCAP file")
     while True:
         opcode, length = scan.HEAD.unpack(reader.read(scan.HEAD.size))
@@ -226,7 +227,7 @@ def bounds(path: Path) -> tuple[int, int] | None:
     last_ns = 0
     size = path.stat().st_size
     with path.open("rb") as stream:
-        at = len(scan.MAGIC)
+        at = len(MCAP)
         while at + scan.HEAD.size <= size:
             stream.seek(at)
             opcode, length = scan.HEAD.unpack(stream.read(scan.HEAD.size))

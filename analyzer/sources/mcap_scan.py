@@ -20,7 +20,6 @@ from analyzer.values import counted
 if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
 
-MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 #: Opcodes.
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 6, 7

@@ -22,11 +22,11 @@ from analyzer.catalogue import Role
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
 from analyzer.scratch import scratch_folder
+from analyzer.sources import magic
 from analyzer.sources.budget import child_limits
 from analyzer.sources.mf4_child import LENGTH, Batch
 from analyzer.sources.source import Source
 
-_MAGICS = (b"MDF     ", b"UnFinMF ")
 #: What asammdf opens as it is; by other endings it guesses at archives, which it deletes after use.
 _ENDINGS = (".mf4", ".mdf")
 #: The process finds this package where its parent did, and its library prints nothing of its own.
@@ -35,21 +35,17 @@ import json, os, sys
 sys.path[:] = json.loads(sys.argv[2])
 out = os.fdopen(os.dup(1), "wb")
 os.dup2(2, 1)
+from analyzer.sources import magic
 from analyzer.sources.budget import child_limits
 from analyzer.sources.mf4_child import main
 main(sys.argv[1], out, *map(int, sys.argv[3:]))
 """
 
 
-def score(head: bytes) -> float:
-    """Say how sure it is that these bytes are MF4, 0..1."""
-    return 1.0 if head.startswith(_MAGICS) else 0.0
-
-
 def read(source: Source) -> Iterator[CanFrame]:
     """Read the frames. Raises UnreadableError if asammdf is not installed."""
     source.time_source = "capture: the start of the measurement and float seconds, good to 1 us"
-    if not source.head.startswith(_MAGICS):
+    if not source.head.startswith(magic.MF4):
         shown = source.head[:8].hex(" ").upper()
         raise UnreadableError(f"{source.name}: expected an MF4 file (4D 44 46 20 ...), got {shown}")
     if not _installed():

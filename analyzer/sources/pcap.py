@@ -15,17 +15,11 @@ from typing import NamedTuple
 
 from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
+from analyzer.sources import magic
 from analyzer.sources.links import EXPECTED, LINKS, SOCKETCAN, Line, link_name
 from analyzer.sources.source import SECOND_NS, TOGETHER, Record, Source
 from analyzer.values import counted
 
-#: Magic number -> byte order, nanoseconds of the fraction's unit.
-_MAGICS = {
-    b"\xd4\xc3\xb2\xa1": ("<", 1000),
-    b"\xa1\xb2\xc3\xd4": (">", 1000),
-    b"\x4d\x3c\xb2\xa1": ("<", 1),
-    b"\xa1\xb2\x3c\x4d": (">", 1),
-}
 _HEADER_SIZE = 24
 _RECORD_SIZE = 16
 #: The longest record of any serial or CAN link; what claims more is damage.
@@ -33,14 +27,9 @@ _RECORD_LIMIT = 1 << 20
 _LINK_MASK = 0x0FFF_FFFF
 
 
-def score(head: bytes) -> float:
-    """Say how sure it is that these bytes are a pcap file, 0..1."""
-    return 1.0 if head[:4] in _MAGICS else 0.0
-
-
 def read(source: Source) -> Iterator[Record | CanBlock]:
     """Read the records. Raises UnreadableError for a link type that carries neither CAN nor serial bytes."""
-    found = _MAGICS.get(source.head[:4])
+    found = magic.PCAP.get(source.head[:4])
     if found is None or len(source.head) < _HEADER_SIZE:
         shown = source.head[:4].hex(" ").upper()
         raise UnreadableError(f"{source.name}: expected a pcap header of {_HEADER_SIZE} bytes, got {shown} ...")

@@ -17,13 +17,12 @@ from dataclasses import dataclass, field
 from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
 from analyzer.records import Comment
+from analyzer.sources import magic
 from analyzer.sources.links import EXPECTED, LINKS, SOCKETCAN, Line, link_name
 from analyzer.sources.source import SECOND_NS, TOGETHER, Record, Source
 from analyzer.sources.stream import Stream
 from analyzer.values import counted
 
-_SECTION_MAGIC = b"\x0a\x0d\x0d\x0a"
-_ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 _SECTION = 0x0A0D0D0A
 _INTERFACE = 1
 _OLD = 2
@@ -75,18 +74,13 @@ class _Section:
         return self.interfaces[number] if number < len(self.interfaces) else None
 
 
-def score(head: bytes) -> float:
-    """Say how sure it is that these bytes are pcapng, 0..1."""
-    return 1.0 if head.startswith(_SECTION_MAGIC) and head[8:12] in _ORDERS else 0.0
-
-
 def read(source: Source) -> Iterator[Record | CanBlock]:
     """Read the records."""
-    if source.head[:4] != _SECTION_MAGIC or source.head[8:12] not in _ORDERS:
+    if not magic.of_pcapng(source.head):
         shown = source.head[:12].hex(" ").upper()
         raise UnreadableError(f"{source.name}: expected a pcapng section header (0A 0D 0D 0A ...), got {shown}")
     source.time_source = "capture: exact, in the steps of each interface"
-    source.kind = _first_kind(source.head, _ORDERS[source.head[8:12]]) or "serial"
+    source.kind = _first_kind(source.head, magic.PCAPNG_ORDERS[source.head[8:12]]) or "serial"
     return _records(source)
 
 
@@ -150,8 +144,8 @@ def _blocks(source: Source, section: _Section) -> Iterator[tuple[int, bytes] | C
         head = stream.exactly(_LEAST_BLOCK)
         if not head:
             return
-        if head[:4] == _SECTION_MAGIC:
-            section.order = _ORDERS.get(head[8:12], section.order)
+        if head[:4] == magic.PCAPNG:
+            section.order = magic.PCAPNG_ORDERS.get(head[8:12], section.order)
         if len(head) < _LEAST_BLOCK:
             source.problem(f"the last block breaks off after {counted(len(head), 'byte')}", offset=offset)
             return

@@ -1,8 +1,8 @@
 """A source: a capture that is being read, the same for every format.
 
-A format module offers `score(head) -> float` and `read(source) -> Iterator[Record]`. The score, 0..1, says how sure the
-module is that a capture with these first bytes has its format. Everything else is here: ports, times, problems, errors of
-libraries.
+A format module offers `read(source) -> Iterator[Record]`, and one of text also `score(head) -> float`. The score, 0..1, says
+how sure the module is that a capture with these first bytes has its format. Everything else is here: ports, times, problems,
+errors of libraries.
 
 Rules:
 

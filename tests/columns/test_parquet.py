@@ -22,6 +22,7 @@ from analyzer.errors import UsageError
 from analyzer.pipeline import Options, Pipeline
 from analyzer.sinks import parquet as tables
 from analyzer.sinks.mcap_log import McapLog
+from analyzer.sinks.parquet_file import files_in
 from analyzer.sources import open_source, stream
 from tests.columns.both_ways import blocks, messages, short_runs
 from tests.columns.can_traffic import frames
@@ -33,7 +34,7 @@ MKS = dialects.get("mks-can")
 
 def written(items, folder, dialect, ports=()):
     folder.mkdir()
-    sink, log = tables.ParquetTables(tables.files_in(folder)), io.BytesIO()
+    sink, log = tables.ParquetTables(files_in(folder)), io.BytesIO()
     kept = McapLog(log)
     Pipeline([dialect], [sink, kept], Options()).run(items)
     sink.finish({"source": "made"})

@@ -1,0 +1,73 @@
+"""A Parquet file of one table, written some rows at a time: how its columns are packed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from analyzer.table.extras import needed
+
+if TYPE_CHECKING:
+    import pyarrow
+
+    from analyzer.sinks.parquet import Target
+
+#: Columns that rise from row to row: of these the differences are written, in as few bits as they need.
+_RISING = frozenset(("time", "sequence", "_offset", "_request_sequence"))
+#: Numbers of which there are few, beside words: for each of these stands its place among those that occur.
+_FEW = frozenset(("address", "_can_id"))
+#: What nobody looks for by its least and greatest.
+_UNORDERED = frozenset(("_raw",))
+_DIFFERENCES = "DELTA_BINARY_PACKED"
+_LEVEL = 1
+
+
+class File:
+    """A Parquet file of one table; a table without rows leaves none."""
+
+    def __init__(self, path: Path, schema: pyarrow.Schema) -> None:
+        self._path = path
+        self._schema = schema
+        self._writer: Any = None
+
+    def write(self, rows: pyarrow.Table) -> None:
+        """Write the next rows as one row group."""
+        if self._writer is None:
+            # A name that is no UTF-8 is none for pyarrow.
+            self._stream = self._path.open("wb")
+            self._writer = needed("pyarrow.parquet").ParquetWriter(self._stream, self._schema, **_packing(self._schema))
+        self._writer.write_table(rows)
+
+    def close(self) -> None:
+        """End the file."""
+        if self._writer is not None:
+            self._writer.close()
+            self._stream.close()
+
+
+def files_in(folder: Path) -> Callable[[str, pyarrow.Schema], Target]:
+    """Return what gives each table its file in a folder that exists."""
+    return lambda name, schema: File(folder / f"{name}.parquet", schema)
+
+
+def _packing(schema: pyarrow.Schema) -> dict[str, Any]:
+    """Return how the columns of a table are written.
+
+    Numbers that differ from row to row have no dictionary, which would be made in vain. What its encoding makes small is not
+    compressed besides: that would take longer than all else.
+    """
+    small, words = _RISING | _FEW, {field.name for field in schema if not _is_number(field.type)}
+    paths = {field.name: f"{field.name}.list.element" if str(field.type).startswith("list") else field.name for field in schema}
+    compressed = [path for name, path in paths.items() if name not in small]
+    return {
+        "compression": dict.fromkeys(compressed, "zstd"),
+        "compression_level": dict.fromkeys(compressed, _LEVEL),
+        "use_dictionary": [path for name, path in paths.items() if name in words | _FEW],
+        "column_encoding": {name: _DIFFERENCES for name in paths if name in _RISING},
+        "write_statistics": [path for name, path in paths.items() if name not in _UNORDERED],
+    }
+
+
+def _is_number(kind: pyarrow.DataType) -> bool:
+    return str(kind).startswith(("int", "uint", "double", "timestamp"))
