@@ -20,7 +20,8 @@ from analyzer.live.lock import RUNNING, Lock
 from analyzer.sinks.mcap_chunk import record_bytes
 from analyzer.sinks.mcap_repair import repair
 from analyzer.sinks.mcap_sound import is_whole
-from analyzer.sources.mcap_scan import HEAD, MAGIC
+from analyzer.sources import magic
+from analyzer.sources.mcap_scan import HEAD
 from tests.collect import sum8
 from tests.live.spooled import Spools, content, decoded_of, metadata, port, raw_of, read
 from tests.live.test_recorder_killed import ARM, LEFT, RIGHT, fill
@@ -320,7 +321,7 @@ def test_what_the_library_cannot_read_in_a_chunk_is_left_out_and_counted(tmp_pat
         compression="", data=data, message_start_time=0, message_end_time=19,
         uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data),
     )  # fmt: skip
-    path.write_bytes(MAGIC + record_bytes(Header("", "")) + record_bytes(chunk))
+    path.write_bytes(magic.MCAP + record_bytes(Header("", "")) + record_bytes(chunk))
     said = cli("recover", path).out
     assert "left out of a chunk: 1 damaged record" in said
     assert f"{len(bad)} bytes of x.mcap in total" in said

@@ -18,6 +18,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analyzer.fleet.place import Place
 from analyzer.sources.times import DATED
@@ -36,6 +37,8 @@ _RUNNING = ("time", "time_ns", "sequence", "_request_sequence", "request_sequenc
 PARTITIONS = ("date", "machine")
 #: Findings of a reply, and the outcome of its request that each means.
 _FAILED = ("failed_status", "modbus_exception", "refused_write")
+#: What became of a request.
+_OUTCOMES = ("answered", "failed", "damaged", "unanswered")
 
 
 class Owner(NamedTuple):
@@ -85,36 +88,62 @@ def lake_schema(schema: pyarrow.Schema) -> pyarrow.Schema:
             fields.append(pa.field("time", pa.timestamp("us", "UTC")))
             fields.append(pa.field("time_ns", pa.int64(), metadata={"unit": "ns"}))
         else:
-            fields.append(each.with_type(_type(pa, each.type)))
+            fields.append(each.with_type(_type(each.type)))
     return pa.schema(fields, metadata=schema.metadata)
 
 
-def _type(pa: Any, kind: Any) -> Any:
+def _type(kind: Any) -> Any:
+    pa = needed("pyarrow")
     if pa.types.is_dictionary(kind):
         return kind.value_type
     return pa.decimal128(20, 0) if kind == pa.uint64() else kind
 
 
 def _as_lake(pieces: Sequence[tuple[str, pyarrow.Table]]) -> pyarrow.Table:
-    """Return rows of captures, each with its `capture`, as the lake has them. All have one schema."""
-    pa, compute = needed("pyarrow"), needed("pyarrow.compute")
+    """Return rows of captures, each with its `capture`, as the lake has them, dictionaries aside. All have one schema."""
+    pa = needed("pyarrow")
     rows = pa.concat_tables([piece for _, piece in pieces])
     columns = {name: rows[name] for name in rows.column_names}
-    owners = np.repeat(np.arange(len(pieces)), [len(piece) for _, piece in pieces])
-    columns["capture"] = pa.array([capture for capture, _ in pieces], pa.string()).take(pa.array(owners))
-    times = columns["time_ns"] = rows["time"].cast(pa.int64())
-    dated = compute.and_(compute.greater(times, DATED[0]), compute.less(times, DATED[1]))
-    columns["time"] = compute.if_else(dated, rows["time"], None)
-    schema = lake_schema(rows.schema)
+    columns["capture"] = _repeated([capture for capture, _ in pieces], [len(piece) for _, piece in pieces])
+    columns["time_ns"] = rows["time"].cast(pa.int64())
+    columns["time"] = _dated(rows["time"], columns["time_ns"])
+    schema = _coded(lake_schema(rows.schema), [name for name, each in columns.items() if pa.types.is_dictionary(each.type)])
     shown = [columns[each.name].cast(each.type, safe=each.name != "time") for each in schema]
     return pa.Table.from_arrays(shown, schema=schema)
+
+
+def _dated(times: pyarrow.ChunkedArray, times_ns: pyarrow.ChunkedArray) -> pyarrow.ChunkedArray:
+    """Return times without those that do not count from the epoch. `times_ns`: the same as numbers."""
+    compute = needed("pyarrow.compute")
+    span = compute.min_max(times_ns).as_py()
+    if span["min"] is None or DATED[0] < span["min"] <= span["max"] < DATED[1]:
+        return times
+    dated = compute.and_(compute.greater(times_ns, DATED[0]), compute.less(times_ns, DATED[1]))
+    return compute.if_else(dated, times, None)
+
+
+def _coded(schema: pyarrow.Schema, names: Collection[str]) -> pyarrow.Schema:
+    """Return a schema whose texts of some names are dictionaries."""
+    pa = needed("pyarrow")
+    kind = pa.dictionary(pa.int32(), pa.string())
+    return pa.schema([each.with_type(kind) if each.name in names else each for each in schema], metadata=schema.metadata)
+
+
+def _repeated(texts: Sequence[str], counts: Sequence[int]) -> pyarrow.DictionaryArray:
+    """Return texts of which each stands in so many rows."""
+    pa = needed("pyarrow")
+    numbers = {text: number for number, text in enumerate(dict.fromkeys(texts))}
+    codes = np.repeat(np.array([numbers[text] for text in texts], np.int32), counts)
+    return pa.DictionaryArray.from_arrays(pa.array(codes), pa.array(numbers, pa.string()))
 
 
 class DataFile:
     """A data file that grows in memory; `finish` brings it to the lake. `values`: of the partitions."""
 
     def __init__(self, table: str, schema: pyarrow.Schema, values: Mapping[str, str | None]) -> None:
-        self._table, self._schema, self._values = table, schema, dict(values)
+        # Whether a text is written from a dictionary says nothing of the table.
+        self._schema = needed("pyarrow").schema([each.with_type(_type(each.type)) for each in schema], metadata=schema.metadata)
+        self._table, self._written, self._values = table, schema, dict(values)
         self._buffer = needed("pyarrow").BufferOutputStream()
         self._writer: Any = None
         self._count = 0
@@ -127,7 +156,7 @@ class DataFile:
             others = [each.name for each in self._schema if each.name not in running]
             # The log of the table has the schema, with units and sections.
             self._writer = needed("pyarrow.parquet").ParquetWriter(
-                self._buffer, self._schema, compression="snappy" if len(rows) < _FEW else "zstd", store_schema=False,
+                self._buffer, self._written, compression="snappy" if len(rows) < _FEW else "zstd", store_schema=False,
                 use_dictionary=[*others, *(f"{name}.list.element" for name in others)],
                 column_encoding=dict.fromkeys(running, "DELTA_BINARY_PACKED"),
             )  # fmt: skip
@@ -190,15 +219,20 @@ class Files:
     def _write(self, table: str, rows: pyarrow.Table) -> None:
         """Write rows of any captures to the files of their partitions, sorted by day and machine."""
         pa = needed("pyarrow")
-        coded = rows["capture"].combine_chunks().dictionary_encode()
-        captures = coded.dictionary.to_pylist()
+        # Pieces have dictionaries of their own, of which some texts have no row.
+        rows = rows.unify_dictionaries()
+        coded = rows["capture"].combine_chunks()
+        known, codes = coded.dictionary.to_pylist(), coded.indices.to_numpy()
+        there = np.flatnonzero(np.bincount(codes, minlength=len(known))).tolist()
+        in_order = sorted(there, key=lambda code: (self._owners[known[code]].date, self._owners[known[code]].machine or ""))
+        captures = [known[code] for code in in_order]
         owners = [self._owners[capture] for capture in captures]
-        in_order = sorted(range(len(captures)), key=lambda code: (owners[code].date, owners[code].machine or ""))
-        ranks = np.argsort(in_order)[coded.indices.to_numpy()]
+        rank_of = np.zeros(len(known), np.int32)
+        rank_of[in_order] = np.arange(len(in_order))
+        ranks = rank_of[codes]
         if (np.diff(ranks) < 0).any():
             order = np.argsort(ranks, kind="stable")
             rows, ranks = rows.take(pa.array(order)), ranks[order]
-        captures, owners = [captures[code] for code in in_order], [owners[code] for code in in_order]
         if "machine" not in self.to.partitions:
             machines = pa.array([owner.machine for owner in owners], pa.string())
             rows = rows.append_column(pa.field("machine", pa.string()), machines.take(pa.array(ranks)))
@@ -206,12 +240,14 @@ class Files:
         values = [tuple(getattr(owner, name) for name in self.to.partitions) for owner in owners]
         for partition, numbers in groupby(range(len(captures)), key=values.__getitem__):
             first, *others = numbers
-            stop = first + len(others) + 1
-            start, end = np.searchsorted(ranks, [first, stop])
+            own = captures[first : first + len(others) + 1]
+            start, end = np.searchsorted(ranks, [first, first + len(own)])
+            coded = pa.DictionaryArray.from_arrays(pa.array(ranks[start:end] - first), pa.array(own))
+            part = rows.slice(start, end - start).set_column(0, rows.schema.field(0), coded)
             key = (table, schema, partition)
             if key not in self._open:
                 self._open[key] = DataFile(table, rows.schema, dict(zip(self.to.partitions, partition, strict=True)))
-            if not self._open[key].write(rows.slice(start, end - start), captures[first:stop]):
+            if not self._open[key].write(part, own):
                 self._added.append(self._open.pop(key).finish(self.to.place))
 
 
@@ -233,22 +269,22 @@ def transactions(table: str, rows: pyarrow.Table) -> pyarrow.Table | None:
     parts = table.split("/")
     columns: dict[str, Any] = {}
     if len(parts) == 4 and parts[3] == "reply":
-        columns = {"dialect": pa.repeat(parts[1], len(rows)), "command": pa.repeat(parts[2], len(rows))}
+        columns = {"dialect": _repeated([parts[1]], [len(rows)]), "command": _repeated([parts[2]], [len(rows)])}
         columns |= {"latency": rows["_latency"], "request_sequence": rows["_request_sequence"]}
-        failed = _with_any(rows["_findings"], _FAILED)
-        good = compute.if_else(failed, "failed", "answered")
-        columns["outcome"] = compute.if_else(rows["_checksum_ok"], good, "damaged")
+        failed, good = _with_any(rows["_findings"], _FAILED), rows["_checksum_ok"].to_numpy()
+        columns["outcome"] = _chosen(np.where(good, failed, _OUTCOMES.index("damaged")))
     elif table == "findings":
         rows = rows.filter(compute.equal(rows["rule"], "unanswered"))
         if not len(rows):
             return None
         # A topic is /bus/address/command/role.
         commands = [text.split("/")[3] for text in rows["topic"].to_pylist()]
-        columns = {"command": pa.array(commands), "outcome": pa.repeat("unanswered", len(rows))}
-        columns |= {"request_sequence": rows["sequence"]}
+        columns = {"command": pa.array(commands).dictionary_encode(), "request_sequence": rows["sequence"]}
+        columns |= {"outcome": _chosen(np.full(len(rows), _OUTCOMES.index("unanswered")))}
+        columns |= {"dialect": pa.nulls(len(rows), pa.string()).dictionary_encode()}
     else:
         return None
-    schema = transactions_schema()
+    schema = _coded(transactions_schema(), ("capture", "dialect", "command", "outcome"))
     arrays = [
         columns[each.name] if each.name in columns else
         rows[each.name] if each.name in rows.column_names else pa.nulls(len(rows), each.type)
@@ -257,13 +293,19 @@ def transactions(table: str, rows: pyarrow.Table) -> pyarrow.Table | None:
     return pa.Table.from_arrays([array.cast(each.type) for array, each in zip(arrays, schema, strict=True)], schema=schema)
 
 
-def _with_any(lists: Any, words: tuple[str, ...]) -> Any:
+def _chosen(numbers: Any) -> pyarrow.DictionaryArray:
+    """Return outcomes by their numbers."""
+    pa = needed("pyarrow")
+    return pa.DictionaryArray.from_arrays(pa.array(numbers.astype(np.int32)), pa.array(_OUTCOMES))
+
+
+def _with_any(lists: Any, words: tuple[str, ...]) -> NDArray[np.bool_]:
     """Say of each list of texts whether one of some words stands in it."""
     pa, compute = needed("pyarrow"), needed("pyarrow.compute")
     whole, hits = lists.combine_chunks(), np.zeros(len(lists), dtype=np.bool_)
     found = compute.is_in(compute.list_flatten(whole), pa.array(words))
     hits[compute.list_parent_indices(whole).filter(found).to_numpy()] = True
-    return pa.array(hits)
+    return hits
 
 
 def only(place: Place, added: Sequence[Added], captures: Collection[str]) -> list[Added]:

@@ -214,7 +214,9 @@ def workers(scheduler: str, count: int) -> Iterator[Any]:
     """
     distributed = needed("distributed")
     # A worker that has died is noticed after seconds, not minutes. Ctrl-C is for the client, which ends them.
-    settings = {"distributed.comm.timeouts.connect": "10s", "distributed.worker.preload": [_DEAF]}
+    settings: dict[str, Any] = {"distributed.comm.timeouts.connect": "10s", "distributed.worker.preload": [_DEAF]}
+    # A hundred times a second a sampler would look what a worker does; here each one decodes.
+    settings["distributed.worker.profile.enabled"] = False
     needed("dask").config.set(settings)
     with contextlib.ExitStack() as opened:
         address: Any = scheduler

@@ -16,6 +16,7 @@ makes a key for each scan, and the scan signs its files with it. A worker reads 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hmac
 import io
 import pickle
@@ -30,6 +31,7 @@ import zstandard
 from analyzer import dialects as registry
 from analyzer.cli.reading import OpenCapture, open_reading
 from analyzer.columns.block import ByteBlock, CanBlock
+from analyzer.columns.memory import keep
 from analyzer.devices import load
 from analyzer.errors import ServotapError, UnreadableError
 from analyzer.events import SETUPS
@@ -41,6 +43,7 @@ from analyzer.pipeline import Item, Pipeline, PortSetup
 from analyzer.records import Chunk, Event
 from analyzer.sinks.object_table import Table, TableUnpickler, dumped
 from analyzer.sinks.parquet import ParquetTables
+from analyzer.table.extras import needed
 
 #: Bytes of a capture from which on it is split, and of a range's items, about.
 HUGE, RANGE_BYTES = 256 << 20, 32 << 20
@@ -80,9 +83,26 @@ Task = list[Work] | Scan | Range
 
 def do(task: Task, to: Destination, options: argparse.Namespace) -> Taken:
     """Do what a worker is given. Raises OSError where the lake cannot be written."""
-    if isinstance(task, Scan):
-        return scan(task, to, options)
-    return take_range(task, to, options) if isinstance(task, Range) else take(task, to, options)
+    with memory_kept():
+        if isinstance(task, Scan):
+            return scan(task, to, options)
+        return take_range(task, to, options) if isinstance(task, Range) else take(task, to, options)
+
+
+@contextlib.contextmanager
+def memory_kept() -> Iterator[None]:
+    """Have columns and tables of Arrow made in memory that is kept, as long as this lasts.
+
+    Arrow's own memory goes back to the system soon after a table is gone: rows that wait for more then cost a third more.
+    """
+    pa = needed("pyarrow")
+    before = pa.default_memory_pool()
+    keep()
+    pa.set_memory_pool(pa.system_memory_pool())
+    try:
+        yield
+    finally:
+        pa.set_memory_pool(before)
 
 
 def works_of(task: Task) -> list[Work]:

@@ -7,6 +7,7 @@ from collections import defaultdict
 from datetime import UTC, datetime
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 from analyzer.cli.signals import Interrupt
@@ -182,3 +183,10 @@ def test_what_a_dead_client_left_is_removed_in_time(split):
     assert made.compact(1) == (0, 0)
     assert waiting(made.place, task) == scanned.ranges
     assert made.compact(0)[1] == scanned.ranges
+
+
+def test_arrow_has_its_own_memory_again_afterwards():
+    before = pa.default_memory_pool().backend_name
+    with ranges.memory_kept():
+        assert pa.default_memory_pool().backend_name == "system"
+    assert pa.default_memory_pool().backend_name == before
