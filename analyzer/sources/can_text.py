@@ -166,6 +166,7 @@ _MARKS = {"tx": Role.REQUEST, "t": Role.REQUEST, "cansend": Role.REQUEST, "send"
 _CAN_BYTES = 8
 _FD_BYTES = (12, 16, 20, 24, 32, 48, 64)
 _LONGEST_LINE = 1000
+_BYTE = re.compile(r"[0-9A-Fa-f]{1,2}")
 _STANDARD = 0x7FF
 #: Below this a number is the same in both, and with so many digits tools print hexadecimal.
 _ALIKE = 10
@@ -421,16 +422,16 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
 
 
 def _data(text: str) -> bytes | None:
-    text = text.replace(".", " ").strip()
+    text = text.replace(".", " ").strip(" \t,:")
     if not text:
         return b""
-    if len(text) <= 2:
+    if _BYTE.fullmatch(text):
         return bytes((int(text, 16),))
     found = written.read(text)
     if found is None or found.radix is written.Radix.DECIMAL:
         # Bytes without leading zeros may all be short.
         tokens = text.split()
-        return bytes(int(token, 16) for token in tokens) if all(re.fullmatch(r"[0-9A-Fa-f]{1,2}", t) for t in tokens) else None
+        return bytes(int(token, 16) for token in tokens) if all(map(_BYTE.fullmatch, tokens)) else None
     return found.data
 
 
