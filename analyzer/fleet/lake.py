@@ -69,8 +69,8 @@ _SAME = f"old.capture = new.capture or (old.capture like '{UNSEEN}%' and old.sou
 _SETTINGS: dict[str, str | None] = {"delta.dataSkippingNumIndexedCols": "0"}
 #: The setting of `captures` that says what all other tables are partitioned by.
 _PARTITIONS = "servotap.partitions"
-#: Colours in texts of Delta Lake.
-_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+#: Colours in texts of Delta Lake, and the stack that RUST_BACKTRACE asks for.
+_COLOURS, _STACK = re.compile(r"\x1b\[[0-9;]*m"), re.compile(r"\n\s*0: .*", re.DOTALL)
 #: Losses of a race for one commit, one after the other, after which something else must be wrong.
 _RACES = 1000
 
@@ -391,7 +391,7 @@ class Lake:
 
 
 def _told(error: Exception) -> str:
-    return printable(" ".join(_COLOURS.sub("", str(error)).split()))
+    return printable(" ".join(_STACK.sub("", _COLOURS.sub("", str(error))).split()))
 
 
 def _is_new(row: Mapping[str, Any], known: Mapping[str, str]) -> bool:
