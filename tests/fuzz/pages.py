@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 import zlib
 from functools import cache
@@ -16,13 +15,12 @@ from analyzer import dialects
 from analyzer.reference.wireshark import dissector
 from tests.fuzz.corpus import INPUT, Input, lay_out
 from tests.fuzz.running import Fault, Place, run_words
-from tests.reference.test_wireshark import USER
+from tests.reference.beside_wireshark import LINKS, TSHARK
 from tests.sources.builders import pcap_file, socketcan
 
 _TEMPLATES = ("page", "report")
 #: Elements that have no end, and those whose end may be left out.
 _OPEN = frozenset({"meta", "link", "br", "hr", "img", "input", "col", "p", "li", "td", "tr", "th", "dd", "dt"})
-TSHARK = shutil.which("tshark")
 #: What Wireshark says of a fault of our dissector. CAN frames that ours leaves to others may be malformed for these.
 _OWN_FAULT = re.compile(r"\bLua\b|Malformed Packet: servotap", re.IGNORECASE)
 #: Seconds for one capture.
@@ -98,7 +96,7 @@ def dissected(given: Input, place: Place) -> None:
     (place.folder / "servotap.lua").write_text(_script())
     name = [d.name for d in dialects.every() if d.bus != "can"][chance // 2 % 3]
     dialect = ["-o", f"servotap.dialect:{name}"] if chance % 5 else []
-    words = [TSHARK, "-X", "lua_script:servotap.lua", "-r", str(path), "-o", USER, *dialect]
+    words = [TSHARK, "-X", "lua_script:servotap.lua", "-r", str(path), *LINKS["user"][2], *dialect]
     if chance % 3 == 0:
         words.append("-2")
     # Its own checks of a profile and of a user's folder are not asked for here.
