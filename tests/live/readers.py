@@ -43,7 +43,12 @@ class ReaderProcess:
         theirs.close()
         self._queue = queue.SimpleQueue()
         threading.Thread(target=self._read, daemon=True).start()
-        self.opened = self.wait_event(wait) if wait else None
+        try:
+            self.opened = self.wait_event(wait) if wait else None
+        except BaseException:
+            # One that goes on would open the port by its name, which by then is a port of another test.
+            self.__exit__()
+            raise
 
     def _read(self):
         for line in self.process.stdout:
