@@ -244,17 +244,22 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
 
 #: What a library in Rust raises for a fault of its own. It derives from BaseException and cannot be imported by name.
 _PANIC = "PanicException"
-#: How Python tells that the system gives no more threads.
-_NO_THREAD = "can't start new thread"
+#: How Python tells that the system gives no more threads, and that a number is too long to be read: its cost grows with the
+#: square of its digits. How the loader of libraries tells that there is no memory for one.
+_NO_THREAD, _TOO_MANY_DIGITS, _NO_ROOM = "can't start new thread", "Exceeds the limit (", "failed to map segment"
 
 
 def _refused(error: BaseException) -> str:
-    """Return what the system refused; nothing where the error is none of the system."""
+    """Return what the system or Python refused; nothing where the error is none of theirs."""
     if type(error).__name__ == _PANIC:
         code = re.search(r"Os \{ code: (\d+),", str(error))
         return _refused(OSError(int(code[1]), os.strerror(int(code[1])))) if code is not None else ""
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and str(error) == _NO_THREAD):
         return f"the system has no more for this process: {str(error) or 'memory'}"
+    if isinstance(error, ImportError) and _NO_ROOM in str(error):
+        return f"the system has no more for this process: {error}"
+    if isinstance(error, ValueError) and str(error).startswith(_TOO_MANY_DIGITS):
+        return f"a number has more than {sys.get_int_max_str_digits()} digits"
     if not isinstance(error, OSError):
         # pathlib tells a loop of links so, before Python 3.13.
         return str(error) if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop") else ""

@@ -37,7 +37,7 @@ from analyzer.live import profile
 from analyzer.live.spool import spool_folder
 from analyzer.scratch import scratch_folder
 from analyzer.table.extras import needed
-from analyzer.values import printable, quote
+from analyzer.values import counted, printable, quote
 
 #: A task has at most so many bytes, or one capture; and so many captures.
 TASK_BYTES, TASK_FILES = 64 << 20, 200
@@ -224,11 +224,17 @@ def workers(scheduler: str, count: int) -> Iterator[Any]:
             # Dask leaves a folder behind in the one for temporary files.
             folder = str(opened.enter_context(scratch_folder()))
             needed("dask").config.set({"temporary-directory": folder})
-            address = opened.enter_context(
-                distributed.LocalCluster(
-                    n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=_QUIET
+            try:
+                address = opened.enter_context(
+                    distributed.LocalCluster(
+                        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=_QUIET
+                    )
                 )
-            )
+            except RuntimeError as error:
+                # Dask tells so whatever a process of its lacked: descriptors, processes, memory.
+                raise UsageError(
+                    f"{counted(count, 'worker')} of Dask cannot be started: {error} Fewer need less of the system: --workers"
+                ) from None
             if find_spec("bokeh"):
                 print(f"Dask's dashboard: {address.dashboard_link}", file=sys.stderr)
         try:

@@ -41,6 +41,10 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
 #: Words that mean something else where a name may stand.
 _TAKEN = frozenset({"all", "auto", "emulated", "serial", "tcp", "can"})
 _KINDS = ("serial:", "tcp:", "can:")
+_NAMES_SHOWN = 50
+#: A key of more parts than any profile has: of each part, tomllib keeps all that stand before it, the square of their number.
+_KEY_PARTS = 64
+_LONG_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_KEY_PARTS}}}""")
 _WORDS = {"int": "a whole number", "float": "a number", "str": "a text", "array": "a list", "object": "a table"}
 
 
@@ -122,7 +126,12 @@ def look_up(text: str) -> Named | None:
         file.check_tables()
     known = [name for file in files for name in file.names]
     where = " and ".join(str(file.path) for file in files)
-    raise UsageError(f"no bus or drive {quote(text)} in {where}{near(text, known)} (there are {', '.join(known) or 'none'})")
+    raise UsageError(f"no bus or drive {quote(text)} in {where}{near(text, known)} (there are {_listed(known)})")
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
+    return (", ".join(names[:_NAMES_SHOWN]) or "none") + more
 
 
 def is_name(text: str) -> bool:
@@ -171,11 +180,21 @@ def names() -> list[str]:
     return found
 
 
+def _parsed(text: str) -> dict[str, Any]:
+    """Return what stands in a profile. Raises ValueError with the reason where it is none."""
+    if _LONG_KEY.search(text) is not None:
+        raise ValueError(f"a key has more than {_KEY_PARTS} parts")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deep for a profile") from None
+
+
 def machine_of(data: bytes, where: str) -> str:
     """Return the machine that a profile names, "" where it names none. `where`: it was found. Raises UsageError."""
     try:
-        name = tomllib.loads(data.decode()).get(MACHINE, "")
-    except (ValueError, RecursionError) as error:
+        name = _parsed(data.decode()).get(MACHINE, "")
+    except ValueError as error:
         raise UsageError(f"{where}: expected a profile in TOML: {error}") from None
     if not isinstance(name, str) or not name.isprintable():
         raise UsageError(f'{where}: expected {MACHINE} = "a name", got {name!r}')
@@ -218,12 +237,10 @@ class _File:
         self.path = path
         try:
             self._text = read_whole(path).decode()
-            self._whole: dict[str, Any] = tomllib.loads(self._text)
+            self._whole: dict[str, Any] = _parsed(self._text)
         except UnicodeDecodeError as error:
             raise UsageError(f"{path}: expected UTF-8, got byte {error.object[error.start]:02X} at {error.start}") from None
-        except RecursionError:
-            raise UsageError(f"{path}: nested too deep for a profile") from None
-        except tomllib.TOMLDecodeError as error:
+        except ValueError as error:
             raise UsageError(f"{path}: {str(error)[:1].lower()}{str(error)[1:]}") from None
         self._tables: dict[str, dict[str, Any]] = {
             kind: table for kind in self.TABLES if isinstance(table := self._whole.get(kind), dict)

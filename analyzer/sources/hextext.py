@@ -84,6 +84,10 @@ _AGAIN = re.compile(r"\bprocessing\b\W*$", re.IGNORECASE)
 _LABELLED = re.compile(r"[:=>|]\s*[\[({<'\"`]?\s*$")
 #: A library's word for what it had read before.
 _KEPT = re.compile(r"\bold[_ ]data\s*[:=]\s*$", re.IGNORECASE)
+#: Characters before bytes that are looked at for such words: with all of a long line, its cost would grow with its square.
+_NEAR = 60
+#: Frames of a line whose columns a note names.
+_COLUMNS_SHOWN = 10
 _LONGEST_JOINED = 256
 #: A request to read registers.
 _READ_BYTES, _REGISTERS = 8, (0x03, 0x04)
@@ -202,6 +206,12 @@ def read(source: Source) -> Iterator[Chunk | Comment]:
     for note in manner.notes(parts):
         source.note(note)
     return _Reader(source, clock, manner).records()
+
+
+def _before(pattern: re.Pattern[str], text: str, quoted: Quotation) -> bool:
+    """Say whether a pattern that ends with `$` fits what stands directly before bytes in a text."""
+    end = quoted.column - 1
+    return pattern.search(text, max(0, end - _NEAR), end) is not None
 
 
 def _asks(data: bytes) -> bool:
@@ -494,7 +504,7 @@ class _Reader:
             # Programs repeat in words what they sent and received. Bytes behind a label with a sender are new.
             new = [each for each in said if not each.left and not self._is_known(each.data)]
             labels = "" if line.text.startswith(_REMARKS) else line.text
-            said = [e for e in new if e.role is not Role.UNKNOWN and _LABELLED.search(labels[: e.column - 1]) is not None]
+            said = [e for e in new if e.role is not Role.UNKNOWN and _before(_LABELLED, labels, e)]
             self._passed += len(new) > len(said)
         if not said:
             yield self._source.comment(t_ns, line.text)
@@ -513,14 +523,13 @@ class _Reader:
         for each in said:
             if each.left:
                 self._source.note(f"line {number}, column {each.column}: {each.data.hex(' ').upper()} is left out: {each.left}")
-        again = [each for each in said if each.data in self._known and _AGAIN.search(text[: each.column - 1]) is not None]
-        left_out = [each for each in said if each.left or each.data in self._parts or self._is_joined(each.data)]
-        frames = self._in_order(text, [each for each in said if each not in again and each not in left_out])
+        frames = self._in_order(text, [each for each in said if not each.left and not self._is_told_again(text, each)])
         if not frames:
             yield self._source.comment(t_ns, text)
             return
-        columns = ", ".join(str(each.column) for each in frames)
-        where = f"line {number}, column{'s' * (len(frames) > 1)} {columns}"
+        columns = ", ".join(str(each.column) for each in frames[:_COLUMNS_SHOWN])
+        more = f" and {len(frames) - _COLUMNS_SHOWN} more" if len(frames) > _COLUMNS_SHOWN else ""
+        where = f"line {number}, column{'s' * (len(frames) > 1)} {columns}{more}"
         if not self._said:
             self._source.note(f"frames stand in sentences, the first in {where}: who sent is told by the word before")
         self._said += len(frames)
@@ -534,10 +543,17 @@ class _Reader:
 
     def _in_order(self, text: str, said: list[Quotation]) -> list[Quotation]:
         """Return the frames of a line as they came: what a library had kept stands behind, and is known mostly."""
-        kept = [each for each in said if _KEPT.search(text[: each.column - 1]) is not None]
-        others = [each for each in said if each not in kept]
+        kept: list[Quotation] = []
+        others: list[Quotation] = []
+        for each in said:
+            (kept if _before(_KEPT, text, each) else others).append(each)
         role = others[0].role if others else Role.UNKNOWN
         return [each._replace(role=role) for each in kept if each.data not in self._known] + others
+
+    def _is_told_again(self, text: str, each: Quotation) -> bool:
+        """Say whether a line repeats bytes: with a library's word for that, as parts of a frame, or as two joined readings."""
+        again = each.data in self._known and _before(_AGAIN, text, each)
+        return again or each.data in self._parts or self._is_joined(each.data)
 
     def _is_known(self, data: bytes) -> bool:
         """Say whether bytes were there before: as a frame, as one without its check, or as what it carries."""

@@ -27,6 +27,7 @@ from analyzer.sources.budget import child_limits
 from analyzer.sources.mf4_child import LENGTH, Batch
 from analyzer.sources.source import Source
 
+_SHORT = "reading the MF4 file takes more memory than a process may have for it"
 #: What asammdf opens as it is; by other endings it guesses at archives, which it deletes after use.
 _ENDINGS = (".mf4", ".mdf")
 #: The process finds this package where its parent did, and its library prints nothing of its own.
@@ -84,11 +85,10 @@ def _records(source: Source) -> Iterator[CanFrame]:
                 taken = CanFrame(row.t_ns, port, row.id, row.data, role, row.extended, row.remote, row.error, row.fd)
                 yield source.carried(taken)
             if batch.failure and not batch.opened:
-                raise UnreadableError(
-                    f"{source.name}: the MF4 file is damaged or broken off, expected a whole one: {batch.failure}"
-                )
+                what = _SHORT if batch.short else "the MF4 file is damaged or broken off, expected a whole one"
+                raise UnreadableError(f"{source.name}: {what}: {batch.failure}")
             if batch.failure:
-                source.problem(f"the MF4 file is damaged: {batch.failure}")
+                source.problem(f"{_SHORT if batch.short else 'the MF4 file is damaged'}: {batch.failure}")
             if batch.last:
                 return
         memory, seconds = child_limits(size)

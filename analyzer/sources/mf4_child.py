@@ -35,12 +35,16 @@ class Row(msgspec.Struct, array_like=True):
 
 
 class Batch(msgspec.Struct, array_like=True):
-    """Frames in order. `last`: nothing follows. `opened`: the file as a whole could be read. `failure`: in words."""
+    """Frames in order. `last`: nothing follows. `opened`: the file as a whole could be read. `failure`: in words.
+
+    `short`: memory did not suffice.
+    """
 
     rows: list[Row] = []
     last: bool = False
     opened: bool = True
     failure: str = ""
+    short: bool = False
 
 
 def main(path: str, out: IO[bytes], memory: int, seconds: int) -> None:
@@ -67,7 +71,8 @@ def main(path: str, out: IO[bytes], memory: int, seconds: int) -> None:
         _send(out, Batch(rows, last=True))
     # A damaged file can make asammdf raise any exception.
     except Exception as error:
-        _send(out, Batch(rows, last=True, opened=opened, failure=f"{type(error).__name__}: {error}"[:400]))
+        said, short = f"{type(error).__name__}: {error}".rstrip(": ")[:400], isinstance(error, MemoryError)
+        _send(out, Batch(rows, last=True, opened=opened, failure=said, short=short))
 
 
 def _row(message: Any) -> Row:

@@ -155,6 +155,7 @@ def test_a_fault_where_python_ignores_it_ends_in_70_too(faults, capsys):
         (OSError(errno.EMFILE, "Too many open files"), "the system has no more for this process: Too many open files"),
         (MemoryError(), "the system has no more for this process: memory"),
         (RuntimeError("can't start new thread"), "the system has no more for this process: can't start new thread"),
+        (ImportError("x.so: failed to map segment"), "the system has no more for this process: x.so: failed to map segment"),
         (FileNotFoundError(2, "No such file or directory", "gone\x1b"), "gone\\x1b: No such file or directory"),
         (FileNotFoundError(2, "No such file or directory", b"gone\xff"), "gone\\udcff: No such file or directory"),
     ],
@@ -162,6 +163,12 @@ def test_a_fault_where_python_ignores_it_ends_in_70_too(faults, capsys):
 def test_what_the_system_refuses_is_no_fault(error, said, capsys):
     assert bounded(fails(error), []) == 2
     assert capsys.readouterr().err == f"servotap: {said}\n"
+
+
+def test_a_number_that_is_too_long_to_read_is_no_fault(capsys):
+    assert bounded(lambda words: int(words[0]), ["9" * 5000]) == 2
+    assert capsys.readouterr().err == "servotap: a number has more than 4300 digits\n"
+    assert main(["scan", "tcp:127.0.0.1:1", "--rates", "9" * 5000]) == 2
 
 
 class PanicException(BaseException):

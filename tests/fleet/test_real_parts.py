@@ -194,6 +194,15 @@ def test_dasks_dashboard_is_named_where_bokeh_is(captures, tmp_path, capsys, mon
         assert ("Dask's dashboard: http://127.0.0.1:" in capsys.readouterr().err) == there
 
 
+def test_processes_of_dask_that_cannot_be_started_are_no_fault(captures, tmp_path, capsys, monkeypatch):
+    def refused(**settings):
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr("distributed.LocalCluster", refused)
+    assert main(["ingest", str(captures), "--to", str(tmp_path / "lake"), "--workers", "7"]) == 2
+    assert "7 workers of Dask cannot be started: Nanny failed to start. Fewer need" in capsys.readouterr().err
+
+
 def test_the_commands(captures, tmp_path, capsys):
     made = str(tmp_path / "lake")
     asked = ["ingest", str(captures), "--to", made, "--machine", "{machine}/{date}/*", "--workers", "1", "--json"]

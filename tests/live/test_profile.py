@@ -191,6 +191,32 @@ def test_a_profile_that_cannot_be_read(folder):
     assert issubclass(UnreadableError, ServotapError)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (".".join(["x"] * 200_000) + " = 1\n", "servotap.toml: a key has more than 64 parts"),
+        (f"[{' . '.join(['x'] * 200_000)}]\n", "servotap.toml: a key has more than 64 parts"),
+        (".".join([r'"\"."', "'.'"] * 100_000) + " = 1\n", "servotap.toml: a key has more than 64 parts"),
+        (f"x = {'9' * 5000}\n", r"servotap.toml: exceeds the limit \(4300 digits\)"),
+        ("x = " + "[" * 100_000, "servotap.toml: nested too deep for a profile"),
+        ("".join(f'[bus.b{n}]\nport = "p"\n' for n in range(60)), r"\(there are b0, .*b49 and 10 more\)"),
+    ],
+    ids=["dots", "table", "quotes", "digits", "depth", "names"],
+)
+def test_what_no_profile_holds_costs_a_line(folder, text, said):
+    (folder / "servotap.toml").write_text(text)
+    with pytest.raises(UsageError, match=said):
+        profile.look_up("arm")
+    if not said.endswith(r"more\)"):
+        with pytest.raises(UsageError, match="beside: expected a profile in TOML"):
+            profile.machine_of(text.encode(), "beside")
+
+
+def test_a_key_may_have_as_many_parts_as_any_profile_needs(folder):
+    (folder / "servotap.toml").write_text(f"{'.'.join(['x'] * 64)} = 1 # {'.' * 200} a.b\n{ARM}")
+    assert profile.look_up("arm").drives[0].target == "mks-rs485@1"
+
+
 def test_the_line_of_a_mistake_is_found_at_once_in_any_text(folder):
     (folder / "servotap.toml").write_text(f'x = """\n[{" " * 100_000}\n"""\n[drive.arm]\nport = "/dev/x"\nbogus = 1\n')
     with pytest.raises(UsageError, match="line 6: drive arm: bogus"):

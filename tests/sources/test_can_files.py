@@ -352,6 +352,18 @@ def test_a_crash_of_the_mf4_reader_is_a_problem(tmp_path: Path, monkeypatch: pyt
         read_all(path)
 
 
+def test_an_mf4_that_lacks_memory_is_not_called_damaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from analyzer.sources import mf4
+
+    path = tmp_path / "capture.mf4"
+    path.write_bytes(b"MDF     4.10    " + bytes(200))
+    monkeypatch.setattr(mf4, "_installed", lambda: True)
+    lacking = "import can.io.mf4\ndef MF4Reader(path): raise MemoryError\ncan.io.mf4.MF4Reader = MF4Reader\n"
+    monkeypatch.setattr(mf4, "_CHILD", lacking + mf4._CHILD)
+    with pytest.raises(UnreadableError, match=r"capture.mf4: reading the MF4 file takes more memory .*: MemoryError"):
+        read_all(path)
+
+
 def test_an_mf4_leaves_no_file_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("asammdf", reason="MF4 needs asammdf, an extra")
     path = builders.by_python_can(tmp_path / "capture.mf4", builders.messages())

@@ -20,6 +20,7 @@ import pytest
 import zstandard
 
 from analyzer.errors import ServotapError
+from analyzer.records import Chunk
 from analyzer.sources import open_source, prose
 from tests.sources import builders
 
@@ -220,6 +221,30 @@ def test_a_line_that_is_twice_as_long(name: str, tmp_path: Path) -> None:
         some, more = (seconds(path, data, sample.format) for data in lengths(lines, fill))
         # Under a few milliseconds the clock tells nothing; the square of a line of 6000 characters takes far more.
         assert more < max(ALLOWED * some, 0.03), fill
+
+
+@pytest.mark.parametrize(
+    "fill",
+    [
+        "I sent FA 01 31 2C and got FB 01 31 00 00 00 00 00 00 2D. ",
+        "> FA 01 31 2C < FB 01 31 00 00 00 00 00 00 2D ",
+        "old data: FA 01 31 2C, processing FA 01 30 2B. ",
+        "b'\\xfa\\x011,' sent, then b'\\xfa\\x010+' ",
+    ],
+)
+def test_a_line_with_twice_as_many_frames(fill: str, tmp_path: Path) -> None:
+    """So many that what is looked at anew for each would be most of the work."""
+    some, more = (seconds(tmp_path / "x", (fill * (size // len(fill))).encode(), "hex") for size in (70_000, 140_000))
+    assert more < max(ALLOWED * some, 0.1)
+
+
+def test_a_note_about_a_long_line_is_short(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_text("I sent FA 01 31 2C and got FB 01 31 00 00 00 00 00 00 2D. " * 500)
+    with open_source(path) as source:
+        assert sum(isinstance(each, Chunk) for each in source) == 1000
+        assert [note for note in source.notes if "and 990 more: who sent" in note]
+        assert max(map(len, source.notes)) < 200
 
 
 @pytest.mark.parametrize("fill", ["250 1 48 43 ", "12:00:00 ", "b'\\xfa' ", "FA,FA "])
