@@ -26,128 +26,13 @@ from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Comment
 from analyzer.sources import written
 from analyzer.sources.can_program import Program
+from analyzer.sources.can_shapes import SHAPES, Shape
 from analyzer.sources.lines import Lines, fitting, head_lines, is_like
 from analyzer.sources.marks import ACTIONS, MATTERS, SIGNS, role_of
+from analyzer.sources.prose import role_in_text
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import ANY, STAMPS, Stamp, StampClock
 
-
-class Shape(NamedTuple):
-    """A shape of lines. Groups of the pattern: id, data, and time, mark, extended, length, remote, error, port.
-
-    `near`: the beginning of a line that was meant to be one. `sure`: one line of it is a CAN frame; of the others a text must
-    be full, with lengths or letters that fit.
-    """
-
-    name: str
-    pattern: re.Pattern[str]
-    near: re.Pattern[str] | None = None
-    sure: bool = True
-
-
-_ID = r"(?:0[xX])?(?P<id>[0-9A-Fa-f]{1,8})[hH]?"
-_DATA = r"(?P<data>(?:(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})\b[\s,.:]*+){0,64}|(?:[0-9A-Fa-f]{2}){2,64})"
-_NUMBER = r"0x[0-9A-F]{1,8}|\d{1,9}"
-#: A list of numbers in a program: in hexadecimal with 0x alone.
-_LISTED = (
-    r"(?:bytes|bytearray)?\(?\s*\[(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\](?:\s*\*\s*(?P<times>\d{1,2}))?"
-)
-_MARK = r"(?P<mark>[TR]x|[TR])"
-_LENGTH = r"(?:0[xX])?(?P<length>\d{1,2})"
-
-
-def _shape(name: str, pattern: str, near: str = "", sure: bool = True) -> Shape:
-    return Shape(name, re.compile(pattern, re.IGNORECASE), re.compile(near, re.IGNORECASE) if near else None, sure)
-
-
-#: The first shape that fits most lines is that of a text.
-SHAPES: tuple[Shape, ...] = (
-    _shape(
-        "python-can",
-        rf"Timestamp:\s+(?P<time>\d+\.\d+)\s+ID:\s+(?P<id>[0-9a-f]{{3,8}})\s+(?:(?P<extended>X)|S)?\s*{_MARK}?(?P<error>\s+E)?"
-        rf"(?P<remote>\s+R)?(?:\s+F)?(?:\s+BS)?(?:\s+EI)?\s+DLC?:\s*(?P<length>\d+)\s*{_DATA}(?:'.*')?\s*(?:Channel:\s*(?P<port>\S+))?",
-        near=r"\s*Timestamp:",
-    ),
-    _shape(
-        "python-can-repr",
-        rf"(?:can\.)?Message\(timestamp=(?P<time>\d+\.\d+),.*?arbitration_id=0x(?P<id>[0-9a-f]+),.*?is_extended_id=(?:False|(?P<extended>True))"
-        rf".*?(?:is_rx=(?P<mark>\w+).*?)?(?:channel=[\"']?(?P<port>\w+)[\"']?.*?)?dlc=(?P<length>\d+),.*?data=\[{_DATA}\].*\)",
-    ),
-    # In a program; python-can takes 29 bits where nothing else is said.
-    _shape(
-        "call",
-        rf".*?(?:(?P<extended>can\.Message\((?!.*extended_id\s*=\s*False))|Message\()(?=.*?(?P<standard>extended_id\s*=\s*False))?(?=.*?\barbitration_id\s*=\s*(?P<id>{_NUMBER}))"
-        rf".*?\bdata\s*=\s*{_LISTED}.*",
-    ),
-    _shape("call-id-data", rf".*?\b(?:write|send)\(\s*(?P<id>{_NUMBER}),\s*{_LISTED}.*"),
-    # In JavaScript.
-    _shape(
-        "call-object",
-        rf".*?(?:\bsend\(|=)\s*\{{(?=.*?\bid\s*:\s*(?P<id>{_NUMBER}))(?=.*\bext\s*:\s*(?P<extended>true))?.*?\bdata\s*:"
-        r"\s*(?:(?:new )?(?:Buffer(?:\.from)?|Uint8Array)\()?\s*\["
-        r"(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\].*",
-    ),
-    _shape("slcan", r"(?P<slcan>[tTrR])(?P<rest>[0-9A-F]{4,})[zZ]?", near=r"\s*[tr][0-9A-F]{4}"),
-    _shape(
-        "busmaster",
-        rf"(?P<time>\d+:\d\d:\d\d:\d{{1,4}})\s+{_MARK}\s+(?P<port>\d+)\s+0x(?P<id>[0-9a-f]+)\s+(?:s|(?P<extended>x))(?P<remote>r)?"
-        rf"\s+(?P<length>\d+)\s+{_DATA}",
-    ),
-    _shape(
-        "canking",
-        rf"(?P<port>\d{{1,2}})\s+(?P<id>[0-9A-F]{{8}})(?P<extended>\s+X)?(?P<remote>\s+R)?\s+(?P<length>\d)\s+(?P<data>(?:[0-9A-F]{{2}}\s+){{0,8}})(?P<time>\d+\.\d+)\s+"
-        rf"{_MARK}",
-    ),
-    # In a sentence or a script too, with words behind it.
-    _shape(
-        "cansend",
-        r".*?\b(?P<mark>cansend)\s+(?P<port>\S+)\s+(?P<id>[0-9A-F]{1,8})#(?P<data>[0-9A-F.]*)(?![0-9A-Z#]).*",
-        near=r".*\bcansend\s",
-    ),
-    # What a program takes: `SEND:01#F6...`.
-    _shape("sent", r".*?\b(?P<mark>send|tx)[:= ]{1,2}(?P<id>[0-9A-F]{1,8})#(?P<data>(?:[0-9A-F]{2}){1,8})(?![0-9A-Z#]).*"),
-    # The records of gs_usb adapters (candleLight): echo number, identifier, length, channel, flags, data.
-    _shape(
-        "gs_usb",
-        r"\s*(?P<own>[0-9A-F]{8})(?P<record>[0-9A-F]{8})(?P<length>0[0-8])0[0-3]0[0-9A-F]00(?P<data>[0-9A-F]{16})(?:[0-9A-F]{8})?",
-    ),
-    _shape("hash", r"(?:(?P<port>[A-Za-z]\w{1,15})\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}\.?)*)"),
-    # In a sentence, or as a program prints it.
-    _shape(
-        "quoted",
-        r"(?:.*?(?P<error>error[ _]?frame\b))?.*?(?<![\w#/.-])(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}){1,8})"
-        r"(?![0-9A-Z#]).*",
-    ),
-    _shape(
-        "candump",
-        rf"(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?(?:{_MARK}\s+[-BE]\s+[-BE]\s+)?(?:0x)?(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})\s+"
-        rf"\[(?P<length>\d{{1,2}})\]\s*{_DATA}(?P<remote>remote request)?(?:'.*')?",
-    ),
-    # Rows of a monitor's window.
-    _shape(
-        "monitor",
-        rf"(?:\d{{1,9}}\)?\s+)?(?P<time>\d+\.\d+)\s+(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?{_MARK}\s+(?:0x)?(?P<id>[0-9A-F]{{3,8}})\s+"
-        rf"(?P<length>[0-8])\s+{_DATA}",
-    ),
-    _shape(
-        "pcan",
-        rf"(?:\d{{1,9}}\)?\s+\d+\.\d+\s+{_MARK}\s+)?(?P<id>[0-9A-F]{{3,8}})h\s+(?:(?:data|std|ext)\w*\s+)?(?P<length>[0-8])\s+{_DATA}",
-    ),
-    _shape("cansniffer", r"\d{1,6}(?:\.\d+)?\s*\|\s*(?P<id>[0-9A-F]{3,8})\s*\|\s(?P<data>(?:[0-9A-F]{2} )+)\s*.*"),
-    _shape(
-        "id-data",
-        rf"(?:(?P<before>.*?)(?<![A-Za-z]))?(?:can[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:(?:(?P<extended>ext\w*)|std|standard)[\s,;|]*)?"
-        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*|\[\s*)"
-        rf"{_DATA}[\]}}\s]*(?:\((?P<port>[a-z]+\d+)\)\s*)?",
-        near=r"\s*(?:\S+\s+)?id\s*[:=]",
-    ),
-    _shape("id-length", r"(?P<id>[0-9A-F]{1,8})\s+(?P<length>[0-8])(?P<data>(?:\s+[0-9A-F]{1,2}){0,8})\s*", sure=False),
-    _shape(
-        "id",
-        r"(?:0x)?(?P<id>[0-7][0-9A-F]{2}|[01][0-9A-F]{7})\s*:?\s+(?P<data>[0-9A-F]{2}(?:\s[0-9A-F]{2}){0,7})(?:\s*|(?:\s{2,}|\s*[#(;]).*)",
-        sure=False,
-    ),
-)
 _words = "|".join(sorted((*ACTIONS, *MATTERS), key=len, reverse=True))
 _signs = "|".join(map(re.escape, SIGNS))
 _BEFORE = re.compile(
@@ -181,7 +66,10 @@ _SAMPLE_LINES, _NAMED_LINES = 400, 50
 _COLUMNS = range(1, 12)
 _LEAST_SHARE = 0.1
 #: How sure a text of words, or a program, is in which a frame stands here and there; shapes that nothing else has.
-_FEW_SCORE, _SURE_SHAPES = 0.34, frozenset(("call", "call-id-data", "call-object", "cansend", "hash", "quoted"))
+_FEW_SCORE, _SURE_SHAPES = (
+    0.34,
+    frozenset(("call", "call-id-data", "call-object", "cansend", "hash", "quoted", "candump", "pcan")),
+)
 
 
 class _Line(NamedTuple):
@@ -269,12 +157,13 @@ def _records(source: Source, shape: Shape, decimal: bool, clock: StampClock, onl
     minutes = _Minutes() if shape.name == "slcan" else int
     taken = ""
     for text in _joined(lines):
-        line = _any(text, shape, decimal)
+        remark = text.startswith("//")
+        line = None if remark else _any(text, shape, decimal)
         if line is not None:
             taken = text
             line = line if line.port is not None else line._replace(port=only)
             yield _timed(source, line, lines.number, clock, minutes)
-        elif (shape.near is not None and shape.near.match(text)) or (taken and is_like(text, taken)):
+        elif not remark and ((shape.near is not None and shape.near.match(text)) or (taken and is_like(text, taken))):
             source.problem(f"expected a CAN frame, got {quote(text.strip())!r}", line=lines.number)
         elif text.strip() and not (shape.name == "slcan" and _ADAPTER.fullmatch(text.strip())):
             yield source.comment(None, text)
@@ -327,10 +216,46 @@ def _joined(lines: Iterable[str], program: Program | None = None) -> Iterator[st
         if len(line) <= _LONGEST_LINE and _ONLY_ID.fullmatch(line):
             held = line
         else:
-            yield from _cells(program.resolved(line) if "Message(" in line and len(line) <= _LONGEST_LINE else line)
+            yield from _parted(program.resolved(line) if "Message(" in line and len(line) <= _LONGEST_LINE else line)
     if held:
         yield held
     yield from call
+
+
+#: A frame inside a line, as tools print it.
+_MENTION = re.compile(
+    r"(?:(?<!\w)[A-Za-z]{1,8}can\w?\d{1,2}\s+|(?<!\w)can\w?\d{0,2}\s+)?(?<![\w#/.-])"
+    r"(?:(?:0x)?(?:[0-9A-F]{3}|[0-9A-F]{8})\s+\[(?P<count>[0-8])\]"
+    r"|(?:can[ _-]?)?\bid\s*[:=]?\s*0x[0-9A-F]{1,8}[\s,;]+(?:dlc|dl|len|length)\s*[:=]?\s*(?P<dlc>[0-8])[\s,;]+data\s*[:=]"
+    r"|[0-9A-F]{3,8}h\s+(?P<length>[0-8])(?=\s+[0-9A-F]{2}\b))"
+    r"\s*(?P<bytes>(?:(?:0x)?[0-9A-F]{2}\b[\s,]*){0,8})",
+    re.IGNORECASE,
+)
+_BYTE = re.compile(r"(?:0x)?[0-9A-F]{2}\b", re.IGNORECASE)
+
+
+def _parted(line: str) -> Iterator[str]:
+    """Yield the frames that stand among the words of a line, one by one behind who sent them; or the line."""
+    found = list(_MENTION.finditer(line)) if len(line) <= _LONGEST_LINE and _HINT.search(line) else []
+    around = _MENTION.sub("", line).strip() if found else ""
+    if not around or (len(found) == 1 and frame_of(line) is not None):
+        yield from _cells(line)
+        return
+    frames = []
+    begin = 0
+    for each in found:
+        size = int(next(filter(None, (each["count"], each["dlc"], each["length"])), "0"))
+        data = _BYTE.findall(each["bytes"])[:size]
+        role = role_in_text(line[begin : each.start()])
+        begin = each.end()
+        head = line[each.start() : each.start("bytes")].strip()
+        frames.append(f"{_SPOKEN[role]}{head} {' '.join(data)}")
+    yield f"// {line}"
+    yield from frames
+
+
+_HINT = re.compile(r"\[[0-8]\]|\bid\b|[0-9A-F]h\s", re.IGNORECASE)
+_SPOKEN = {Role.REQUEST: "Tx ", Role.REPLY: "Rx ", Role.UNKNOWN: ""}
 
 
 def _cells(line: str) -> Iterator[str]:

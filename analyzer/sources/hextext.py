@@ -8,8 +8,8 @@ Rules:
 - Lines of words are comments, and broken lines are problems.
 - Prose is read too: the frames in its sentences (see `prose.py`), frames written one field a line, and rows of dumps.
   If such bytes have no mark, the words above them say who sent them.
-- `_Manner` decides from all lines together: whether `>` is a quotation, whether numbers are decimal, whether each line is
-  one byte, and whether `->` only separates time and text. Each such guess is a note.
+- `Manner` (`hexmanner.py`) decides from all lines together: whether `>` is a quotation, whether numbers are decimal, whether
+  each line is one byte, and whether `->` only separates time and text. Each such guess is a note.
 
 Times: see `stamps.py`.
 """
@@ -17,22 +17,21 @@ Times: see `stamps.py`.
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import groupby, pairwise
-from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.diagnosis.reports import speaks
 from analyzer.link import modbus_crc
 from analyzer.records import Chunk, Comment
+from analyzer.sources.hexfields import CELL, MOST_CELLS, ROWS, field_of, has_fields, is_frame
 from analyzer.sources.hexline import HexLine, Shape, bytes_of, take_apart
+from analyzer.sources.hexmanner import SINGLE, Manner, is_decimal_column, is_single, is_table, says
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.marks import ReceivedMarks
 from analyzer.sources.prose import Quotation, mentions, quotations, role_in_text, spells_frame, unsent
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import StampClock
-from analyzer.sources.written import Radix, decimal
+from analyzer.sources.written import Radix
 from analyzer.values import counted
 
 #: Lines of a head that are looked at to find the format.
@@ -41,35 +40,10 @@ _SAMPLE_LINES = 400
 _LEAST_SHARE = 0.2
 _LEAST_MARKED_SHARE = 0.05
 _MARKED_LINES = 3
-#: So many lines marked as received, and none as sent, are a listener's.
-_LISTENER_LINES = 8
-#: So many lines of one byte are a log of bytes.
-_SINGLE_LINES = 4
-#: Bytes of a line of decimal numbers without a mark; rows of a table begin with more values than these.
-_DECIMAL_BYTES = 4
-_DECIMAL_HEADS = 4
 #: How sure a text is whose sentences speak of frames.
 _PROSE_SCORE = 0.35
 #: Bytes from which on a line of a text that is no log counts.
 _SAID_BYTES, _PADDED_BYTES = 3, 5
-#: Lines that name the fields of a frame one by one, or that write its bytes one by one.
-_FIELD = re.compile(
-    r"\s*(?P<call>[\w.>-]+\b[Ww]rite\(\s*)?(?P<bytes>(?:0[xX])?[0-9A-Fa-f]{2}(?:[ ,]+(?:0[xX])?[0-9A-Fa-f]{2}){0,3})"
-    r"(?(call)\s*\)[;\s]*(?P<end>)|[\s:,;#/=-]+(?P<name>[^\W\d_]{3}.*))"
-)
-_HEX_BYTES = r"(?P<bytes>(?:0[xX])?[0-9A-Fa-f]{2}(?:[ ,]+(?:0[xX])?[0-9A-Fa-f]{2}){0,3})[hH]?"
-#: Rows of other tables: a cell of bytes before that of their name, or a name before its bytes.
-_ROWS = (
-    re.compile(
-        rf"\s*\|(?:\s*#?\d+(?:\s*-\s*\d+)?\s*\|)?(?P<call>(?!))?\s*{_HEX_BYTES}\s*\|\s*(?P<name>[^\W\d_]{{2}}[^|]*)\|.*"
-    ),
-    re.compile(rf"\W*(?P<call>(?!))?(?P<name>[^\W\d_]{{2}}[^:=|]{{0,60}}?)[\s:=|]+{_HEX_BYTES}[\s|]*"),
-)
-#: The names of the first fields of a Modbus frame.
-_UNIT_NAME = re.compile(r"slave|unit|address|addr|device|station|\bid\b", re.IGNORECASE)
-_CODE_NAME = re.compile(r"func|command|\bcmd|\bcode\b|\bfc\b", re.IGNORECASE)
-#: A cell of a table that is printed below each other, whose names stand elsewhere.
-_CELL = re.compile(r"(?P<call>(?!))?\s*(?P<bytes>[0-9A-Fa-f]{2}(?: ?[0-9A-Fa-f]{2})?)\s*(?P<name>(?!))?")
 _REMARKS = ("#", "//", ";")
 _OPEN = ("{", "[", "(", ",")
 _LIST_ITEMS = r"(?:(?:0[xX])?[0-9A-Fa-f]{1,3}(?![0-9A-Fa-f])\s*+,?\s*+)*+"
@@ -89,13 +63,9 @@ _NEAR = 60
 #: Frames of a line whose columns a note names.
 _COLUMNS_SHOWN = 10
 _LONGEST_JOINED = 256
-#: A request to read registers.
-_READ_BYTES, _REGISTERS = 8, (0x03, 0x04)
 _SPOILT = re.compile(r"[\s,:-]{0,2}(?:0x\w{1,2}|\d\w?|\w\d)\b")
 _WORDS = re.compile(r"[^\W\d_]{3,}")
 _LABEL = re.compile(r"data|bytes?|hex|frame|buffer|message|msg|payload|raw", re.IGNORECASE)
-_LEAST_FIELDS, _FIELD_BYTES = 3, 2
-_LEAST_CELLS, _MOST_CELLS = 4, 32
 #: A row of a dump among words.
 _DUMP_ROW = re.compile(r"\W*([0-9A-Fa-f]{4,8}):?\s{1,3}((?:[0-9A-Fa-f]{2}(?:\s{1,2}|$|(?=\s*\|)))+)")
 _DUMP_END = re.compile(r"\s*[0-9A-Fa-f]{4,8}\s*")
@@ -108,26 +78,21 @@ _COLLECTED = 1 << 16
 #: Frames kept to know them again in words, and bytes of the shortest that has a CRC and something in it.
 _KNOWN, _LEAST_CHECKED = 1000, 5
 _AT_ONCE_NS = 1_000_000_000
-#: An odd number of digits without a gap, and the number of such lines that is no slip.
-_RUN_OF_DIGITS, _ODD_DIGITS = re.compile(r"\s*[0-9A-F]{5,}\s*"), re.compile(r"\s*[0-9A-F](?:[0-9A-F]{2}){2,}\s*")
-_UNPADDED_LINES = 2
+#: Digits without a gap.
+_RUN_OF_DIGITS = re.compile(r"\s*[0-9A-F]{5,}\s*")
 #: How many bytes a line has: nothing to tell anyone.
 _COUNTED = re.compile(r"\(?\s*(?:len\w*\s*[=:]?\s*)?\d+\s*(?:bytes?|B)?\s*\)?(?:\s*=\s*\d+)?", re.IGNORECASE)
 _HEX_LETTER = re.compile(r"[A-Fa-f]|0x|\\x")
 _BUS_NAME = re.compile(r"(?:bus|com|port|can|tty|uart|usart|rs-?485|rs-?232|usb|serial|line|ch|channel|axis)\W?\w*", re.I)
 #: A name as this program exports it: a bus, and not a number of one.
 _EXPORTED_NAME = re.compile(r"bus:(?!\d+$)([\w.-]+)")
-_SINGLE = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,2}|\d{3})\s*")
-_DIGIT = re.compile(r"\s*[0-9A-Fa-f]\s*")
-_QUOTED = re.compile(r"\s*>\s?")
-_ARROW = "->"
 
 
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are hex text, 0..1."""
     lines = head_lines(head)[:_SAMPLE_LINES]
-    if _is_single(lines):
-        return 0.4 if any(_HEX_LETTER.search(line) for line in lines) or _is_decimal_column(lines) else 0.1
+    if is_single(lines):
+        return 0.4 if any(_HEX_LETTER.search(line) for line in lines) or is_decimal_column(lines) else 0.1
     parts = [take_apart(line) for line in lines]
     traffic = [p for p in parts if p.shape is Shape.TRAFFIC]
     counted = sum(1 for p in parts if p.shape is not Shape.COMMENT or not p.text.startswith(("#", "//", ";")))
@@ -138,7 +103,7 @@ def score(head: bytes) -> float:
         or spells_frame(p.data)
         for p in traffic
     )
-    said = _PROSE_SCORE if plain or _says(parts) or _has_fields(lines) else _reported(lines)
+    said = _PROSE_SCORE if plain or says(parts) or has_fields(lines) else _reported(lines)
     if not traffic or not counted:
         return said
     ratio = len(traffic) / counted
@@ -149,15 +114,11 @@ def score(head: bytes) -> float:
     letters = letters or any(len(p.data) > _SAID_BYTES and modbus_crc(p.data) == 0 for p in traffic)
     if not letters and not marked and sum(len(p.data) for p in traffic) > 4:
         return max(0.1, _reported(lines))
-    if not marked and _is_table([p for p in traffic if p.radix is Radix.DECIMAL]):
+    if not marked and is_table([p for p in traffic if p.radix is Radix.DECIMAL]):
         return max(0.1, _reported(lines))
     if ratio >= _LEAST_SHARE or (marked >= _MARKED_LINES and ratio >= _LEAST_MARKED_SHARE):
         return 0.4 + 0.5 * min(1.0, ratio)
     return max(said, 0.25 * ratio / _LEAST_SHARE)
-
-
-def _says(parts: Sequence[HexLine]) -> bool:
-    return any(quotations(p.text) for p in parts if p.shape in (Shape.COMMENT, Shape.BROKEN))
 
 
 def _reported(lines: Sequence[str]) -> float:
@@ -165,42 +126,9 @@ def _reported(lines: Sequence[str]) -> float:
     return _PROSE_SCORE if any(speaks(line[:_LONGEST_REPORT]) for line in lines) else 0.0
 
 
-def _has_fields(lines: Sequence[str]) -> bool:
-    """Say whether lines below each other name the fields of a frame."""
-    return _has_cells(lines) or any(
-        _is_frame(list(rows))
-        for named, rows in groupby((_field(line) for line in lines), key=lambda row: row is not None)
-        if named
-    )
-
-
-def _has_cells(lines: Sequence[str]) -> bool:
-    """Say whether the cells of a frame stand below a line of words: of most frames some cell has two bytes, and some one."""
-    runs = [list(rows) for _, rows in groupby(lines, key=lambda line: _CELL.fullmatch(line) is not None)]
-    return any(
-        _CELL.fullmatch(rows[0]) is not None and len({len(row.strip()) for row in rows}) > 1
-        and _LEAST_CELLS <= len(rows) <= _MOST_CELLS and _WORDS.search(above[-1]) is not None
-        for above, rows in pairwise(runs)
-    )  # fmt: skip
-
-
-def _is_frame(rows: Sequence[re.Match[str] | None]) -> bool:
-    """Say whether rows are fields, rather than frames with words behind them, or a list of other things."""
-    names = [row["name"] or "" for row in rows if row is not None and row.re in _ROWS]
-    if names and (len(names) != len(rows) or not _UNIT_NAME.search(names[0]) or not any(map(_CODE_NAME.search, names[1:2]))):
-        return False
-    short = sum(1 for row in rows if row is not None and len(row["bytes"].split()) <= _FIELD_BYTES)
-    return len(rows) >= _LEAST_FIELDS and 2 * short > len(rows)
-
-
-def _field(text: str) -> re.Match[str] | None:
-    """Return a line that names a field of a frame, and has its bytes."""
-    return _FIELD.match(text) or next((row for each in _ROWS if (row := each.fullmatch(text)) is not None), None)
-
-
 def read(source: Source) -> Iterator[Chunk | Comment]:
     """Read the lines one by one."""
-    manner = _Manner.of(head_lines(source.head))
+    manner = Manner.of(head_lines(source.head))
     parts = [manner.take(line) for line in head_lines(source.head)]
     clock = StampClock((p.stamp for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)), source)
     for note in manner.notes(parts):
@@ -212,147 +140,6 @@ def _before(pattern: re.Pattern[str], text: str, quoted: Quotation) -> bool:
     """Say whether a pattern that ends with `$` fits what stands directly before bytes in a text."""
     end = quoted.column - 1
     return pattern.search(text, max(0, end - _NEAR), end) is not None
-
-
-def _asks(data: bytes) -> bool:
-    """Say whether bytes are a request to read registers: who receives one is a server, or listens."""
-    return len(data) == _READ_BYTES and data[1] in _REGISTERS and modbus_crc(data) == 0
-
-
-def _replies(data: bytes) -> bool:
-    """Say whether bytes are a reply of registers, and no request."""
-    long = len(data) >= _LEAST_CHECKED and len(data) != _READ_BYTES
-    return long and data[1] in _REGISTERS and data[2] == len(data) - _LEAST_CHECKED and modbus_crc(data) == 0
-
-
-def _is_deaf(traffic: Sequence[HexLine], roles: Sequence[Role]) -> bool:
-    """Say whether the marks tell nothing, because all lines have the same: those of a listener, or the name of a host."""
-    if Role.REQUEST not in roles:
-        return roles.count(Role.REPLY) >= _LISTENER_LINES or any(p.role is Role.REPLY and _asks(p.data) for p in traffic)
-    return Role.REPLY not in roles and any(_replies(p.data) for p in traffic) and any(_asks(p.data) for p in traffic)
-
-
-def _is_turned(traffic: Sequence[HexLine]) -> bool:
-    """Say whether a server writes: all requests that can be told are marked as received, and all replies as sent."""
-    asked = {p.role for p in traffic if _asks(p.data)}
-    return asked == {Role.REPLY} and {p.role for p in traffic if _replies(p.data)} == {Role.REQUEST}
-
-
-_OTHER_SIDE = {Role.REQUEST: Role.REPLY, Role.REPLY: Role.REQUEST, Role.UNKNOWN: Role.UNKNOWN}
-
-
-def _is_single(lines: Sequence[str]) -> bool:
-    """Say whether each line is one byte."""
-    return len(lines) >= _SINGLE_LINES and all(_SINGLE.fullmatch(line) for line in lines)
-
-
-def _is_decimal_column(lines: Sequence[str]) -> bool:
-    return any(len(line.strip()) == 3 for line in lines) and decimal(" ".join(lines)) is not None
-
-
-def _is_table(parts: list[HexLine]) -> bool:
-    """Say whether rows of decimal numbers are those of a table, rather than bytes that begin with a few heads."""
-    if not parts:
-        return False
-    heads = Counter(p.data[0] for p in parts)
-    return len(heads) > _DECIMAL_HEADS or any(len(p.data) < _DECIMAL_BYTES for p in parts)
-
-
-class _Manner(NamedTuple):
-    """How a text is written, as far as one line alone cannot tell."""
-
-    #: Every line begins with `>`, lines of words too: a quotation.
-    quoted: bool = False
-    #: Numbers without a letter are decimal, because others can be nothing else.
-    decimal: bool = False
-    #: Each line is one byte.
-    single: bool = False
-    #: Each line is one byte behind its time or its mark.
-    lone: bool = False
-    #: A sign that stands on every line behind its time, as Arduino's serial monitor prints it.
-    arrow: bool = False
-    #: Bytes in `[]` were sent, those in `<>` received, as libmodbus prints them.
-    brackets: bool = False
-    #: Every line has the same mark, as in a listener's log: it does not tell who sent.
-    deaf: bool = False
-    #: A server writes: what it sends are replies.
-    turned: bool = False
-    #: A number stands before the bytes of each line.
-    led: bool = False
-    #: There is no line of a log: sentences are read.
-    prose: bool = False
-    #: Frames stand field by field, a line each.
-    fields: bool = False
-    #: Their names stand elsewhere.
-    cells: bool = False
-    #: All bytes stand in comments of a program.
-    commented: bool = False
-    #: Bytes stand without gaps and without their zeros: where one ends cannot be told.
-    unpadded: bool = False
-
-    @classmethod
-    def of(cls, lines: Sequence[str]) -> _Manner:
-        """Find out how the lines of a head are written."""
-        if _is_single(lines):
-            return cls(single=True, decimal=_is_decimal_column(lines))
-        quoted = _is_quoted(lines)
-        parts = [take_apart(_QUOTED.sub("", line, 1) if quoted else line) for line in lines]
-        traffic = [p for p in parts if p.shape is Shape.TRAFFIC]
-        roles = [p.role for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)]
-        stamped = [p for p in parts if p.stamp.kind]
-        prose = not any(p.stamp.kind or p.marked for p in traffic)
-        bytes_alone = [p for p in parts if (p.shape is Shape.TRAFFIC and len(p.data) == 1 and p.number is None) or _is_digit(p)]
-        return cls(
-            quoted=quoted,
-            lone=bool(traffic) and len(bytes_alone) >= _SINGLE_LINES and not any(len(p.data) > 1 for p in traffic),
-            decimal=any(p.radix is Radix.DECIMAL for p in traffic),
-            arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
-            brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
-            led=len(traffic) > 1 and all(p.led for p in traffic[:2]),
-            deaf=_is_deaf(traffic, roles),
-            turned=_is_turned(traffic),
-            prose=prose,
-            fields=prose and _has_fields(lines),
-            cells=prose and _has_cells(lines),
-            unpadded=sum(1 for line in lines if _ODD_DIGITS.fullmatch(line)) >= _UNPADDED_LINES,
-            commented=prose and not traffic and not _says([p for p in parts if not p.text.startswith("#")]),
-        )
-
-    def take(self, text: str) -> HexLine:
-        """Take a line apart as this text is written."""
-        line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal, self.led)
-        if self.lone and _is_digit(line):
-            line = line._replace(shape=Shape.TRAFFIC, data=bytes((int(line.text.strip(), 16),)), radix=Radix.HEX)
-        role = line.role
-        if self.deaf or (self.arrow and not line.worded):
-            role = Role.UNKNOWN
-        elif self.brackets and line.sign.startswith("each"):
-            role = Role.REQUEST if line.sign == "each[" else Role.REPLY
-        elif self.turned:
-            role = _OTHER_SIDE[role]
-        return line if role is line.role else line._replace(role=role)
-
-    def notes(self, parts: list[HexLine]) -> Iterator[str]:
-        """Say what was concluded, and what could not be."""
-        radixes = {p.radix for p in parts if p.shape is Shape.TRAFFIC}
-        if self.deaf:
-            yield "every line has the same mark, as a listener's log does: the marks do not tell the sender"
-        if self.turned:
-            yield "a server writes this log: it receives requests, and what it sends are replies"
-        if self.quoted:
-            yield "lines of words begin with '>', too: it is read as a quotation, not as sent by the host"
-        if self.arrow:
-            yield "the '->' on every line is read as the sign between time and text: it does not tell the sender"
-        if self.unpadded:
-            yield "bytes are printed without gaps and without leading zeros: where one ends cannot be told, and none is read"
-        if self.single or self.lone:
-            yield "one byte a line: where a frame ends is not told"
-        if self.decimal and (self.single or radixes <= {Radix.DECIMAL}):
-            yield "the bytes are decimal numbers: some have three digits or a sign"
-        elif self.decimal:
-            yield "some lines are decimal, others hexadecimal: digits without a letter are read as decimal"
-        elif radixes == {Radix.EITHER}:
-            yield "nothing tells whether the bytes are hexadecimal or decimal: they are read as hexadecimal"
 
 
 def _whole_lists(lines: Iterable[str]) -> Iterator[str]:
@@ -374,25 +161,10 @@ def _whole_lists(lines: Iterable[str]) -> Iterator[str]:
         yield " ".join(held)
 
 
-def _is_digit(line: HexLine) -> bool:
-    """Say whether a line has one digit alone: a byte without its leading zero, where each line is a byte."""
-    return line.shape in (Shape.BROKEN, Shape.COMMENT) and _DIGIT.fullmatch(line.text) is not None
-
-
-def _is_quoted(lines: Sequence[str]) -> bool:
-    """Say whether `>` is a quotation: it stands before words too, or another mark or time, and what is not quoted is words."""
-    begun = [line for line in lines if _QUOTED.match(line)]
-    others = (line for line in lines if not _QUOTED.match(line))
-    if len(begun) < 2 or any(line.lstrip().startswith("<") or take_apart(line).shape is Shape.TRAFFIC for line in others):
-        return False
-    inner = [take_apart(_QUOTED.sub("", line, 1)) for line in begun]
-    return any(p.shape is Shape.COMMENT or p.marked or p.stamp.kind for p in inner)
-
-
 class _Reader:
     """Turns lines into records; holds the header that waits for its bytes."""
 
-    def __init__(self, source: Source, clock: StampClock, manner: _Manner) -> None:
+    def __init__(self, source: Source, clock: StampClock, manner: Manner) -> None:
         self._source = source
         self._lines = Lines(source)
         self._clock = clock
@@ -487,7 +259,7 @@ class _Reader:
     def _single_bytes(self) -> Iterator[Chunk]:
         port = self._source.port()
         for text in self._lines:
-            found = _SINGLE.fullmatch(text)
+            found = SINGLE.fullmatch(text)
             value = int(found[1], 10 if self._manner.decimal else 16) if found is not None else 256
             if value < 256:
                 yield Chunk(None, port, bytes((value,)))
@@ -588,9 +360,9 @@ class _Reader:
 
     def _is_part(self, text: str) -> bool:
         """Take a line that is the next field of a frame, or the next row of a dump; say whether it is one."""
-        field = _field(text) if self._manner.fields and not self._rows else None
-        if field is None and self._manner.cells and not self._rows and len(self._fields) < _MOST_CELLS:
-            field = _CELL.fullmatch(text)
+        field = field_of(text) if self._manner.fields and not self._rows else None
+        if field is None and self._manner.cells and not self._rows and len(self._fields) < MOST_CELLS:
+            field = CELL.fullmatch(text)
         if field is not None:
             if self._fields and field["name"] and field["name"] == self._fields[0]["name"]:
                 return False
@@ -610,10 +382,10 @@ class _Reader:
             yield Chunk(None, self._source.port(), bytes(self._rows), self._marks(self._above), True)
             self._rows.clear()
         rows, self._fields = self._fields, []
-        if _is_frame(rows):
+        if is_frame(rows):
             data = bytes.fromhex(re.sub("0[xX]|[ ,]", "", "".join(row["bytes"] for row in rows)))
             # A table often explains a frame that stands above it.
-            if not (data in self._known and rows[0].re in _ROWS):
+            if not (data in self._known and rows[0].re in ROWS):
                 role = Role.REQUEST if rows[0]["call"] else self._marks(self._above)
                 yield Chunk(None, self._source.port(), data, role, True)
         elif rows and not any(row["name"] or row["call"] for row in rows):

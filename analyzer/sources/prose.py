@@ -42,6 +42,8 @@ _RUN = re.compile(
     r"""(?P<string>b?'(?:[^'\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^'\\]|\\.)*'|b?"(?:[^"\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^"\\]|\\.)*")"""
     r"|(?P<buffer><Buffer(?: [0-9A-Fa-f]{2})+>)"
     r"|(?P<escapes>(?:\\x[0-9A-Fa-f]{2})+)"
+    # `\\FA\\01`, as terminals take bytes.
+    r"|(?P<slashed>(?<![\w:\\.])(?:\\[0-9A-Fa-f]{2}(?!\w|\.\w)){3,})"
     # Each byte in brackets.
     rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<\s?{_ITEM}\s?>\s*){{2,}}|(?:\{{{_ITEM}\}}\s*){{2,}})"
     # `10-15-0-204`, as modbus_tk prints it.
@@ -145,6 +147,8 @@ def _data(run: re.Match[str]) -> bytes | None:
     kind = run.lastgroup
     if kind == "string":
         return _string(text)
+    if kind == "slashed":
+        return bytes.fromhex(text.replace("\\", ""))
     if kind in ("quoted", "digits"):
         return bytes.fromhex(text)
     if kind == "pairs" and "x" not in text.lower()[2:]:
@@ -189,7 +193,7 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
     lettered = _LETTER.search(text) is not None
     if kind == "buffer":
         return ""
-    if kind in ("string", "escapes", "each", "dashed"):
+    if kind in ("string", "escapes", "slashed", "each", "dashed"):
         return "" if len(data) >= _LEAST else None
     if kind == "list":
         sure = lettered or any(value >= _THREE_DIGITS for value in data) or _BYTES_WORD.search(before) is not None

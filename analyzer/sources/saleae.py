@@ -8,18 +8,20 @@
 
 Rules: a time is the end of the byte: its start, and its duration where the file or the line speed gives it. Each byte
 is a chunk. Names of analyzers that mean sent or received say who sent, once something was sent; other names are
-ports. Bytes with a parity or framing error are given on and counted.
+ports. Bytes with a parity or framing error are given on and counted. In a post the header stands among words, which are
+comments, and strokes can part the cells.
 """
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 from analyzer.catalogue import Role
-from analyzer.records import Chunk
+from analyzer.records import Chunk, Comment
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.marks import ReceivedMarks, role_of_name
 from analyzer.sources.source import SECOND_NS, Source, quote
@@ -43,6 +45,9 @@ _TELLING = ("type", "duration", "parity", "framing", "name")
 #: Types of rows that carry no byte of a line.
 _WITHOUT_BYTES = ("start", "stop", "address", "enable", "disable", "result", "error")
 _BITS_PER_BYTE = 10
+#: Lines of a post among which a header is, and what parts its cells.
+_HEADER_LINES, _SEPARATORS = 60, ",|;\t"
+_RULE = re.compile(r"[\s|:-]+")
 
 _VALUE = re.compile(r"(?:0x([0-9A-Fa-f]{1,16})|0b([01 ]{1,64})|'?(\d{1,3})'?)$")
 _INSIDE = re.compile(r"\(?0x([0-9A-Fa-f]{2})\)?")
@@ -52,16 +57,32 @@ _ESCAPES = {
 }  # fmt: skip
 _ESCAPED = re.compile(r"\\x([0-9A-Fa-f]{2})$")
 _ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d)(?:\.(\d+))?(Z|[+-]\d\d:?\d\d)?$")
+_SECONDS = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?$")
+#: Rows below a header of which one has a time.
+_BELOW = 4
 #: Saleae's default names of its analyzers.
 _UNNAMED = re.compile(r"async serial|uart|serial|modbus", re.IGNORECASE)
 
 
 @dataclass
 class _Table:
-    """Which column holds what; -1: none."""
+    """Which column holds what; -1: none. `above`: lines before the header."""
 
     places: dict[str, int]
+    separator: str = ","
+    above: int = 0
     characters: bool = False
+
+    def row(self, line: str) -> list[str]:
+        """Return the cells of a line."""
+        if self.separator == "|":
+            line = line.strip().strip("|")
+        return next(csv.reader((line,), delimiter=self.separator), []) if '"' in line else line.split(self.separator)
+
+    def holds(self, line: str) -> bool:
+        """Say whether a line among words is a row, with a time in its place."""
+        row = self.row(line)
+        return len(row) > 1 and (_SECONDS.match(time := self.cell(row, "time")) or _ISO.match(time)) is not None
 
     def cell(self, row: list[str], what: str) -> str:
         """Return what a row says of one thing, "" where it does not."""
@@ -69,43 +90,59 @@ class _Table:
         return row[place].strip() if 0 <= place < len(row) else ""
 
 
-def _table(line: str) -> _Table | None:
+def _heading(lines: Sequence[str]) -> _Table | None:
+    """Return the table of the first line that is a header, or of one among words that has a row below it."""
+    for number, line in enumerate(lines[:_HEADER_LINES]):
+        for separator in _SEPARATORS:
+            table = _table(line, separator)
+            if table is None:
+                continue
+            table.above = number
+            if not number or any(table.holds(row) for row in lines[number + 1 : number + _BELOW]):
+                return table
+    return None
+
+
+def _table(line: str, separator: str) -> _Table | None:
     """Return the columns of a header line, None if it is none."""
-    names = [name.strip().strip('"').lower() for name in line.lstrip("﻿").split(",")]
+    line = line.lstrip("﻿")
+    names = [
+        name.strip().strip('"').lower() for name in (line.strip().strip("|") if separator == "|" else line).split(separator)
+    ]
     places = {
         what: next(names.index(name) for name in known if name in names)
         for what, known in _COLUMNS.items()
         if any(name in names for name in known)
     }
     fits = all(what in places for what in _NEEDED) and any(what in places for what in _TELLING)
-    return _Table(places) if fits else None
+    return _Table(places, separator) if fits else None
 
 
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are Saleae's CSV, 0..1."""
     lines = head_lines(head)
-    return 0.95 if lines and _table(lines[0]) is not None else 0.0
+    return 0.95 if _heading(lines) is not None else 0.0
 
 
-def read(source: Source) -> Iterator[Chunk]:
+def read(source: Source) -> Iterator[Chunk | Comment]:
     """Read the bytes."""
-    of = "the end" if source.baud or b"duration" in source.head.partition(b"\n")[0].lower() else "the start"
-    source.time_source = f"capture: seconds as a logic analyzer measured them, of {of} of each byte"
-    return _records(source)
-
-
-def _row(line: str) -> list[str]:
-    return next(csv.reader((line,)), []) if '"' in line else line.split(",")
-
-
-def _records(source: Source) -> Iterator[Chunk]:
-    lines = Lines(source)
-    rows = iter(lines)
-    table = _table(next(rows, ""))
+    table = _heading(head_lines(source.head))
     if table is None:
         source.problem("expected a header with a time and a value column, got another line", line=1)
-        return
-    sample = [_row(line) for line in head_lines(source.head)[1:]]
+        return iter(())
+    of = "the end" if source.baud or "duration" in table.places else "the start"
+    source.time_source = f"capture: seconds as a logic analyzer measured them, of {of} of each byte"
+    return _records(source, table)
+
+
+def _records(source: Source, table: _Table) -> Iterator[Chunk | Comment]:
+    lines = Lines(source)
+    rows = iter(lines)
+    for text in islice(rows, table.above):
+        if text.strip():
+            yield source.comment(None, text)
+    next(rows, "")
+    sample = [table.row(line) for line in head_lines(source.head)[table.above + 1 :]]
     if any((dated := _ISO.match(table.cell(row, "time"))) is not None and not dated[dated.re.groups] for row in sample):
         source.clock = Clock.PRINTED
     # A table of characters has digits that are characters too; only the other values show it.
@@ -119,7 +156,11 @@ def _records(source: Source) -> Iterator[Chunk]:
         if not line.strip():
             continue
         try:
-            row = _row(line)
+            row = table.row(line)
+            if table.above and not table.holds(line):
+                if not _RULE.fullmatch(line):
+                    yield source.comment(None, line)
+                continue
             if (kind := table.cell(row, "type")) not in ("", "data"):
                 if kind not in _WITHOUT_BYTES and table.cell(row, "data"):
                     source.note(f"rows of the type {quote(kind)} are left out")

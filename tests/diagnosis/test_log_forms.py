@@ -118,6 +118,19 @@ FORMS = {
     "component": lambda m, n, d: (
         f"2024-01-01 10:00:0{n}.123 DEBUG (MainThread) [x.modbus] {'Sending' if m == '>' else 'Received'} frame: {pairs(d)}"
     ),
+    "slashes": lambda m, n, d: f"{'I send' if m == '>' else 'and it answers'} {pairs(d, '', chr(92))}{'' if m == '>' else '.'}",
+    "analyzer in a post": lambda m, n, d: (
+        ("I looked at the wire:\n\nname,type,start_time,duration,data\n" if n == 0 else "")
+        + "\n".join(
+            f'"{"TX" if m == ">" else "RX"}","data",{0.1 * n + 0.001 * at:.4f},8.7e-05,0x{b:02X}' for at, b in enumerate(d)
+        )
+    ),
+    "analyzer with strokes": lambda m, n, d: (
+        ("What it has shown:\n\nname | type | start_time | duration | data\n" if n == 0 else "")
+        + "\n".join(
+            f"{'TX' if m == '>' else 'RX'} | data | {0.1 * n + 0.001 * at:.4f} | 8.7E-05 | 0x{b:02X}" for at, b in enumerate(d)
+        )
+    ),
     "android": lambda m, n, d: f"D/Modbus  ( 1234): {'write' if m == '>' else 'read'} {len(d)} bytes: {pairs(d)}",
 }
 
@@ -129,6 +142,37 @@ def test_a_trouble_in_a_log(form, case):
     found = diagnosed("".join(f"{FORMS[form](mark, number, data)}\n" for number, (mark, data) in enumerate(rows)))
     assert (found.causes[0].suspicion.cause if found.causes else None) == cause
     assert found.verdict == ("ok" if cause is None else "trouble")
+
+
+CAN_CASES = {
+    "clean": ([(">", 1, "30 31"), ("<", 1, "30 00 00 00 00 3A DD 48"), (">", 1, "32 33"), ("<", 1, "32 00 00 33")], None),
+    "no check": ([(">", 1, "30"), (">", 1, "32")], "missing_checksum"),
+    "another maker": ([(">", 0x141, "9A" + " 00" * 7), ("<", 0x141, "9A 32 00 0E 01 00 00 00")], "unsupported_dialect"),
+}
+#: What stands for a CAN frame: of the mark, its identifier and its bytes.
+CAN_FORMS = {
+    "candump": lambda m, i, d: f"can0  {i:03X}   [{len(d.split())}]  {d}\n",
+    "bullets": lambda m, i, d: f"- `can0  {i:03X}   [{len(d.split())}]  {d}`\n",
+    "stars": lambda m, i, d: f"* can0  {i:03X}   [{len(d.split())}]  {d}\n",
+    "sentences": lambda m, i, d: (
+        f"{'I send' if m == '>' else 'and the motor answers with'} can0  {i:03X}   [{len(d.split())}]  {d}"
+        f"{' ' if m == '>' else '. '}"
+    ),
+    "ids": lambda m, i, d: f"ID: 0x{i:03X} DLC: {len(d.split())} Data: {d}\n",
+    "ids in sentences": lambda m, i, d: (
+        f"{'I send' if m == '>' else 'and I get'} ID: 0x{i:03X}, DLC: {len(d.split())}, Data: {d}{' ' if m == '>' else '. '}"
+    ),
+    "pcan-view": lambda m, i, d: f"{i:03X}h  {len(d.split())}  {d}   100.2  17\n",
+    "pcan-view with marks": lambda m, i, d: f"{'Tx' if m == '>' else 'Rx'}  {i:03X}h  {len(d.split())}  {d}  Cycle 100\n",
+}
+
+
+@pytest.mark.parametrize("case", CAN_CASES)
+@pytest.mark.parametrize("form", CAN_FORMS)
+def test_a_trouble_in_can_rows(form, case):
+    rows, cause = CAN_CASES[case]
+    found = diagnosed("".join(CAN_FORMS[form](mark, number, data) for mark, number, data in rows))
+    assert (found.causes[0].suspicion.cause if found.causes else None) == cause
 
 
 def test_the_name_of_a_host_on_all_lines_tells_no_sender():

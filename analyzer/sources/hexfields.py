@@ -1,0 +1,69 @@
+"""Frames of a text that stand field by field: each byte or two in a line, with what they mean beside them.
+
+    01 - slave address            | 0 | 01 | Slave    |            ser.write(0x01)
+    03 - function                 | 1 | 03 | Function |            ser.write(0x03)
+
+Rules: rows are a frame if most are short, and, in other tables, if the first two names are those of a unit and of a function.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import groupby, pairwise
+
+#: Lines that name the fields of a frame one by one, or that write its bytes one by one.
+_FIELD = re.compile(
+    r"\s*(?P<call>[\w.>-]+\b[Ww]rite\(\s*)?(?P<bytes>(?:0[xX])?[0-9A-Fa-f]{2}(?:[ ,]+(?:0[xX])?[0-9A-Fa-f]{2}){0,3})"
+    r"(?(call)\s*\)[;\s]*(?P<end>)|[\s:,;#/=-]+(?P<name>[^\W\d_]{3}.*))"
+)
+_HEX_BYTES = r"(?P<bytes>(?:0[xX])?[0-9A-Fa-f]{2}(?:[ ,]+(?:0[xX])?[0-9A-Fa-f]{2}){0,3})[hH]?"
+#: Rows of other tables: a cell of bytes before that of their name, or a name before its bytes.
+ROWS = (
+    re.compile(
+        rf"\s*\|(?:\s*#?\d+(?:\s*-\s*\d+)?\s*\|)?(?P<call>(?!))?\s*{_HEX_BYTES}\s*\|\s*(?P<name>[^\W\d_]{{2}}[^|]*)\|.*"
+    ),
+    re.compile(rf"\W*(?P<call>(?!))?(?P<name>[^\W\d_]{{2}}[^:=|]{{0,60}}?)[\s:=|]+{_HEX_BYTES}[\s|]*"),
+)
+#: The names of the first fields of a Modbus frame.
+_UNIT_NAME = re.compile(r"slave|unit|address|addr|device|station|\bid\b", re.IGNORECASE)
+_CODE_NAME = re.compile(r"func|command|\bcmd|\bcode\b|\bfc\b", re.IGNORECASE)
+#: A cell of a table that is printed below each other, whose names stand elsewhere.
+CELL = re.compile(r"(?P<call>(?!))?\s*(?P<bytes>[0-9A-Fa-f]{2}(?: ?[0-9A-Fa-f]{2})?)\s*(?P<name>(?!))?")
+#: Rows of a frame, and bytes of a short one; cells of a frame.
+_LEAST_FIELDS, _FIELD_BYTES = 3, 2
+_LEAST_CELLS, MOST_CELLS = 4, 32
+_WORDS = re.compile(r"[^\W\d_]{3,}")
+
+
+def has_fields(lines: Sequence[str]) -> bool:
+    """Say whether lines below each other name the fields of a frame."""
+    return has_cells(lines) or any(
+        is_frame(list(rows))
+        for named, rows in groupby((field_of(line) for line in lines), key=lambda row: row is not None)
+        if named
+    )
+
+
+def has_cells(lines: Sequence[str]) -> bool:
+    """Say whether the cells of a frame stand below a line of words: of most frames some cell has two bytes, and some one."""
+    runs = [list(rows) for _, rows in groupby(lines, key=lambda line: CELL.fullmatch(line) is not None)]
+    return any(
+        CELL.fullmatch(rows[0]) is not None and len({len(row.strip()) for row in rows}) > 1
+        and _LEAST_CELLS <= len(rows) <= MOST_CELLS and _WORDS.search(above[-1]) is not None
+        for above, rows in pairwise(runs)
+    )  # fmt: skip
+
+
+def is_frame(rows: Sequence[re.Match[str] | None]) -> bool:
+    """Say whether rows are fields, rather than frames with words behind them, or a list of other things."""
+    names = [row["name"] or "" for row in rows if row is not None and row.re in ROWS]
+    if names and (len(names) != len(rows) or not _UNIT_NAME.search(names[0]) or not any(map(_CODE_NAME.search, names[1:2]))):
+        return False
+    short = sum(1 for row in rows if row is not None and len(row["bytes"].split()) <= _FIELD_BYTES)
+    return len(rows) >= _LEAST_FIELDS and 2 * short > len(rows)
+
+
+def field_of(text: str) -> re.Match[str] | None:
+    """Return a line that names a field of a frame, and has its bytes."""
+    return _FIELD.match(text) or next((row for each in ROWS if (row := each.fullmatch(text)) is not None), None)

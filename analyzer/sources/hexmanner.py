@@ -1,0 +1,192 @@
+"""How a hex text is written, as far as one line alone cannot tell: whom the marks name, which numbers are decimal."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from analyzer.catalogue import Role
+from analyzer.link import modbus_crc
+from analyzer.sources.hexfields import has_cells, has_fields
+from analyzer.sources.hexline import HexLine, Shape, take_apart
+from analyzer.sources.prose import quotations
+from analyzer.sources.written import Radix, decimal
+
+#: So many lines marked as received, and none as sent, are a listener's.
+_LISTENER_LINES = 8
+#: So many lines of one byte are a log of bytes.
+_SINGLE_LINES = 4
+#: Bytes of a line of decimal numbers without a mark; rows of a table begin with more values than these.
+_DECIMAL_BYTES, _DECIMAL_HEADS = 4, 4
+#: A request to read registers, and what a reply has beside its registers.
+_READ_BYTES, _REGISTERS, _AROUND = 8, (0x03, 0x04), 5
+#: An odd number of digits without a gap, and the number of such lines that is no slip.
+_ODD_DIGITS, _UNPADDED_LINES = re.compile(r"\s*[0-9A-F](?:[0-9A-F]{2}){2,}\s*"), 2
+SINGLE = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,2}|\d{3})\s*")
+_DIGIT = re.compile(r"\s*[0-9A-Fa-f]\s*")
+_QUOTED = re.compile(r"\s*>\s?")
+_ARROW = "->"
+
+
+def _asks(data: bytes) -> bool:
+    """Say whether bytes are a request to read registers: who receives one is a server, or listens."""
+    return len(data) == _READ_BYTES and data[1] in _REGISTERS and modbus_crc(data) == 0
+
+
+def _replies(data: bytes) -> bool:
+    """Say whether bytes are a reply of registers, and no request."""
+    long = len(data) >= _AROUND and len(data) != _READ_BYTES
+    return long and data[1] in _REGISTERS and data[2] == len(data) - _AROUND and modbus_crc(data) == 0
+
+
+def _is_deaf(traffic: Sequence[HexLine], roles: Sequence[Role]) -> bool:
+    """Say whether the marks tell nothing, because all lines have the same: those of a listener, or the name of a host."""
+    if Role.REQUEST not in roles:
+        return roles.count(Role.REPLY) >= _LISTENER_LINES or any(p.role is Role.REPLY and _asks(p.data) for p in traffic)
+    return Role.REPLY not in roles and any(_replies(p.data) for p in traffic) and any(_asks(p.data) for p in traffic)
+
+
+def _is_turned(traffic: Sequence[HexLine]) -> bool:
+    """Say whether a server writes: all requests that can be told are marked as received, and all replies as sent."""
+    asked = {p.role for p in traffic if _asks(p.data)}
+    return asked == {Role.REPLY} and {p.role for p in traffic if _replies(p.data)} == {Role.REQUEST}
+
+
+_OTHER_SIDE = {Role.REQUEST: Role.REPLY, Role.REPLY: Role.REQUEST, Role.UNKNOWN: Role.UNKNOWN}
+
+
+def says(parts: Sequence[HexLine]) -> bool:
+    """Say whether a line of words speaks of frames."""
+    return any(quotations(p.text) for p in parts if p.shape in (Shape.COMMENT, Shape.BROKEN))
+
+
+def is_single(lines: Sequence[str]) -> bool:
+    """Say whether each line is one byte."""
+    return len(lines) >= _SINGLE_LINES and all(SINGLE.fullmatch(line) for line in lines)
+
+
+def is_decimal_column(lines: Sequence[str]) -> bool:
+    """Say whether lines of one byte each are decimal."""
+    return any(len(line.strip()) == 3 for line in lines) and decimal(" ".join(lines)) is not None
+
+
+def is_table(parts: list[HexLine]) -> bool:
+    """Say whether rows of decimal numbers are those of a table, rather than bytes that begin with a few heads."""
+    if not parts:
+        return False
+    heads = Counter(p.data[0] for p in parts)
+    return len(heads) > _DECIMAL_HEADS or any(len(p.data) < _DECIMAL_BYTES for p in parts)
+
+
+def _is_digit(line: HexLine) -> bool:
+    """Say whether a line has one digit alone: a byte without its leading zero, where each line is a byte."""
+    return line.shape in (Shape.BROKEN, Shape.COMMENT) and _DIGIT.fullmatch(line.text) is not None
+
+
+def _is_quoted(lines: Sequence[str]) -> bool:
+    """Say whether `>` is a quotation: it stands before words too, or another mark or time, and what is not quoted is words."""
+    begun = [line for line in lines if _QUOTED.match(line)]
+    others = (line for line in lines if not _QUOTED.match(line))
+    if len(begun) < 2 or any(line.lstrip().startswith("<") or take_apart(line).shape is Shape.TRAFFIC for line in others):
+        return False
+    inner = [take_apart(_QUOTED.sub("", line, 1)) for line in begun]
+    return any(p.shape is Shape.COMMENT or p.marked or p.stamp.kind for p in inner)
+
+
+class Manner(NamedTuple):
+    """How a text is written, as far as one line alone cannot tell."""
+
+    #: Every line begins with `>`, lines of words too: a quotation.
+    quoted: bool = False
+    #: Numbers without a letter are decimal, because others can be nothing else.
+    decimal: bool = False
+    #: Each line is one byte.
+    single: bool = False
+    #: Each line is one byte behind its time or its mark.
+    lone: bool = False
+    #: A sign that stands on every line behind its time, as Arduino's serial monitor prints it.
+    arrow: bool = False
+    #: Bytes in `[]` were sent, those in `<>` received, as libmodbus prints them.
+    brackets: bool = False
+    #: Every line has the same mark, as in a listener's log: it does not tell who sent.
+    deaf: bool = False
+    #: A server writes: what it sends are replies.
+    turned: bool = False
+    #: A number stands before the bytes of each line.
+    led: bool = False
+    #: There is no line of a log: sentences are read.
+    prose: bool = False
+    #: Frames stand field by field, a line each.
+    fields: bool = False
+    #: Their names stand elsewhere.
+    cells: bool = False
+    #: All bytes stand in comments of a program.
+    commented: bool = False
+    #: Bytes stand without gaps and without their zeros: where one ends cannot be told.
+    unpadded: bool = False
+
+    @classmethod
+    def of(cls, lines: Sequence[str]) -> Manner:
+        """Find out how the lines of a head are written."""
+        if is_single(lines):
+            return cls(single=True, decimal=is_decimal_column(lines))
+        quoted = _is_quoted(lines)
+        parts = [take_apart(_QUOTED.sub("", line, 1) if quoted else line) for line in lines]
+        traffic = [p for p in parts if p.shape is Shape.TRAFFIC]
+        roles = [p.role for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)]
+        stamped = [p for p in parts if p.stamp.kind]
+        prose = not any(p.stamp.kind or p.marked for p in traffic)
+        bytes_alone = [p for p in parts if (p.shape is Shape.TRAFFIC and len(p.data) == 1 and p.number is None) or _is_digit(p)]
+        return cls(
+            quoted=quoted,
+            lone=bool(traffic) and len(bytes_alone) >= _SINGLE_LINES and not any(len(p.data) > 1 for p in traffic),
+            decimal=any(p.radix is Radix.DECIMAL for p in traffic),
+            arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
+            brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
+            led=len(traffic) > 1 and all(p.led for p in traffic[:2]),
+            deaf=_is_deaf(traffic, roles),
+            turned=_is_turned(traffic),
+            prose=prose,
+            fields=prose and has_fields(lines),
+            cells=prose and has_cells(lines),
+            unpadded=sum(1 for line in lines if _ODD_DIGITS.fullmatch(line)) >= _UNPADDED_LINES,
+            commented=prose and not traffic and not says([p for p in parts if not p.text.startswith("#")]),
+        )
+
+    def take(self, text: str) -> HexLine:
+        """Take a line apart as this text is written."""
+        line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal, self.led)
+        if self.lone and _is_digit(line):
+            line = line._replace(shape=Shape.TRAFFIC, data=bytes((int(line.text.strip(), 16),)), radix=Radix.HEX)
+        role = line.role
+        if self.deaf or (self.arrow and not line.worded):
+            role = Role.UNKNOWN
+        elif self.brackets and line.sign.startswith("each"):
+            role = Role.REQUEST if line.sign == "each[" else Role.REPLY
+        elif self.turned:
+            role = _OTHER_SIDE[role]
+        return line if role is line.role else line._replace(role=role)
+
+    def notes(self, parts: list[HexLine]) -> Iterator[str]:
+        """Say what was concluded, and what could not be."""
+        radixes = {p.radix for p in parts if p.shape is Shape.TRAFFIC}
+        if self.deaf:
+            yield "every line has the same mark, as a listener's log does: the marks do not tell the sender"
+        if self.turned:
+            yield "a server writes this log: it receives requests, and what it sends are replies"
+        if self.quoted:
+            yield "lines of words begin with '>', too: it is read as a quotation, not as sent by the host"
+        if self.arrow:
+            yield "the '->' on every line is read as the sign between time and text: it does not tell the sender"
+        if self.unpadded:
+            yield "bytes are printed without gaps and without leading zeros: where one ends cannot be told, and none is read"
+        if self.single or self.lone:
+            yield "one byte a line: where a frame ends is not told"
+        if self.decimal and (self.single or radixes <= {Radix.DECIMAL}):
+            yield "the bytes are decimal numbers: some have three digits or a sign"
+        elif self.decimal:
+            yield "some lines are decimal, others hexadecimal: digits without a letter are read as decimal"
+        elif radixes == {Radix.EITHER}:
+            yield "nothing tells whether the bytes are hexadecimal or decimal: they are read as hexadecimal"
