@@ -152,13 +152,13 @@ class DataFile:
     def write(self, rows: pyarrow.Table, captures: Collection[str]) -> bool:
         """Write rows as one row group; `captures`: whose they are. Say whether there is room for more."""
         if self._writer is None:
-            running = [name for name in _RUNNING if name in self._schema.names]
-            others = [each.name for each in self._schema if each.name not in running]
-            # The log of the table has the schema, with units and sections.
+            names = self._schema.names
+            others = [path for name in names if name not in _RUNNING for path in (name, f"{name}.list.element")]
+            # The log of the table has the schema, with units and sections. Nobody seeks the least bytes of frames.
             self._writer = needed("pyarrow.parquet").ParquetWriter(
                 self._buffer, self._written, compression="snappy" if len(rows) < _FEW else "zstd", store_schema=False,
-                use_dictionary=[*others, *(f"{name}.list.element" for name in others)],
-                column_encoding=dict.fromkeys(running, "DELTA_BINARY_PACKED"),
+                use_dictionary=others, write_statistics=[path for path in (*names, *others) if path != "_raw"],
+                column_encoding={name: "DELTA_BINARY_PACKED" for name in names if name in _RUNNING},
             )  # fmt: skip
         self._writer.write_table(rows)
         self._count += len(rows)

@@ -261,6 +261,26 @@ def test_a_capture_that_grows_while_it_is_read_is_not_taken(tmp_path, monkeypatc
     assert ingest(made, path).new == 1
 
 
+def test_a_capture_that_is_replaced_before_it_is_read_is_not_taken(tmp_path, monkeypatch):
+    path = tmp_path / "a.log"
+    path.write_text(candump(1))
+    from analyzer.fleet import rows as rows_module
+
+    opened = rows_module.open_reading
+
+    def replaced(*given):
+        about = path.stat()
+        path.write_text(candump(1).replace("can0", "can1"))
+        os.utime(path, ns=(about.st_atime_ns, about.st_mtime_ns))
+        return opened(*given)
+
+    made = lake(tmp_path / "lake")
+    monkeypatch.setattr(rows_module, "open_reading", replaced)
+    # Size and time are as before: what the decoder has read tells.
+    assert "changed while it was read" in ingest(made, path).unread[0][1]
+    assert list(rows(made)) == ["captures"]
+
+
 def test_long_captures_have_files_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setattr("analyzer.fleet.rows.HELD", 50)
     monkeypatch.setattr("analyzer.fleet.files.GROUP", 20)
