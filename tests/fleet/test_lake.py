@@ -479,6 +479,30 @@ def test_a_profile_that_names_no_machine_is_told(text, tmp_path):
         ingest(lake(tmp_path / "lake"), tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("given", "of_lake"),
+    [
+        (["--store", "key=source"], {"key": "source"}),
+        (["--store", "key=source", "--lake-store", "key=lake", "--lake-store", "token=x=y"], {"key": "lake", "token": "x=y"}),
+    ],
+)
+def test_a_lake_has_the_options_of_the_sources_or_its_own(monkeypatch, given, of_lake):
+    asked = []
+
+    def opened(place, **how):
+        asked.append(place)
+        raise UsageError("no lake is made here")
+
+    def from_source(url, options):
+        asked.append(Place(url, dict(options)))
+        return asked[-1]
+
+    monkeypatch.setattr("analyzer.fleet.cli.stores.Lake", opened)
+    monkeypatch.setattr("analyzer.fleet.cli.ingest.place", from_source)
+    assert main(["ingest", "s3://source/in", "--to", "s3://plant/lake", *given]) == 2
+    assert [place.options for place in asked] == [{"key": "source"}, of_lake]
+
+
 def test_a_store_that_fails_now_and_then_is_asked_again():
     waits, answers = [], iter([OSError("cut off"), OSError(104, "reset"), "fine"])
 
