@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analyzer.fleet.place import Place
+from analyzer.sinks.parquet_file import packing
 from analyzer.sources.times import DATED
 from analyzer.table.extras import needed
 
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 GROUP, FILE_BYTES = 1 << 17, 32 << 20
 #: Rows below which zstd costs more work than all the rest of a file.
 _FEW = 1000
-#: Columns whose values hardly repeat and mostly grow. Stored as a dictionary they cost ten times as much as by differences.
-_RUNNING = ("time", "time_ns", "sequence", "_request_sequence", "request_sequence", "_offset")
 #: What every table but `captures` can be partitioned by.
 PARTITIONS = ("date", "machine")
 #: Findings of a reply, and the outcome of its request that each means.
@@ -152,14 +151,10 @@ class DataFile:
     def write(self, rows: pyarrow.Table, captures: Collection[str]) -> bool:
         """Write rows as one row group; `captures`: whose they are. Say whether there is room for more."""
         if self._writer is None:
-            running = [name for name in _RUNNING if name in self._schema.names]
-            others = [each.name for each in self._schema if each.name not in running]
-            # The log of the table has the schema, with units and sections.
-            self._writer = needed("pyarrow.parquet").ParquetWriter(
-                self._buffer, self._written, compression="snappy" if len(rows) < _FEW else "zstd", store_schema=False,
-                use_dictionary=[*others, *(f"{name}.list.element" for name in others)],
-                column_encoding=dict.fromkeys(running, "DELTA_BINARY_PACKED"),
-            )  # fmt: skip
+            # What is kept for years is compressed whatever its encoding. The log of the table has the schema, with units.
+            how = packing(self._written) | {"compression": "snappy" if len(rows) < _FEW else "zstd", "compression_level": None}
+            parquet = needed("pyarrow.parquet")
+            self._writer = parquet.ParquetWriter(self._buffer, self._written, store_schema=False, **how)
         self._writer.write_table(rows)
         self._count += len(rows)
         self._captures |= dict.fromkeys(captures)

@@ -38,7 +38,7 @@ from analyzer.events import SETUPS
 from analyzer.fleet.files import Destination, Files
 from analyzer.fleet.lake import RANGES
 from analyzer.fleet.place import Place, no_room
-from analyzer.fleet.rows import TAKEN, Capture, Taken, Work, decoded, reason_of, sha256_of, take
+from analyzer.fleet.rows import TAKEN, Capture, Content, Taken, Work, decoded, reason_of, take
 from analyzer.pipeline import Item, Pipeline, PortSetup
 from analyzer.records import Chunk, Event
 from analyzer.sinks.object_table import Table, TableUnpickler, dumped
@@ -188,20 +188,20 @@ def scan(task: Scan, to: Destination, options: argparse.Namespace) -> Taken:
     size, frames, ranges = work.found.size, 0, 0
     try:
         with work.source.as_file(work.found) as path:
-            row["capture"] = sha256 = sha256_of(path)
-            if sha256 in work.before:
+            content = Content.of(path)
+            row["capture"] = content.sha256
+            if content.sha256 in work.before:
                 return Taken([row | {"status": "known"}], read=size)
             reading = open_reading(str(path), options)
             if reading.time_range.wanted:
                 # What is decoded unseen belongs to no range.
                 reading.source.close()
                 return take([work], to, options)
-            spool = _Spool(task, to, reading, sha256)
-            row |= decoded(reading, (), spool.feed, spool.end)
+            spool = _Spool(task, to, reading, content.sha256)
+            row |= content.of_reading(decoded(reading, (), spool.feed, spool.end), reading.source)
+            if row["status"] not in TAKEN:
+                return Taken([row], read=size)
             frames, ranges = row["frames"], spool.written
-            if sha256_of(path) != sha256:
-                changed = "it changed while it was read: ingest it again when it is whole"
-                return Taken([row | {"status": "failed", "reason": changed}], read=size)
             row["date"] = spool.capture.day
     except (ServotapError, OSError) as error:
         if no_room(error):

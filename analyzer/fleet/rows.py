@@ -30,6 +30,7 @@ from analyzer.pipeline import Item, Pipeline, Sink
 from analyzer.records import Severity
 from analyzer.sinks.parquet import ParquetTables
 from analyzer.sinks.summary import Summary
+from analyzer.sources.source import Source
 from analyzer.sources.times import Clock, is_dated
 from analyzer.table.extras import needed
 from analyzer.values import printable
@@ -201,16 +202,14 @@ def _take_one(work: Work, shared: Files, seen: set[str], options: argparse.Names
     row = work.row()
     try:
         with work.source.as_file(work.found) as path:
-            row["capture"] = sha256 = sha256_of(path)
+            content = Content.of(path)
+            row["capture"] = sha256 = content.sha256
             if sha256 in work.before or sha256 in seen:
                 return row | {"status": "known"}, []
             capture = Capture(work, shared, sha256)
-            row |= into_tables(str(path), capture, options)
-            if sha256_of(path) != sha256:
-                return row | {
-                    "status": "failed",
-                    "reason": "it changed while it was read: ingest it again when it is whole",
-                }, []
+            row |= into_tables(content, capture, options)
+            if row["status"] not in TAKEN:
+                return row, []
     except (ServotapError, OSError) as error:
         if no_room(error):
             raise
@@ -223,15 +222,43 @@ def _take_one(work: Work, shared: Files, seen: set[str], options: argparse.Names
     return row, [] if capture.own is None else capture.own.finish()
 
 
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file."""
+@dataclass(frozen=True)
+class Content:
+    """What a file holds. `stamp`: its size and time."""
+
+    path: Path
+    sha256: str
+    stamp: tuple[int, int]
+
+    @classmethod
+    def of(cls, path: Path) -> Content:
+        """Return the content of a file as it is now."""
+        return cls(path, stamp=_stamp(path), sha256=_sha256(path))
+
+    def of_reading(self, values: dict[str, Any], source: Source) -> dict[str, Any]:
+        """Return values for the row of `captures`, as failed where a source has read another content.
+
+        A source hashes what it reads. Where it left something out, or the file has another time now, the file is hashed again.
+        """
+        kept = _stamp(self.path) == self.stamp
+        if ((source.sha256 if kept else None) or _sha256(self.path)) == self.sha256:
+            return values
+        return values | {"status": "failed", "reason": "it changed while it was read: ingest it again when it is whole"}
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    about = path.stat()
+    return about.st_size, about.st_mtime_ns
+
+
+def _sha256(path: Path) -> str:
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def into_tables(path: str, capture: Capture, options: argparse.Namespace) -> dict[str, Any]:
+def into_tables(content: Content, capture: Capture, options: argparse.Namespace) -> dict[str, Any]:
     """Decode a capture into its tables. Return values for its row of `captures`. Raises UnreadableError."""
-    reading = open_reading(path, options)
+    reading = open_reading(str(content.path), options)
     tables = ParquetTables(capture.target, reading.source.clock)
 
     def feed(pipeline: Pipeline, item: Item) -> None:
@@ -240,7 +267,7 @@ def into_tables(path: str, capture: Capture, options: argparse.Namespace) -> dic
 
     found = decoded(reading, (tables,), feed)
     tables.finish({})
-    return found
+    return content.of_reading(found, reading.source)
 
 
 def decoded(

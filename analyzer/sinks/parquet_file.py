@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from analyzer.sinks.parquet import Target
 
 #: Columns that rise from row to row: of these the differences are written, in as few bits as they need.
-_RISING = frozenset(("time", "sequence", "_offset", "_request_sequence"))
+_RISING = frozenset(("time", "time_ns", "sequence", "_offset", "_request_sequence", "request_sequence"))
 #: Numbers of which there are few, beside words: for each of these stands its place among those that occur.
-_FEW = frozenset(("address", "_can_id"))
+_FEW = frozenset(("address", "_can_id", "_latency", "latency"))
 #: What nobody looks for by its least and greatest.
 _UNORDERED = frozenset(("_raw",))
 _DIFFERENCES = "DELTA_BINARY_PACKED"
@@ -36,7 +36,7 @@ class File:
         if self._writer is None:
             # A name that is no UTF-8 is none for pyarrow.
             self._stream = self._path.open("wb")
-            self._writer = needed("pyarrow.parquet").ParquetWriter(self._stream, self._schema, **_packing(self._schema))
+            self._writer = needed("pyarrow.parquet").ParquetWriter(self._stream, self._schema, **packing(self._schema))
         self._writer.write_table(rows)
 
     def close(self) -> None:
@@ -51,8 +51,8 @@ def files_in(folder: Path) -> Callable[[str, pyarrow.Schema], Target]:
     return lambda name, schema: File(folder / f"{name}.parquet", schema)
 
 
-def _packing(schema: pyarrow.Schema) -> dict[str, Any]:
-    """Return how the columns of a table are written.
+def packing(schema: pyarrow.Schema) -> dict[str, Any]:
+    """Return how the columns of a table are written, for a ParquetWriter.
 
     Numbers that differ from row to row have no dictionary, which would be made in vain. What its encoding makes small is not
     compressed besides: that would take longer than all else.

@@ -261,6 +261,26 @@ def test_a_capture_that_grows_while_it_is_read_is_not_taken(tmp_path, monkeypatc
     assert ingest(made, path).new == 1
 
 
+def test_a_capture_that_is_replaced_before_it_is_read_is_not_taken(tmp_path, monkeypatch):
+    path = tmp_path / "a.log"
+    path.write_text(candump(1))
+    from analyzer.fleet import rows as rows_module
+
+    opened = rows_module.open_reading
+
+    def replaced(*given):
+        about = path.stat()
+        path.write_text(candump(1).replace("can0", "can1"))
+        os.utime(path, ns=(about.st_atime_ns, about.st_mtime_ns))
+        return opened(*given)
+
+    made = lake(tmp_path / "lake")
+    monkeypatch.setattr(rows_module, "open_reading", replaced)
+    # Size and time are as before: what the decoder has read tells.
+    assert "changed while it was read" in ingest(made, path).unread[0][1]
+    assert list(rows(made)) == ["captures"]
+
+
 def test_long_captures_have_files_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setattr("analyzer.fleet.rows.HELD", 50)
     monkeypatch.setattr("analyzer.fleet.files.GROUP", 20)
@@ -457,6 +477,30 @@ def test_a_profile_that_names_no_machine_is_told(text, tmp_path):
     (tmp_path / "a.log").write_text(candump(1))
     with pytest.raises(UsageError, match=r"servotap\.toml: expected"):
         ingest(lake(tmp_path / "lake"), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("given", "of_lake"),
+    [
+        (["--store", "key=source"], {"key": "source"}),
+        (["--store", "key=source", "--lake-store", "key=lake", "--lake-store", "token=x=y"], {"key": "lake", "token": "x=y"}),
+    ],
+)
+def test_a_lake_has_the_options_of_the_sources_or_its_own(monkeypatch, given, of_lake):
+    asked = []
+
+    def opened(place, **how):
+        asked.append(place)
+        raise UsageError("no lake is made here")
+
+    def from_source(url, options):
+        asked.append(Place(url, dict(options)))
+        return asked[-1]
+
+    monkeypatch.setattr("analyzer.fleet.cli.stores.Lake", opened)
+    monkeypatch.setattr("analyzer.fleet.cli.ingest.place", from_source)
+    assert main(["ingest", "s3://source/in", "--to", "s3://plant/lake", *given]) == 2
+    assert [place.options for place in asked] == [{"key": "source"}, of_lake]
 
 
 def test_a_store_that_fails_now_and_then_is_asked_again():

@@ -19,7 +19,7 @@ from analyzer.fleet import ingest as ingesting
 from analyzer.fleet.ingest import Ingest, Outcome, Pattern, workers, works
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Place
-from tests.fleet.lakes import hall, ingest, options, rows
+from tests.fleet.lakes import candump, hall, ingest, options, rows
 
 
 @pytest.fixture(scope="module")
@@ -224,3 +224,20 @@ def test_the_commands(captures, tmp_path, capsys):
     assert "Machines and drives" in page.read_text()
     opened = servotap.lake(made)
     assert opened.table("states").select("speed").collect().height == opened.sql("from states").num_rows > 0
+
+
+def test_what_could_not_be_read_is_tried_again_by_the_command(tmp_path, capsys):
+    folder, made = tmp_path / "in", tmp_path / "lake"
+    folder.mkdir()
+    (folder / "a.log").write_text(candump(1))
+    # A frame among other bytes is recognised as nothing, until the user says what the file is.
+    (folder / "b.dat").write_bytes(b"nothing of use\n" * 20 + bytes.fromhex("FA 01 32 2D"))
+    asked = ["ingest", str(folder), "--to", str(made), "--workers", "1", "--json"]
+    told = []
+    for words, code in (([], 2), (["--format", "raw"], 0), (["--format", "raw", "--retry"], 0), (["--retry"], 0)):
+        assert main([*asked, *words]) == code
+        told.append(json.loads(capsys.readouterr().out))
+    assert [(each["new"], each["known"], len(each["unread"])) for each in told] == [(1, 0, 1), (0, 2, 0), (1, 1, 0), (0, 2, 0)]
+    found = rows(Lake(Place(str(made))))
+    assert [row["status"] for row in found["captures"]] == ["decoded", "decoded"]
+    assert len(found["mks_rs485.read_speed_request"]) == 1

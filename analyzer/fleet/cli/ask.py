@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     target = None if arguments.output is None else free_target(Path(arguments.output), arguments.force)
     if target is not None and target.suffix not in _SUFFIXES:
         raise UsageError(f"-o {target}: expected a name that ends in {' or '.join(_SUFFIXES)}")
-    question = Question(lake(arguments, arguments.lake))
+    question = Question(lake(arguments.lake, arguments.store))
     query = arguments.query
     if query is None:
         _show(["table", "columns"], [[name, str(len(list(question.columns(name))))] for name in question.tables])

@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
     needed("deltalake")
     if not 0 <= arguments.keep <= 36_500:
         raise UsageError(f"--keep {arguments.keep:g}: expected days, 0 or more")
-    opened = lake(arguments, arguments.lake)
+    opened = lake(arguments.lake, arguments.store)
     opened.recover()
     joined, removed = opened.compact(arguments.keep)
     print(f"{arguments.lake}: joined {counted(joined, 'file')}, removed {counted(removed, 'file')}")

@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     for package in ("pyarrow", "deltalake", "duckdb"):
         needed(package)
     target = free_target(Path(arguments.output), arguments.force)
-    question = Question(lake(arguments, arguments.lake))
+    question = Question(lake(arguments.lake, arguments.store))
     with answering():
         found = health(question)
     data = html(found).encode(errors="backslashreplace")

@@ -31,6 +31,7 @@ examples:
   servotap ingest captures/ --to lake/
   servotap ingest hall/ --to lake/ --machine '{machine}/{date}/*'
   servotap ingest s3://plant/captures --to s3://plant/lake --store endpoint_url=http://minio:9000
+  servotap ingest sftp://hall/in --to s3://plant/lake --store username=me --lake-store endpoint_url=http://minio:9000
   servotap ingest s3://plant/captures --to s3://plant/lake --scheduler tcp://scheduler:8786
   servotap ingest hall/ --to lake/ --machine '{machine}/{date}/*' --partition-by date      few small captures a machine
   servotap ingest captures/ --to lake/ --retry         those that could not be read, too
@@ -62,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--retry", action="store_true", help="try again what could not be read before")
     parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
     add_store_argument(parser)
+    add_store_argument(parser, "--lake-store", "the same for LAKE, where it needs others: --store is then for SOURCE alone")
     add_reading_arguments(parser)
 
 
@@ -70,9 +72,10 @@ def run(arguments: argparse.Namespace) -> int:
     for package in ("pyarrow", "deltalake", "distributed"):
         needed(package)
     pattern = None if arguments.machine is None else Pattern(arguments.machine)
-    sources = [place(url, arguments) for url in arguments.sources]
+    sources = [place(url, arguments.store) for url in arguments.sources]
+    options = arguments.lake_store or arguments.store
     with Interrupt() as interrupt:
-        to = interrupt.opened(lambda: lake(arguments, arguments.to, make=True, partitions=arguments.partition_by))
+        to = interrupt.opened(lambda: lake(arguments.to, options, make=True, partitions=arguments.partition_by))
         outcome, started = Outcome(), time.monotonic()
         outcome.recovered = to.recover()
         found = interrupt.opened(lambda: works(sources, to, pattern, arguments.retry, outcome))
