@@ -11,8 +11,9 @@ plausible sessions (`captures/make.py`: polls, settings, motion). Each work is d
 - a filter over a log: a loop over the messages by `mcap` and `json`
 
 CPU seconds count all processes of a command, and its start; Python finds modules compiled, as where they are installed, for all
-programs alike. `decode` uses one process. A second table has what a second core gains: one process on one core, two on two, in
-seconds of the clock by turns, for which the machine should have nothing else to do.
+programs alike. `decode` uses one process. A second table has what a second core gains, in seconds of the clock by turns, for
+which the machine should have nothing else to do: one process on one core, one on two, and two on two. One process gains by a
+second core, too, for a thread of its own packs the log. So two processes are compared with one on one core.
 """
 
 from __future__ import annotations
@@ -71,18 +72,23 @@ def cpu(command: Sequence[str], cores: int | None = None) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
+#: Processes, and the cores that they may use.
+RUNS = ((1, 1), (1, 2), (2, 2))
+
+
 def gained(ours: Sequence[str], rounds: int) -> str:
-    """Return a row of the second table: medians on one core and on two, by the clock and as CPU, and of their ratios."""
-    clock: dict[str, list[float]] = {"1": [], "2": []}
-    spent: dict[str, list[float]] = {"1": [], "2": []}
+    """Return a row of the second table: medians by the clock and as CPU of each run, and what the last gains against others."""
+    clock: dict[tuple[int, int], list[float]] = {run: [] for run in RUNS}
+    spent: dict[tuple[int, int], list[float]] = {run: [] for run in RUNS}
     for _ in range(rounds):
-        for jobs in clock:
+        for jobs, cores in RUNS:
             started = time.perf_counter()
-            spent[jobs].append(cpu([*ours, "--jobs", jobs], int(jobs)))
-            clock[jobs].append(time.perf_counter() - started)
-    ratio = statistics.median(one / two for one, two in zip(*clock.values(), strict=True))
-    cells = [statistics.median(times[jobs]) for jobs in clock for times in (clock, spent)]
-    return " | ".join([*(f"{cell:.2f}" for cell in cells), f"{ratio:.2f}"])
+            spent[jobs, cores].append(cpu([*ours, "--jobs", str(jobs)], cores))
+            clock[jobs, cores].append(time.perf_counter() - started)
+    *others, last = clock.values()
+    ratios = [statistics.median(one / two for one, two in zip(other, last, strict=True)) for other in others]
+    cells = [statistics.median(times[run]) for run in RUNS for times in (clock, spent)]
+    return " | ".join(f"{cell:.2f}" for cell in (*cells, *ratios))
 
 
 def main() -> None:
@@ -121,7 +127,9 @@ def main() -> None:
                     print(f"| {name} | {work} | {by} | {taken:.2f} | {taken / own:.2f} |", flush=True)
             for by in ("servotap, pcap", "servotap, candump"):
                 jobs.append(f"| {name} | {by} | {gained(commands_of['decode'][by], arguments.rounds)} |")
-    print("\n| capture | by | one core, s | its CPU s | two, s | their CPU s | times as fast |\n|" + 7 * " --- |")
+    heads = [f"{jobs} on {cores}{what}" for jobs, cores in RUNS for what in (", s", ", CPU s")]
+    gains = [f"2 on 2 against {jobs} on {cores}" for jobs, cores in RUNS[:-1]]
+    print("\n" + " | ".join(("| capture | by", *heads, *gains)) + " |\n|" + (2 + len(heads) + len(gains)) * " --- |")
     print(*jobs, sep="\n")
 
 

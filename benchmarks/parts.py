@@ -8,6 +8,8 @@ from pathlib import Path
 
 def read(path: str) -> int:
     """Read a capture as `decode` does; return how many frames it has."""
+    # What the program sets as it starts: NumPy has no threads that wait for matrices.
+    import analyzer.__main__  # noqa: F401
     from analyzer.columns import memory
     from analyzer.columns.block import CanBlock
     from analyzer.sources import open_source

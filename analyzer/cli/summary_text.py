@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.cells import cell_len
-from rich.table import Table
-from rich.text import Text
 
-from analyzer.cli.console import Console
 from analyzer.cli.reading import OpenCapture
 from analyzer.records import Finding, Severity
 from analyzer.sinks.summary import Summary
 from analyzer.values import counted, identifier, printable
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from analyzer.cli.console import Console
 
 #: Nodes that are named of those that are no drives.
 _OTHERS_NAMED = 12
@@ -28,19 +33,43 @@ def milliseconds(value_ns: float) -> str:
     return f"{value:.3f}" if value < 10 else f"{value:.1f}" if value < 1000 else f"{value:.0f}"
 
 
+class _Paper:
+    """What a summary is printed on: a terminal, with styles, or a file or a pipe."""
+
+    def __init__(self) -> None:
+        self._styled = sys.stdout.isatty()
+
+    @cached_property
+    def _console(self) -> Console:
+        # It takes about as long to load as all that a small capture needs besides.
+        from analyzer.cli.console import Console
+
+        # Into a file or a pipe there is no width to keep to.
+        return Console(highlight=False, soft_wrap=True, width=None if self._styled else 140)
+
+    def line(self, text: str, style: str = "") -> None:
+        """Print a line of text."""
+        if not self._styled:
+            print(printable(text))
+            return
+        from rich.text import Text
+
+        self._console.print(Text(printable(text), style=style))
+
+    def table(self, table: Table) -> None:
+        """Print a table."""
+        self._console.print(table)
+
+
 def print_summary(reading: OpenCapture, summary: Summary, target: Path, stopped: str) -> None:
     """Print the summary of a decoded capture."""
-    # Into a file or a pipe there is no width to keep to.
-    console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 140)
-
-    def line(text: str, style: str = "") -> None:
-        console.print(Text(printable(text), style=style))
-
-    source = reading.source
+    paper = _Paper()
+    line, source = paper.line, reading.source
     line(f"{source.name}: {source.format}, {', '.join(d.title for d in reading.dialects)}")
     line(f"dialect {', '.join(d.name for d in reading.dialects)} ({reading.choice.reason})")
     line(f"times: {reading.time_source}")
-    console.print(_commands(summary))
+    for place, text in enumerate(_commands(summary)):
+        line(text, "" if place else "bold")
     junk = sum(summary.junk_bytes.values())
     reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(summary.junk_bytes.items()))
     total = summary.frame_bytes + junk
@@ -49,11 +78,11 @@ def print_summary(reading: OpenCapture, summary: Summary, target: Path, stopped:
         + (f" ({reasons})" if junk else "")
     )
     if summary.others:
-        console.print(_others(summary))
+        paper.table(_others(summary))
     for bus, who, count in summary.doubtful():
         line(f"{bus} {who}: none of {count} frames has a fitting checksum: another node? --ids says who is a drive", "yellow")
     if summary.findings:
-        console.print(_findings(summary))
+        paper.table(_findings(summary))
     else:
         line("no findings")
     for note in source.notes:
@@ -63,8 +92,8 @@ def print_summary(reading: OpenCapture, summary: Summary, target: Path, stopped:
     line(f"wrote {target}")
 
 
-def _commands(summary: Summary) -> Text:
-    """Return a line for each command of each drive. There may be hundreds, for which a table of rich takes long."""
+def _commands(summary: Summary) -> Iterator[str]:
+    """Yield a heading, and a line for each command of each drive: of hundreds, a table of rich takes long."""
     told = any(row.messages for row in summary.rows.values())
     rows = [(*_NAMES, *(("messages",) if told else ()), *_COUNTS)]
     ordered = sorted(summary.rows.items(), key=lambda i: (i[0][0], i[0][1].zfill(5), i[0][2], i[0][3]))
@@ -74,13 +103,11 @@ def _commands(summary: Summary) -> Text:
         counts = [str(row.messages)] * told + [str(row.requests + row.unknown), str(row.replies)]
         rows.append((printable(bus), who_text(summary, bus, address), name, *counts, *(times if lat.count else ("", "", ""))))
     widths = [max(map(cell_len, column)) for column in zip(*rows, strict=True)]
-    text = Text()
-    for place, cells in enumerate(rows):
+    for cells in rows:
         blanks = [" " * (width - cell_len(cell)) for width, cell in zip(widths, cells, strict=True)]
         pairs = enumerate(zip(cells, blanks, strict=True))
         shown = [cell + blank if n < len(_NAMES) else blank + cell for n, (cell, blank) in pairs]
-        text.append("  ".join(shown) + "\n" * (place < len(rows) - 1), style="" if place else "bold")
-    return text
+        yield "  ".join(shown)
 
 
 def who_text(summary: Summary, bus: str, address: str) -> str:
@@ -89,6 +116,9 @@ def who_text(summary: Summary, bus: str, address: str) -> str:
 
 
 def _others(summary: Summary) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("bus", "not of this dialect"):
         table.add_column(name, no_wrap=True)
@@ -114,6 +144,9 @@ def _place(found: Finding) -> str:
 
 
 def _findings(summary: Summary) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("finding")
     table.add_column("severity")

@@ -47,20 +47,18 @@ class Crc16:
     #: What two bytes give, by how many follow.
     _shares: ClassVar[dict[int, NDArray[np.uint16]]] = {}
 
-    def __init__(self, codes: Bytes) -> None:
-        self._pairs = codes.astype(np.uint16)
-        self._pairs[:-1] |= codes[1:].astype(np.uint16) << 8
-
-    def fit(self, starts: Integers, size: int) -> Flags:
-        """Say which stretches of a length end with their own CRC, low byte first."""
+    @classmethod
+    def fits(cls, rows: Bytes) -> Flags:
+        """Say which rows of one length end with their own CRC, low byte first."""
+        count, size = rows.shape
         # Zeros show what the start value alone gives.
-        total = np.full(len(starts), crc16.modbus(bytes(size)), dtype=np.uint16)
-        for place in range(0, size - 1, 2):
-            total ^= self._share(size - place - 2).take(self._pairs.take(starts + place))
+        total = np.full(count, crc16.modbus(bytes(size)), dtype=np.uint16)
+        even = size - size % 2
+        for place, pairs in enumerate(rows[:, :even].view("<u2").T):
+            total ^= cls._share(size - 2 * place - 2).take(pairs)
         if size % 2:
-            last = self._pairs.take(starts + size - 1) & np.uint16(0xFF)
             # A byte with a zero before it: with nothing behind, the zero gives nothing.
-            total ^= self._share(0).take(last << 8)
+            total ^= cls._share(0).take(rows[:, -1].astype(np.uint16) << 8)
         result: Flags = total == 0
         return result
 
@@ -85,6 +83,14 @@ def rows_of(values: Bytes) -> Iterator[tuple[int, Integers]]:
     order, ends = np.argsort(values, kind="stable"), np.cumsum(np.bincount(values, minlength=1))
     for value in (np.flatnonzero(np.diff(ends)) + 1).tolist():
         yield value, order[ends[value - 1] : ends[value]]
+
+
+def windows(codes: Bytes, starts: Integers, size: int) -> Bytes:
+    """Return so many bytes from each of some places on."""
+    # Items of one type as wide as a row are taken at once.
+    there = np.ndarray(max(0, len(codes) - size + 1), dtype=f"V{size}", buffer=codes, strides=(1,))
+    rows: Bytes = there[starts].view(np.uint8).reshape(len(starts), size)
+    return rows
 
 
 def places_of(codes: Bytes, values: bytes, room: int) -> Integers:

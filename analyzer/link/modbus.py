@@ -36,7 +36,7 @@ from analyzer.link.interface import (
 )
 
 if TYPE_CHECKING:
-    from analyzer.link.arrays import Bytes, Flags, Found, Integers
+    from analyzer.link.arrays import Bytes, Flags, Found
 
 modbus_crc: Callable[[bytes], int] = _crc16.modbus
 
@@ -49,6 +49,8 @@ _EXCEPTIONS = frozenset(function | 0x80 for function in FUNCTIONS)
 #: The highest address, and the last exception code, that Modbus has.
 _MODBUS_HIGHEST = 247
 _MODBUS_LAST_EXCEPTION = 11
+#: Coils that one request reads at most.
+_MOST_COILS = 2000
 #: Characters of silence between frames, and the silence above a baud rate.
 _SILENT_CHARACTERS = 3.5
 _FAST_BAUD, _FAST_SILENCE_NS = 19200, 1_750_000
@@ -216,7 +218,7 @@ class _ModbusSlicer(Slicer):
                 return (MORE,)
             count = buffer[at + 2]
             quantity = buffer[at + 4] << 8 | buffer[at + 5]
-            is_request = 1 <= quantity <= (2000 if function < 3 else 125)
+            is_request = 1 <= quantity <= (_MOST_COILS if function < 3 else 125)
             if 1 <= count <= 250 and (function < 3 or count % 2 == 0) and buffer[at] != 0:
                 if not is_request or count == 3:
                     return (5 + count,)
@@ -298,70 +300,67 @@ class _ModbusSlicer(Slicer):
     def scan(self, codes: Bytes) -> Found | None:
         import numpy as np
 
-        from analyzer.link.arrays import Crc16, Found, rows_of
+        from analyzer.link.arrays import Crc16, Found, rows_of, windows
 
-        rules: tuple[tuple[frozenset[int], Callable[[Bytes, Integers], tuple[Flags | bool, Bytes | int]]], ...] = (
-            (READS, self._of_reads),
-            (WRITE_ONE, self._of_write),
-            (WRITE_MANY, self._of_writes),
-            (_EXCEPTIONS, self._of_exceptions),
-        )
-        kinds = np.zeros(256, dtype=np.uint8)
-        for kind, (functions, _) in enumerate(rules, 1):
-            kinds[list(functions)] = kind
         room = max(0, len(codes) - _LONGEST_SCANNED)
-        there = kinds.take(codes[1 : room + 1])
-        places = np.flatnonzero(there.view(np.bool_) & (codes[:room] <= _MODBUS_HIGHEST))
-        there = there.take(places)
-        # Of each place: whether a frame of 8 bytes can begin there, and the other length that one can have, 0 for none.
-        eight, other = np.zeros(len(places), dtype=np.bool_), np.zeros(len(places), dtype=np.uint8)
-        for kind, rows in rows_of(there):
-            eight[rows], other[rows] = rules[kind - 1][1](codes, places.take(rows))
-        crc, sizes = Crc16(codes), np.zeros(len(places), dtype=np.uint8)
-        for size, rows in rows_of(other):
-            sizes[rows[crc.fit(places.take(rows), size)]] = size
-        rows = np.flatnonzero(eight)
-        rows = rows[crc.fit(places[rows], 8)]
+        # A table of bytes is looked up in faster than arrays do it.
+        kinds = np.frombuffer(codes[1 : room + 1].tobytes().translate(_KINDS), dtype=np.uint8)
+        kinds = kinds * (codes[:room] <= _MODBUS_HIGHEST)
+        reads, writes_one, writes_many, exceptions = (kinds == kind for kind in range(1, 1 + len(_FUNCTIONS_OF_KIND)))
+        # Of each place: whether a frame of 8 bytes can begin there, and the other length that one can have, 0 for none. To
+        # reckon it at all places is faster than to pick out first where a read can begin.
+        asks, other = self._of_reads([codes[place : room + place] for place in range(6)])
+        eight = (asks & reads) | writes_one | writes_many
+        other = other * reads + (codes[2 : room + 2] - 1 < _MODBUS_LAST_EXCEPTION) * exceptions * np.uint8(5)
+        places = np.flatnonzero(writes_many)
+        other[places] = self._of_writes(windows(codes, places, 8))
+        sizes = np.zeros(room, dtype=np.uint8)
+        places = np.flatnonzero(other)
+        for size, rows in rows_of(other.take(places)):
+            own = places.take(rows)
+            sizes[own[Crc16.fits(windows(codes, own, size))]] = size
+        places = np.flatnonzero(eight)
+        places = places.take(np.flatnonzero(Crc16.fits(windows(codes, places, 8))))
         # Of two lengths the shorter counts; where they are one apart, it is a tie.
-        own = sizes[rows]
-        sizes[rows] = np.where((own == 7) | (own == 9), 0, np.where((own > 0) & (own < 8), own, 8))
-        rows = np.flatnonzero(sizes)
-        found = sizes[rows].astype(np.int64)
+        beside = sizes.take(places)
+        sizes[places] = np.where((beside == 7) | (beside == 9), 0, np.where((beside > 0) & (beside < 8), beside, 8))
+        places = np.flatnonzero(sizes)
+        found = sizes.take(places)
         # Where two lengths are one apart, the longer was looked at, too.
-        more = ((found == 7) & eight[rows]) | ((found == 8) & (other[rows] == 9))
-        return Found(places[rows], found, found + more)
+        more = ((found == 7) & eight.take(places)) | ((found == 8) & (other.take(places) == 9))
+        return Found(places, found.astype(np.int64), (found + more).astype(np.int64))
 
     @staticmethod
-    def _of_write(codes: Bytes, starts: Integers) -> tuple[bool, int]:
-        """Say of each place whether a frame of 8 bytes fits there, and which other length does."""
-        return True, 0
+    def _of_reads(columns: Sequence[Bytes]) -> tuple[Flags, Bytes]:
+        """Say of places whether a request to read can begin there, which has 8 bytes, and how long a reply is; 0: none, or 8.
 
-    @staticmethod
-    def _of_reads(codes: Bytes, starts: Integers) -> tuple[Flags, Bytes]:
-        """Likewise of reads: a request has 8 bytes, a reply tells its length."""
-        few, count, high, low = codes[starts + 1] < 3, codes[starts + 2], codes[starts + 4], codes[starts + 5]
+        `columns`: the first bytes that would be theirs.
+        """
+        address, function, count, _, high, low = columns
+        few = function < 3
         asks = (high == 0) & (low > 0) & ((low <= 125) | few)
-        if few.any():
-            asks |= few & (high > 0) & (high.astype("u2") << 8 | low <= 2000)
-        tells = (count > 0) & (count <= _LONGEST_SCANNED - 5) & ((count & 1 == 0) | few) & (codes[starts] > 0)
+        most = _MOST_COILS >> 8
+        asks |= few & (high > 0) & ((high < most) | ((high == most) & (low <= _MOST_COILS & 0xFF)))
+        tells = (count > 0) & (count <= _LONGEST_SCANNED - 5) & ((count & 1 == 0) | few) & (address > 0)
         sizes = tells * (count + 5)
         return asks | (sizes == 8), sizes * (sizes != 8)
 
-    def _of_writes(self, codes: Bytes, starts: Integers) -> tuple[bool, Bytes]:
-        """Likewise of writes of several registers or coils: a reply always fits."""
-        count, quantity = codes[starts + 6], codes[starts + 4].astype("i8") << 8 | codes[starts + 5]
+    def _of_writes(self, rows: Bytes) -> Bytes:
+        """Return how long a write of several registers or coils is, by its first 8 bytes; 0: it is none."""
+        _, function, *registers, count, _ = rows.T
+        register, quantity = (high.astype("i8") << 8 | low for high, low in (registers[:2], registers[2:]))
         wanted = quantity * 2
-        register = codes[starts + 2].astype("i8") << 8 | codes[starts + 3]
         for number, odd in self._link.odd_counts.items():
             wanted[register == number] = odd
-        coils = codes[starts + 1] == 0x0F
+        coils = function == 0x0F
         wanted[coils] = (quantity[coils] + 7) // 8
-        return True, ((quantity > 0) & (count == wanted) & (count <= _LONGEST_SCANNED - 9)) * (count + 9)
+        sizes: Bytes = ((quantity > 0) & (count == wanted) & (count <= _LONGEST_SCANNED - 9)) * (count + 9)
+        return sizes
 
-    @staticmethod
-    def _of_exceptions(codes: Bytes, starts: Integers) -> tuple[bool, Bytes]:
-        """Likewise of exceptions: nothing else fits."""
-        return False, ((codes[starts + 2] - 1 < _MODBUS_LAST_EXCEPTION) * 5).astype("u1")
+
+#: How frames of these functions are told apart, and the place of its kind, from 1, by each function.
+_FUNCTIONS_OF_KIND = (READS, WRITE_ONE, WRITE_MANY, _EXCEPTIONS)
+_KINDS = bytes(next((kind for kind, own in enumerate(_FUNCTIONS_OF_KIND, 1) if function in own), 0) for function in range(256))
 
 
 class _ModbusFinder(Finder):

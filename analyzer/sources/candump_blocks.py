@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from analyzer.columns.block import STANDARD_ID, CanBlock
 from analyzer.columns.codec import Bytes, Flags, Integers
 from analyzer.columns.groups import groups
+from analyzer.link.arrays import windows
 from analyzer.sources.candump import LOG
-from analyzer.sources.found import SHORTEST, Found, windows
+from analyzer.sources.found import SHORTEST, Found
 
 #: Kinds of lines of one length: of several buses, or with other digits.
 _MOST_KINDS = 8

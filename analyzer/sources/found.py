@@ -59,14 +59,6 @@ class Found:
             yield single, count, "", None
 
 
-def windows(codes: Bytes, starts: Integers, size: int) -> Bytes:
-    """Return so many bytes from each of some places on."""
-    # Items of one type as wide as a record are taken at once.
-    there = np.ndarray(len(codes) - size + 1, dtype=f"V{size}", buffer=codes, strides=(1,))
-    rows: Bytes = there[starts].view(np.uint8).reshape(len(starts), size)
-    return rows
-
-
 def without_rest(data: Bytes, sizes: NDArray[np.integer]) -> Bytes:
     """Return data of 8 bytes a frame with zeros behind those that it has."""
     kept = data.view("<u8")[:, 0] & _KEPT.take(sizes, mode="clip")

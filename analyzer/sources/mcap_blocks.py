@@ -18,7 +18,8 @@ from analyzer.catalogue import Role
 from analyzer.columns.block import DIRECTIONS, STANDARD_ID, WIDEST_DATA
 from analyzer.columns.codec import Flags, Integers
 from analyzer.columns.groups import ranks
-from analyzer.sources.found import Found, windows, without_rest
+from analyzer.link.arrays import windows
+from analyzer.sources.found import Found, without_rest
 from analyzer.sources.mcap_scan import HEAD, MESSAGE, Messages
 
 _HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")])

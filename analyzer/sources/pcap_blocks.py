@@ -14,7 +14,8 @@ import numpy as np
 
 from analyzer.columns.block import STANDARD_ID, CanBlock
 from analyzer.columns.codec import Bytes, Flags, Integers
-from analyzer.sources.found import Found, windows, without_rest
+from analyzer.link.arrays import windows
+from analyzer.sources.found import Found, without_rest
 from analyzer.sources.source import SECOND_NS
 
 _RECORD_SIZE = 16

@@ -16,7 +16,8 @@ import numpy as np
 
 from analyzer.columns.block import CanBlock
 from analyzer.columns.codec import Bytes, Integers
-from analyzer.sources.found import Found, windows
+from analyzer.link.arrays import windows
+from analyzer.sources.found import Found
 from analyzer.sources.pcap_blocks import FD_SIZE, starts_of, take_frames
 
 _ENHANCED = 6
