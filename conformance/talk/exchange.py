@@ -123,6 +123,11 @@ class Exchange:
         return not self.answers and not self.junk
 
     @property
+    def damaged(self) -> bool:
+        """Whether something came that cannot be read: bytes that are no frame, or a frame whose checksum does not fit."""
+        return bool(self.junk) or any(not a.message.frame.checksum_ok for a in self.answers)
+
+    @property
     def data(self) -> bytes:
         """What was sent: the bytes, on CAN the data bytes."""
         if isinstance(self.sent, CanFrame):
