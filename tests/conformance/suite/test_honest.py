@@ -217,6 +217,8 @@ ONCE_ACCUSED = [
     ("mks-rs485@1,model=42D,line-errors=1%", 1, "move_absolute_axis/takes-over"),
     # A frame with a wrong checksum is damaged too, not bytes without a frame alone.
     ("lk-rs485@1,model=MF,line-errors=1%", 2, "crossed-taken"),
+    # What the reply to a setting says is that of the one which was asked for again, also where it is a refusal.
+    ("mks-modbus@1,model=57D,line-errors=1%", 3, "motor_direction/every"),
 ]
 
 
