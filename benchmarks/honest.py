@@ -4,7 +4,8 @@
                                 [--stored 50]
 
 Each drive has a dialect, a model, traits and stored settings drawn by its number and the seed. Every second drive that cannot
-tell its settings is one of a user who tells them. Nothing may be refuted; the exit status says so.
+tell its settings is one of a user who tells them. Nothing may be refuted, but for a line that turns bits over; the exit status
+says so.
 """
 
 from __future__ import annotations
@@ -48,7 +49,10 @@ TRAITS: tuple[tuple[str, int, tuple[str, ...]], ...] = (
     ("byte-gap", 25, ("0.5", "1", "1.4")),
     ("voltage-noise", 50, ("0.05", "0.1", "0.3")),
     ("warm", 30, ("",)),
+    ("line-errors", 15, ("0.1%", "0.5%", "1%")),
 )
+#: Claims that judge the line: one that turns bits over is refuted by these, and by no other one.
+_OF_THE_LINE = ("resilience/reads/good", "traffic/reply_checks")
 
 
 #: Of a hundred settings that a drive can store, how many are not the usual ones; how many drives keep a zero or a run.
@@ -120,7 +124,8 @@ def accused(
     wanted = [claim for claim in plan.selected(target) if part in claim.id]
     for verdict in engine.run(wanted[seed % every :: every], rig):
         counts[verdict.outcome.value] += 1
-        if verdict.outcome is Outcome.REFUTED:
+        of_the_line = "line-errors=" in text and verdict.claim.id.endswith(_OF_THE_LINE)
+        if verdict.outcome is Outcome.REFUTED and not of_the_line:
             refuted.append(f"{verdict.claim.id}: {verdict.reason} ({verdict.expected}; {verdict.got})")
     return f"{text} (seed {seed}, settings {'told' if tells else 'not told'})", counts, refuted
 

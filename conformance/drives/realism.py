@@ -86,7 +86,8 @@ TRAITS: tuple[Trait, ...] = (
     Trait("first-late", "ms", "the first reply after power-on is that late", "firmware that still starts", "200ms"),
     Trait("turnaround-noise", "byte", "a byte that is none, before each reply", "transceivers without bias", "FF", serial=True),
     Trait("byte-gap", "characters", "a pause inside one of four replies", "UARTs filled by polling", "1", serial=True),
-    Trait("line-errors", "%", "replies with one bit turned over", "long lines without termination", "0.1%"),
+    # A damaged frame of CAN is sent again by the controllers.
+    Trait("line-errors", "%", "replies with one bit turned over", "long lines without termination", "0.1%", serial=True),
     Trait("voltage-noise", "V", "volts and amperes read", "switching supplies", "0.2"),
     Trait("dip", "V", "volts read while the shaft turns", "supplies with long wires", "1"),
     Trait("warm", "", "the motor is at 62 degC", "any motor that works", ""),
@@ -297,10 +298,10 @@ class _Real:
         if timer_ns:
             at_ns = -(-at_ns // timer_ns) * timer_ns
         at_ns = self._last_ns = max(at_ns, self._last_ns + 1)
-        if data and chance.random() * 100 < self._most("line-errors"):
-            place = chance.randrange(len(data))
-            data = data[:place] + bytes((data[place] ^ 1 << chance.randrange(8),)) + data[place + 1 :]
         if drive.dialect.bus != "can":
+            if data and chance.random() * 100 < self._most("line-errors"):
+                place = chance.randrange(len(data))
+                data = data[:place] + bytes((data[place] ^ 1 << chance.randrange(8),)) + data[place + 1 :]
             if self._noise_byte is not None:
                 data = bytes((int(self._noise_byte[0]),)) + data
             gap = self._most("byte-gap")

@@ -116,7 +116,8 @@ def try_request(probe: Probe, built: Built) -> tuple[Acceptance, Exchange]:
     """Send a request and return how it was answered. Raises Inconclusive where that cannot be said."""
     exchange = probe.ask_built(built)
     if exchange.answers or exchange.junk:
-        return acceptance(probe, exchange), exchange
+        sound = probe.sound(exchange)
+        return acceptance(probe, sound), sound
     read = plain_read(probe.dialect)
     for _ in range(2):
         probe.reply(probe.ask(read))

@@ -101,7 +101,8 @@ class Exchange:
     `sent`: bytes or the CAN frame, None where only was listened. `sent_ns`: when its last bit was on the wire. `command`
     and `values` (integers as sent): what was asked, where it was built from a command. `requests`: the frames in what was
     sent; `answers`: all frames that came, but for `foreign`: those of CAN nodes that are no drives; `received`: every byte
-    that came (on CAN the data of the frames of drives). `until_ns`: how long was listened.
+    that came (on CAN the data of the frames of drives). `until_ns`: how long was listened. `again`: the same request sent once
+    more, where the line had damaged the reply.
     """
 
     sent: bytes | CanFrame | None
@@ -116,11 +117,17 @@ class Exchange:
     until_ns: int = 0
     requests: list[Entry] = field(default_factory=list)
     received: bytes = b""
+    again: Exchange | None = None
 
     @property
     def silent(self) -> bool:
         """Whether nothing at all came back."""
         return not self.answers and not self.junk
+
+    @property
+    def damaged(self) -> bool:
+        """Whether something came that cannot be read: bytes that are no frame, or a frame whose checksum does not fit."""
+        return bool(self.junk) or any(not a.message.frame.checksum_ok for a in self.answers)
 
     @property
     def data(self) -> bytes:

@@ -408,7 +408,7 @@ class Probe:
 
         Raises Inconclusive where there is none, or none that can be read.
         """
-        answer = (self._once_more(exchange) if once_more else exchange).reply
+        answer = (self.sound(exchange) if once_more else exchange).reply
         asked = exchange.command.name if exchange.command is not None else "the request"
         if answer is None:
             raise Inconclusive(f"{asked} was not answered")
@@ -416,8 +416,13 @@ class Probe:
             raise Inconclusive(f"the answer to {asked} cannot be read: {answer.data.hex(' ').upper()}")
         return answer
 
-    def _once_more(self, exchange: Exchange) -> Exchange:
-        """Ask a read or a setting again whose reply the line damaged: that is judged once, not by each claim."""
+    def sound(self, exchange: Exchange) -> Exchange:
+        """Return an exchange, or a read or a setting sent once more whose reply the line damaged.
+
+        A damaged reply is judged once, not by each claim.
+        """
+        if exchange.again is not None:
+            return exchange.again
         answer, command = exchange.reply, exchange.command
         if answer is None or answer.message.frame.checksum_ok or answer.bare or command is None:
             return exchange
@@ -427,7 +432,8 @@ class Probe:
         if built.item() != exchange.sent:
             return exchange
         self.measured["damaged replies"] = self.measured.get("damaged replies", 0) + 1
-        return self.ask_built(built)
+        exchange.again = self.ask_built(built)
+        return exchange.again
 
     def read(self, what: Command | Verb | str, name: str = "", values: Mapping[str, Any] | None = None) -> int:
         """Ask and return one field of the reply as sent (the only one, where no name is given).
@@ -443,7 +449,7 @@ class Probe:
 
     def refused(self, exchange: Exchange) -> bool:
         """Say whether the reply to a request says that it failed, by its status or its form."""
-        answer = exchange.reply
+        answer = (exchange.again or exchange).reply
         command = exchange.command or (answer.command if answer is not None else None)
         if command is None or answer is None:
             return False

@@ -373,7 +373,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
         probe.wait(_SETTLES_NS)
     after = _rest(probe)
     told = tuple(motion.statuses(probe.traffic[since:], command)) if command.replies.status else ()
-    damaged = any(exchange.junk for exchange in probe.traffic[since:])
+    damaged = any(exchange.damaged for exchange in probe.traffic[since:])
     told, of_stop = (told[:1], told[1:]) if stopped is not None else (told, ())
     return Tried(
         row, command, begun, stopped, refused, damaged, told, of_stop, before, tuple(during), after, on, stopping, slack_ns

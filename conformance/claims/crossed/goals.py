@@ -354,7 +354,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command]) -> 
         probe.ask(ON, quiet_ns=0)
         probe.wait(_AFTER_NS)
     after = _rest(probe)
-    damaged = any(exchange.junk for exchange in probe.traffic[since:])
+    damaged = any(exchange.damaged for exchange in probe.traffic[since:])
     return Tried(row, command, begun, met, again, before, tuple(during), tuple(ending), off, after, stood, damaged)
 
 

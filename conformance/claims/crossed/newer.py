@@ -39,6 +39,8 @@ from conformance.talk.probe import Probe
 _OTHER, _LOWER, _FAR, _NEAR, _SPARE = 90, 30, 720, 30, 18
 #: From the older command to the newer one; until a run has its speed, or a move has surely got going.
 _GOING_NS, _RUNS_NS = 80 * MS, 110 * MS
+#: How often the older motion is begun at most, where its reply cannot be read.
+_BEGINS = 2
 #: What a shaft may lag behind a command.
 _LAG_NS = 10 * MS
 #: The accelerations of newer motions: a quick one as that of the older one, none, and a slow one, by which a move goes farther.
@@ -143,8 +145,12 @@ def taken_over(probe: Probe) -> tuple[Tried, ...]:
 def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
     commands = {command.name: command for command in motions_of(probe.dialect)}
     older, newer = commands[row.older], commands[row.command]
-    begins = {command.name: motion.place(probe, command) for command in (older, newer)}
-    _begin(probe, older, row.way * _FAR, row.way * CALM, begins[older.name])
+    for _ in range(_BEGINS):
+        begins = {command.name: motion.place(probe, command) for command in (older, newer)}
+        if _begin(probe, older, row.way * _FAR, row.way * CALM, begins[older.name]).is_read:
+            break
+        # While a reply is waited for that the line damaged, the shaft goes farther than the row says.
+        start = motion.stand_still(probe)
     probe.wait(_GOING_NS)
     before = motion.position(probe)
     way = row.way * row.turn

@@ -18,6 +18,7 @@ from collections.abc import Iterable, Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk
 from conformance.claim import Inconclusive
+from conformance.claims.control_reads import judge_alone
 from conformance.claims.declare import Case, motions, with_values
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import (
@@ -499,6 +500,8 @@ def _sums(probe: Probe, command: Command) -> None:
     good = len(asked) - len(off)
     if not good:
         raise Inconclusive(f"no reply to {command.name} can be read")
+    if off:
+        judge_alone(probe, len(off), _MANY)
     rare = 0 < len(off) <= _MANY // 20 and all(e.answers or e.junk for e in off)
     if rare and "lk-off-sum" in probe.claim.quirks:
         probe.meets("lk-off-sum")

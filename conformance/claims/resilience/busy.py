@@ -12,7 +12,7 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance.claim import Inconclusive, Theme
-from conformance.claims.control_reads import PAUSE_NS, garblers, is_answered, received_text
+from conformance.claims.control_reads import PAUSE_NS, garblers, is_answered, judge_alone, received_text
 from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_quirks import may_meet
 from conformance.motion import motion
@@ -142,6 +142,8 @@ def _moves_check(probe: Probe, command: Command) -> None:
     here = probe.read(Verb.READ_POSITION, "position")
     exchanges = [probe.ask(command, {"position": here, "max_speed": 6_000}, quiet_ns=0) for _ in range(_MOVES)]
     bad = [e for e in exchanges if not e.silent and not is_answered(e)]
+    if 0 < len(bad) < _MOVES:
+        judge_alone(probe, len(bad), _MOVES)
     if bad and len(bad) <= _OFF_SUM_MOST and all(_is_off(probe.dialect, e) for e in bad):
         probe.meets(OFF_SUM)
         return

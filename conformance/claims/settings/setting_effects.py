@@ -265,7 +265,7 @@ def _statuses(probe: Probe) -> str:
     values = {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": PULSES}
     exchange = probe.ask(Verb.MOVE_RELATIVE_PULSES, values, until=Until.TIMEOUT, timeout_ns=700 * MS)
     motion.wait_standing(probe)
-    if exchange.junk or any(not a.message.frame.checksum_ok for a in exchange.answers):
+    if exchange.damaged:
         raise Inconclusive("the replies to a move cannot be read")
     # A late reply to the setting before it tells nothing of the move.
     statuses = motion.statuses((exchange,), probe.command(Verb.MOVE_RELATIVE_PULSES))

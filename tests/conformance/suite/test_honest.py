@@ -199,6 +199,26 @@ ONCE_ACCUSED = [
         1200013,
         "read_pulses/counts-moves",
     ),
+    # The line turns a bit over now and then, in replies to everything.
+    (
+        "lk-rs485@24,model=MH,encoder-noise=1,hysteresis=2,creep=1,dip=1,settle=30ms,latency=0.3..3ms,latency-timer=2ms,"
+        "byte-gap=1,voltage-noise=0.05,line-errors=0.5%,current_ramp=25000",
+        20200000,
+        "move_multi_turn_limited/sums",
+    ),
+    ("lk-rs485@1,model=MF,line-errors=1%", 1, "moves/good"),
+    (
+        "mks-rs485@14,model=35D,encoder-noise=1,loop-error=1,speed-noise=1.5%,hysteresis=2,latency=0.3..8ms,"
+        "turnaround-noise=FF,line-errors=1%,group_address=255,subdivision=32",
+        20200001,
+        "read_position/each-check",
+    ),
+    # The shaft is beyond the place of the newer move, for the reply to the older one was damaged and waited for.
+    ("mks-rs485@1,model=42D,line-errors=1%", 1, "move_absolute_axis/takes-over"),
+    # A frame with a wrong checksum is damaged too, not bytes without a frame alone.
+    ("lk-rs485@1,model=MF,line-errors=1%", 2, "crossed-taken"),
+    # What the reply to a setting says is that of the one which was asked for again, also where it is a refusal.
+    ("mks-modbus@1,model=57D,line-errors=1%", 3, "motor_direction/every"),
 ]
 
 
