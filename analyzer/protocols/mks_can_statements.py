@@ -585,6 +585,7 @@ STATEMENTS: tuple[Statement, ...] = (
     said("3.4.2/status", "Status 1 says that it begins, and 2 that home is found.", "motion/home/replies"),
     said("3.4.2/status-0", "Status 0 says that it failed.", "motion/home/disabled"),
     said("3.4.2/from-closed", "From a closed end stop the motor first turns the other way.", "motion/home/from-closed-*"),
+    said("3.4.2/from-closed-angle", "It turns that way by the return angle of 94.", "motion/home/backs-off-*"),
     *_tables("3.4.3", "set_zero", "92 without data", "a status of one byte"),
     said(
         "3.4.3/zero",
@@ -768,7 +769,13 @@ STATEMENTS: tuple[Statement, ...] = (
         "motion/set_enable_level/not-in-bus-modes",
     ),
     *_tables("4.2.2", "enable", "F3 with a byte", "a status of one byte"),
-    said("4.2.2/values", "1 enables and 0 disables.", "motion/enable/is-read", "ranges/enable/enabled/*"),
+    said(
+        "4.2.2/values",
+        "1 enables and 0 disables.",
+        "motion/enable/is-read",
+        "motion/enable/on-holds-here",
+        "ranges/enable/enabled/*",
+    ),
     said("4.2.2/off", "A motor that is disabled does not turn.", "motion/*/disabled", "motion/enable/off-ends-motion"),
     said(
         "4.2.2/status",
@@ -842,6 +849,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.5.1/distance",
         "The shaft moves by so many pulses of the subdivision that is set.",
         "motion/move_relative_pulses/distance",
+        "motion/move_relative_pulses/behind-ended",
         "motion/set_subdivision/pulses-at-*",
         "motion/move_relative_pulses/again",
     ),
@@ -967,6 +975,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.7.1/distance",
         "The shaft moves by so many counts of the encoder, as 31 reads them.",
         "motion/move_relative_axis/distance",
+        "motion/move_relative_axis/behind-ended",
         "motion/move_relative_axis/sign",
         "motion/move_relative_axis/again",
     ),

@@ -303,7 +303,9 @@ _WRITES = (
         "enable",
         "F3h enables (1) or disables (0) the motor.",
         said("8.2.19/off", "With 0 the motor lets go.", "motion/enable/off-ends-motion", "motion/enable/is-read"),
-        said("8.2.19/on", "With 1 it holds.", "motion/enable/is-read", "read-back/enable/effect"),
+        said(
+            "8.2.19/on", "With 1 it holds.", "motion/enable/is-read", "motion/enable/on-holds-here", "read-back/enable/effect"
+        ),
         said("8.2.19/serial", "It works in serial modes alone.", "motion/enable/pulse-mode"),
         said(
             "8.2.19/motion",
@@ -365,10 +367,10 @@ _WRITES = (
         "9Ah sets mode, zero, speed and direction of the way back.",
         said("8.2.22/off", "Mode 0: nothing turns at power-on.", "motion/set_zero_mode/off"),
         said("8.2.22/direction", "Mode 1: the shaft goes back by the direction.", "motion/set_zero_mode/direction-*"),
-        said("8.2.22/near", "Mode 2: the shaft goes back by the smaller angle.", "motion/set_zero_mode/near-*"),
+        said("8.2.22/near", "Mode 2: the shaft goes back by the smaller angle.", "motion/set_zero_mode/near"),
         said("8.2.22/one-turn", "The way back is 359 degrees at most.", "motion/set_zero_mode/*"),
         said(
-            "8.2.22/set", "Zero 1: the present place is kept.", "motion/set_zero_mode/near-*", "read-back/set_zero_mode/restart"
+            "8.2.22/set", "Zero 1: the present place is kept.", "motion/set_zero_mode/near", "read-back/set_zero_mode/restart"
         ),
         said("8.2.22/clean", "Zero 0: the kept place is forgotten.", "motion/set_zero_mode/clean"),
         said("8.2.22/speed", "Speed 0 is the slowest, 4 the fastest.", "motion/set_zero_mode/faster"),
@@ -430,6 +432,7 @@ _MOTION = (
             "8.3.4.1/pulses",
             "It goes on by the pulses, 32 bits of them.",
             "motion/move_relative_pulses/distance",
+            "motion/move_relative_pulses/behind-ended",
             "motion/move_relative_pulses/far",
             "motion/*/crossed-ends",
         ),
@@ -456,6 +459,7 @@ _MOTION = (
             "8.3.6.1/distance",
             "It goes on by a distance in encoder counts, 32 signed bits.",
             "motion/move_relative_axis/distance",
+            "motion/move_relative_axis/behind-ended",
             "motion/move_relative_axis/far",
             "motion/*_axis/crossed-ends",
         ),

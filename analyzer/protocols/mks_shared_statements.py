@@ -129,11 +129,11 @@ SHARED = (
     said("3.14/default", "By default Modbus-RTU is off.", "read-back/restore/link"),
     said("3.15/off", "With O_Mode off nothing turns when power comes on.", "motion/set_zero_mode/off"),
     said("3.15/direction", "In DirMode the shaft goes back to zero by the set direction.", "motion/set_zero_mode/direction-*"),
-    said("3.15/near", "In NearMode the shaft goes back to zero by the smaller angle.", "motion/set_zero_mode/near-*"),
+    said("3.15/near", "In NearMode the shaft goes back to zero by the smaller angle.", "motion/set_zero_mode/near"),
     said(
         "3.16/zero",
         "Set 0 makes the present place the one to go back to.",
-        "motion/set_zero_mode/near-*",
+        "motion/set_zero_mode/near",
         "motion/set_zero_mode/clean",
     ),
     said("3.17/speed", "O_Speed 0 is the slowest way back and 4 the fastest.", "motion/set_zero_mode/faster"),

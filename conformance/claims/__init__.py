@@ -73,6 +73,7 @@ MODULES = (
     "crossed.newer",
     "motion.slowing",
     "crossed.stops",
+    "crossed.behind_ends",
     "crossed.reads",
     "crossed.goal_claims",
     "lk.torque",

@@ -326,20 +326,24 @@ def _of_one_length(dialect: Dialect) -> Iterator[Case]:
 def _guarded_by_length(probe: Probe, command: Command, guarded: Guarded) -> None:
     """{command} with a byte more or less, or without any, all else fitting, or without its check, is not executed.
 
-    Nor is it after it was, whole.
+    Nor is it after it was, whole. On CAN no other length of a frame is.
     """
     link, form = probe.dialect.link, command.request_forms[0]
-    for _ in range(2):
+    for number in range(2):
         guarded.ready(probe)
         values = guarded.values(probe, command)
         built = probe.build(command, values)
         head = link.parse(built.frame, probe.address)
         data = built.frame[head.start : head.stop]
         before = guarded.see(probe)
+        others = [data[:-1], data + b"\0", b""]
+        if link.kind == "can" and not number:
+            # There are few.
+            others = [(data + bytes(_CAN_BYTES))[:n] for n in range(_CAN_BYTES)]
         frames = {
             f"{len(other)} bytes of data in place of {len(data)}": link.build(command, form, probe.address, other, Role.REQUEST)
-            for other in (data[:-1], data + b"\0", b"")
-            if other != data
+            for other in others
+            if len(other) != len(data)
         }
         if link.kind == "can":
             # On a line the next frame would end it.
@@ -391,7 +395,7 @@ def _settings_guarded(probe: Probe, chosen: list[ReadableSetting]) -> None:
     quirks=may_meet(lk_parameters.OTHER_FIRMWARE),
 )
 def _settings_of_one_length(probe: Probe, chosen: list[ReadableSetting]) -> None:
-    """A setting with a byte more or less is not stored."""
+    """A setting with a byte less or with more bytes is not stored."""
     link = probe.dialect.link
     for each in chosen:
         try:
@@ -402,10 +406,9 @@ def _settings_of_one_length(probe: Probe, chosen: list[ReadableSetting]) -> None
         built = probe.build(each.command, each.other(was), form=each.form)
         head = link.parse(built.frame, probe.address)
         data = built.frame[head.start : head.stop]
-        frames = {
-            "a byte more": link.build(each.command, each.form, probe.address, data + b"\0", Role.REQUEST),
-            "a byte less": link.build(each.command, each.form, probe.address, data[:-1], Role.REQUEST),
-        }
+        more = _CAN_BYTES - len(built.frame) if link.kind == "can" else 1
+        others = [("a byte less", data[:-1]), *((f"{n} bytes more", data + bytes(n)) for n in range(1, more + 1))]
+        frames = {what: link.build(each.command, each.form, probe.address, other, Role.REQUEST) for what, other in others}
         if link.kind == "can":
             # On a line the byte would be one of the next frame.
             frames["a byte behind its check"] = built.frame + b"\0"

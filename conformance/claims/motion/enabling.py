@@ -8,13 +8,15 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from analyzer.link import CanLink
+from conformance.claims import bench
 from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion.motion_claim import expect_not_turned, expect_taken, of_motion, risks_by
+from conformance.claims.motion.motion_claim import expect_not_turned, expect_stays, expect_taken, of_motion, risks_by
 from conformance.claims.motion.stops import expect_standing, set_going
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SECOND_NS
@@ -148,6 +150,35 @@ def _off_holds_all(probe: Probe) -> None:
         probe.wait(300 * MS)
         expect_not_turned(probe, before, exchange, f"{command.name} turns a disabled motor")
     motion.switch(probe, True)
+
+
+#: How far a hand turns the shaft of a disabled motor, in counts, and how long one that is enabled again is watched.
+_BY_HAND, _WATCH_NS = (3000, -20_000), 200 * MS
+
+
+@of_motion(
+    each=_enable,
+    name="{command}/on-holds-here",
+    refuted_by="a shaft that turns back, or a move from elsewhere",
+    emulated=True,
+    risks=lambda case: frozenset().union(*(c.all_risks for c in case.dialect.motions(*MOVES))),
+    at_best=Certainty.LIKELY,
+)
+def _on_holds_here(probe: Probe) -> None:
+    """A motor that a hand turned while disabled holds the shaft there when enabled, and each move begins there."""
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    for move, turned in product(probe.dialect.motions(*MOVES), _BY_HAND):
+        motion.switch(probe, False)
+        bench.drive_of(probe).turn_shaft(turned)
+        before = motion.position(probe)
+        exchange = motion.switch(probe, True)
+        probe.wait(_WATCH_NS)
+        text = "enabling turns a shaft that a hand has turned"
+        expect_stays(before, motion.position(probe), exchange, text, motion.same(probe))
+        went = motion.follow(probe, move, 45)
+        text = f"{move.name} does not begin where a hand has turned the shaft"
+        within = motion.near(probe.dialect) + motion.same(probe)
+        probe.expect(abs(went.degrees), near=45, within=within, unit="degrees", refutes=text, exchange=went.exchange)
 
 
 def expect_obeys(probe: Probe, refutes: str) -> None:

@@ -326,23 +326,31 @@ def _homes_at_once(probe: Probe, trigger: int) -> bool:
 
 @_of_limits("a refusal, or no motion", each=_settings, name="{command}/end-limit-lets-back", quirks=may_meet(_DEAF))
 def _lets_back(probe: Probe) -> None:
-    """With the end limit on, a move away from a closed end stop is carried out."""
-    _homed(probe)
-    move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    _send_left(probe, move)
-    before = motion.position(probe)
-    exchange = _ask_again(
-        probe, move, motion.values_of(probe.dialect, move, _degrees(probe, 4000), rpm=120, acceleration=QUICK)
-    )
-    probe.wait(2 * SECOND_NS)
-    went, asked = motion.wait_standing(probe).value - before.value, _degrees(probe, 4000)
-    probe.expect(
-        f"{went:+.1f} degrees",
-        holds=not probe.refused(exchange) and abs(went - asked) <= 1,
-        expected=f"{asked:+.1f} degrees",
-        refutes="a move away from an end limit is not carried out",
-        exchange=exchange,
-    )
+    """With the end limit on, each motion away from a closed end stop is carried out, as far as it was asked to."""
+    for run in probe.dialect.motions(*motion.RUNS_AND_MOVES):
+        _homed(probe)
+        sense = _sense_of(probe, run)
+        _send_left(probe, probe.command(Verb.MOVE_RELATIVE_AXIS))
+        before = motion.position(probe)
+        runs, asked = motion.of(run).kind is MotionKind.RUN, _degrees(probe, _AWAY)
+        how = {"rpm": sense * _RPM if runs else _RPM, "acceleration": QUICK, "start": motion.place(probe, run)}
+        exchange = _ask_again(probe, run, motion.values_of(probe.dialect, run, sense * asked, **how))
+        probe.wait(200 * MS if runs else 2 * SECOND_NS)
+        end = motion.stand_still(probe) if runs else motion.wait_standing(probe)
+        went = end.value - before.value
+        # A run goes on until it is stopped.
+        far = went >= 10 if runs else abs(went - asked) <= 1
+        probe.expect(
+            f"{went:+.1f} degrees",
+            holds=not probe.refused(exchange) and far,
+            expected="+10 degrees and more" if runs else f"{asked:+.1f} degrees",
+            refutes=f"{run.name} away from an end limit is not carried out",
+            exchange=exchange,
+        )
+
+
+#: How far a move goes away from an end stop, in counts.
+_AWAY = 4000
 
 
 @_of_limits("a shaft that stops at it", each=_settings, name="{command}/end-limit-off")

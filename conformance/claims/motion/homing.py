@@ -28,7 +28,11 @@ _CW, _CCW = 0, 1
 _SWITCH = 3000
 HOMING, HOMED = 5, 2
 _LIMIT_NS = 20 * SECOND_NS
+#: How near the place is known where the shaft turns round (counts): at 60 rpm it goes so far between two looks at it.
+_BACK = 200
 _WAYS = {_CW: -1, _CCW: 1}
+#: Return angles, in counts: none, parts of a turn, and more than 16 bits hold.
+_ANGLES = (0, 0x1000, 0x3000, 0x12000, 0x25000)
 _DIRECTIONS = {"cw": _CW, "ccw": _CCW}
 _homings = commands(Verb.HOME)
 #: What sets how a drive homes.
@@ -184,6 +188,30 @@ def _from_closed(probe: Probe, command: Command, way: str) -> None:
         _expect_shaft(probe, exchange, text, near=start - _WAYS[direction] * 1000)
 
 
+def _backing_off(dialect: Dialect) -> Iterator[Case]:
+    return _both_ways(dialect) if Trait.BACKS_OFF_BY_ANGLE in dialect.traits else iter(())
+
+
+@_of_homing("another distance", each=_backing_off, name="{command}/backs-off-{way}", at_best=Certainty.LIKELY)
+def _backs_off(probe: Probe, command: Command, way: str) -> None:
+    """From a closed end stop the shaft first goes back by the return angle, less than a turn or several turns."""
+    direction = _DIRECTIONS[way]
+    for angle in _ANGLES[1:]:
+        start = _prepared(probe, home_direction=direction, return_angle=angle)
+        bench.switch_here(probe, _WAYS[direction], 1000)
+        exchange = probe.do(command)
+        went = [0.0]
+
+        def turns_round(start: float = start, went: list[float] = went) -> bool:
+            went.append((start - bench.shaft(probe)) * _WAYS[direction])
+            return went[-1] < max(went) - 4 * _BACK
+
+        motion.wait_until(probe, turns_round, every_ns=10 * MS, limit_ns=_LIMIT_NS)
+        _halt(probe)
+        text = f"homing from a closed end stop does not go back by the return angle of {angle:#x}"
+        probe.expect(max(went), near=angle, within=_BACK, unit="counts", refutes=text, exchange=exchange)
+
+
 @_of_homing("another number")
 def _zero(probe: Probe) -> None:
     """Where homing ends is zero, of the encoder and of the pulses."""
@@ -199,7 +227,7 @@ def _zero(probe: Probe) -> None:
 def _without_switch(dialect: Dialect) -> Iterator[Case]:
     modes = [v for v in SETS_HOME if (c := dialect.by_verb.get(v)) and _has_mode(c)]
     for way in _DIRECTIONS if modes else ():
-        for angle in (0, 0x1000, 0x3000, 0x12000, 0x25000):
+        for angle in _ANGLES:
             yield from (Case(dialect, case.command, {"way": way, "angle": angle}) for case in _homings(dialect))
 
 

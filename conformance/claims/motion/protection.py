@@ -12,9 +12,10 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from itertools import product
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.control_reads import received_text
@@ -22,7 +23,7 @@ from conformance.claims.declare import Case, Cases, commands, motions, needing
 from conformance.claims.motion.motion_claim import expect_stays, of_motion, risks_by, that_tell_their_end
 from conformance.claims.motion.refusals import expect_refused
 from conformance.motion import motion, ramp
-from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
@@ -44,10 +45,10 @@ def _prepare(probe: Probe, protection: int) -> None:
     probe.do(Verb.SET_PROTECTION, {"protection": protection})
 
 
-def _held_move(probe: Probe, turns: float = _TURNS) -> Exchange:
+def _held_move(probe: Probe, turns: float = _TURNS, move: Verb | Command = Verb.MOVE_RELATIVE_AXIS) -> Exchange:
     """Hold the shaft and ask for a move; let the time for it pass."""
     bench.hold(probe)
-    exchange = motion.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns * 360, rpm=120, acceleration=QUICK)
+    exchange = motion.begin(probe, probe.command(move), turns * 360, rpm=120, acceleration=QUICK)
     probe.wait(4 * SECOND_NS)
     return exchange
 
@@ -109,12 +110,12 @@ def _stall(probe: Probe, command: Command, port: str) -> None:
 
 @_of_protection("3E that reads 0", each=commands(Verb.SET_PROTECTION), more_risks=(Verb.RELEASE_PROTECTION, Verb.ENABLE))
 def _lets_go(probe: Probe) -> None:
-    """With the protection on, a shaft that is held either way is let go, and 3E reads 1."""
-    for turns in (_TURNS, -_TURNS):
+    """With the protection on, a shaft that is held in any move, either way, is let go, and 3E reads 1."""
+    for move, turns in product(probe.dialect.motions(*MOVES), (_TURNS, -_TURNS)):
         _prepare(probe, 1)
         _expect(probe, probe.traffic[-1], 0, "3E reads protected before the shaft was held")
-        exchange = _held_move(probe, turns)
-        _expect(probe, exchange, 1, "3E does not read protected after the shaft was held")
+        exchange = _held_move(probe, turns, move)
+        _expect(probe, exchange, 1, f"3E does not read protected after the shaft was held in {move.name}")
         _expect_let_go(probe, exchange)
         probe.do(Verb.RELEASE_PROTECTION)
         probe.do(Verb.ENABLE, {"enabled": 1})
@@ -266,18 +267,20 @@ def _current(probe: Probe, on: bool) -> Exchange:
     return probe.do(command, {"current": (default or _WEAK) if on else 0})
 
 
-#: How fast a motor without current is asked to turn.
-_LIMP_RPM = 240
+#: How fast a motor without current is asked to turn; how long the drive has to see that the shaft lags.
+_LIMP_RPM, _LAGS_NS = 240, 500 * MS
 
 
-def _limp_move(probe: Probe, degrees: float, watch_ns: int = 500 * MS) -> tuple[Exchange, float]:
+def _limp_move(
+    probe: Probe, degrees: float, watch_ns: int = _LAGS_NS, move: Verb | Command = Verb.MOVE_RELATIVE_AXIS
+) -> tuple[Exchange, float]:
     """Ask a motor without current for a move; return by how many degrees it went all the same.
 
     `watch_ns`: how long the drive has, behind the time of the move, to see that the shaft lags.
     """
     before = motion.position(probe)
     _current(probe, False)
-    exchange = motion.begin(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), degrees, rpm=_LIMP_RPM, acceleration=QUICK)
+    exchange = motion.begin(probe, probe.command(move), degrees, rpm=_LIMP_RPM, acceleration=QUICK)
     probe.wait(int(ramp.move_ns(degrees / 360, _LIMP_RPM, QUICK)) + watch_ns)
     return exchange, motion.position(probe).value - before.value
 
@@ -310,7 +313,10 @@ def _expect_left(probe: Probe, exchange: Exchange) -> None:
 
 @_without_hands("a motion, an answer that says success, or 3E that reads otherwise", each=commands(Verb.RELEASE_PROTECTION))
 def _limp(probe: Probe, command: Command) -> None:
-    """Once a motor without current is protected, 3E reads 1, every motion is refused, and 3D ends it."""
+    """Once a motor without current is protected, 3E reads 1, every motion is refused, and 3D ends it.
+
+    Moves behind 3D begin where the shaft stands.
+    """
     _prepare(probe, 1)
     _expect(probe, probe.traffic[-1], 0, "3E reads protected before the motor was to turn")
     exchange, went = _limp_move(probe, _TURNS * 360)
@@ -331,6 +337,11 @@ def _limp(probe: Probe, command: Command) -> None:
     probe.wait(_LEAPS_NS)
     text = "3D takes the motion up again that the protection ended"
     expect_stays(before, motion.position(probe), exchange, text, _MISSING)
+    for move in probe.dialect.motions(MotionKind.MOVE_BY):
+        moved = motion.follow(probe, move, 45)
+        text = f"{move.name} behind 3D does not begin where the shaft stands"
+        within = motion.miss(probe) + motion.same(probe)
+        probe.expect(abs(moved.degrees), near=45, within=within, unit="degrees", refutes=text, exchange=moved.exchange)
 
 
 @_without_hands("3E that reads 1", each=commands(Verb.SET_PROTECTION))
@@ -348,26 +359,28 @@ def _off_again(probe: Probe) -> None:
 
 @_without_hands("3E that reads otherwise", each=commands(Verb.RELEASE_PROTECTION), at_best=Certainty.LIKELY)
 def _limp_either_way(probe: Probe) -> None:
-    """A motor without current is protected in both directions, from rest and from a run."""
-    # From rest the first way is that of the claim above.
-    for number, (way, runs) in enumerate(((-1, False), (1, True), (-1, True))):
+    """A motor without current is protected in both directions, in each move from rest, and from a run."""
+    # In the first move the first way is that of the claim above.
+    moves = probe.dialect.motions(*MOVES)
+    rest = [(move, (-1) ** n) for n, move in enumerate(sorted(moves, key=lambda c: c.verb is not Verb.MOVE_RELATIVE_AXIS), 1)]
+    for number, (move, way) in enumerate((*rest, (None, 1), (None, -1))):
         _prepare(probe, 1)
-        if runs:
+        if move is None:
             motion.run_at(probe, way * _LIMP_RPM, QUICK)
             probe.wait(300 * MS)
             exchange, went = _current(probe, False), 0.0
             # The shaft that runs out lags behind by two turns.
             probe.wait(1500 * MS)
         else:
-            exchange, went = _limp_move(probe, way * _TURNS * 360)
+            exchange, went = _limp_move(probe, way * _TURNS * 360, move=move)
         protected = _is_protected(probe)
         if not protected and not number:
             _expect_free(probe, exchange, went)
-        if protected:
+        if protected and (move is None or not number):
             _expect_left(probe, exchange)
         _end_limp(probe)
         probe.do(Verb.RELEASE_PROTECTION)
-        text = "a motor without current is not protected in each direction, from rest and from a run"
+        text = f"a motor without current is not protected in {move.name if move else 'a run'}"
         probe.expect(protected, equal=1, refutes=text, exchange=exchange)
         probe.do(Verb.ENABLE, {"enabled": 1})
 

@@ -35,7 +35,7 @@ from conformance.talk.probe import Probe, Until
 #: Subdivisions at which the rule of speeds and pulses is tried, as the number that they stand for.
 _TRIED = (2, 8, 16, 32, 64, 100, 128, 256)
 #: Others: at the first of them each motion is tried too, at all a move by pulses and one motion more in turn.
-_ALSO, _OTHERS = (1, 4, 7), (5, 10, 20, 25, 40, 50, 200)
+_ALSO, _OTHERS = (1, 4, 7), (3, 5, 10, 20, 25, 40, 50, 67, 200, 255)
 #: The way of a move in degrees, its ramp, and when the shaft is looked at: a move that is twice as fast is beyond it.
 _WAY, _STEEP, _MIDWAY = 36, 255, 50 * MS
 #: What a shaft may lag behind its law.

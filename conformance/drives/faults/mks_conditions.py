@@ -6,7 +6,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from msgspec.structs import replace
 
@@ -424,23 +424,53 @@ def _as_sent_at_128(drive: Drive, command: Command, values: Values) -> Values:
     return values | {"speed": values["speed"] * _FINE // mks_shared.SUBDIVISION.counted_at} if fast else values
 
 
-def _back_with(name: str, change: Callable[[int], int]) -> Change:
-    """Go back to the zero at power-on as though a setting was another one."""
+def _back_as(change: Callable[[MksCore], Mapping[str, int]]) -> Change:
+    """Go back to the zero at power-on as though some settings were others."""
 
     def tune(drive: MksCore) -> None:
         power_on = drive.power_on
 
         def other(drive: MksCore) -> None:
-            kept = drive.settings[name]
-            drive.settings[name] = change(kept)
+            changed = change(drive)
+            kept = {name: drive.settings[name] for name in changed}
+            drive.settings.update(changed)
             try:
                 power_on(drive)
             finally:
-                drive.settings[name] = kept
+                drive.settings.update(kept)
 
         drive.power_on = other
 
     return Change(tuned(tune).install, having(Verb.SET_ZERO_MODE))
+
+
+def _back_with(name: str, change: Callable[[int], int]) -> Change:
+    """Go back to the zero at power-on as though a setting was another one."""
+    return _back_as(lambda drive: {name: change(drive.settings[name])})
+
+
+def _way_up(drive: MksCore) -> float:
+    """Return how far the kept zero is above the shaft, in turns."""
+    turn = mks_shared.COUNTS_PER_TURN
+    return float((drive.settings["zero_point"] - drive.motor.position(drive.now_ns)) % turn / turn)
+
+
+def _near_by_quarters(drive: MksCore) -> Mapping[str, int]:
+    """Take the longer way where the shorter one is up and more than a quarter of a turn."""
+    long = drive.settings["zero_mode"] == mks_shared.ZeroMode.NEAR and 0.25 < _way_up(drive) <= 0.5
+    return {"zero_mode": int(mks_shared.ZeroMode.DIRECTION), "zero_direction": _CLOCKWISE} if long else {}
+
+
+def _short_way_down(drive: MksCore) -> Mapping[str, int]:
+    """Turn clockwise to a zero that is less than a sixth of a turn above, whatever the direction is."""
+    return {"zero_direction": _CLOCKWISE} if _way_up(drive) < 1 / 6 else {}
+
+
+_CLOCKWISE = int(mks_shared.ConfigDirection.CW)
+
+
+def _at_a_limit(drive: MksCore) -> bool:
+    return drive.at_limit(1) or drive.at_limit(-1)
 
 
 def _slow_open_home(drive: MksCore) -> None:
@@ -683,26 +713,38 @@ def _deaf_to_direction(drive: MksCore) -> None:
     )
 
 
-def _long_settings(drive: MksCore) -> None:
-    """Take settings with a byte behind their check."""
+def _shortened(shorten: Callable[[MksCore, Frame], bytes], wanted: Callable[[Command], bool]) -> Callable[[MksCore], None]:
+    """Take CAN frames that are too long as what is left of them, where that is a command that is wanted."""
 
-    def without_last(frame: Frame) -> Frame | None:
-        can = frame.can
-        if can is None or len(frame.data) < _LEAST_LONG or frame.data[-1]:
-            return None
-        data = frame.data[:-1]
-        fits = drive.dialect.link.fits(data, can.id)
-        return replace(frame, data=data, can=replace(can, data=data), checksum_ok=True) if fits else None
+    def install(drive: MksCore) -> None:
+        take = drive._take
 
-    take = drive._take
+        def taken(frame: Frame) -> None:
+            can = frame.can
+            if can is not None and len(frame.data) >= _LEAST_LONG:
+                data = shorten(drive, frame)
+                if data != frame.data and drive.dialect.link.fits(data, can.id):
+                    shorter = replace(frame, data=data, can=replace(can, data=data), checksum_ok=True)
+                    message = drive.responder.read(shorter)
+                    if message.form is not None and message.command is not None and wanted(message.command):
+                        take(shorter)
+                        return
+            take(frame)
 
-    def taken(frame: Frame) -> None:
-        shorter = None if frame.checksum_ok else without_last(frame)
-        message = None if shorter is None else drive.responder.read(shorter)
-        setting = message is not None and message.command is not None and message.command.verb.value.startswith("set_")
-        take(shorter if shorter is not None and setting else frame)
+        drive._take = taken  # type: ignore[method-assign]
 
-    drive._take = taken  # type: ignore[method-assign]
+    return install
+
+
+def _byte_behind(drive: MksCore, frame: Frame) -> bytes:
+    """Leave out a byte behind the check."""
+    return frame.data if frame.checksum_ok or frame.data[-1] else frame.data[:-1]
+
+
+def _two_bytes_more(drive: MksCore, frame: Frame) -> bytes:
+    """Leave out two bytes of the data."""
+    assert frame.can is not None  # it is shortened on CAN alone
+    return drive.dialect.link.completed(frame.data[:-3], frame.can.id) if frame.checksum_ok else frame.data
 
 
 def _echo_byte(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
@@ -762,6 +804,13 @@ DOING: Rows = {
         Row("zero-not-cleaned", "9A does not clean the zero", before(Verb.SET_ZERO_MODE, _zero_not_cleaned)),
         Row("zero-direction-turned", "9A goes back the other way", _back_with("zero_direction", lambda v: 1 - v)),
         Row("zero-speed-fixed", "9A goes back at one speed", _back_with("zero_speed", lambda v: 2)),
+        Row("zero-speed-4-as-3", "9A goes back at speed 4 as at speed 3", _back_with("zero_speed", lambda v: min(v, 3))),
+        Row(
+            "near-by-quarters",
+            "9A takes the longer way to a zero that is a quarter of a turn above and more",
+            _back_as(_near_by_quarters),
+        ),
+        Row("short-way-down", "9A goes clockwise to a zero that is a little above", _back_as(_short_way_down)),
         Row("homing-always-told", "the end of homing is told with active 0 too", tuned(_home_told), NATIVE),
     ),
     "stop": (
@@ -818,7 +867,24 @@ DOING: Rows = {
         Row("direction-lost-by-restart", "after a restart 86 turns no run", _after_restart(_deaf_to_direction), CAN),
     ),
     "frames": (
-        Row("long-setting-stored", "settings with a byte behind their check are stored", tuned(_long_settings), CAN),
+        Row(
+            "long-setting-stored",
+            "settings with a byte behind their check are stored",
+            tuned(_shortened(_byte_behind, lambda command: command.verb.value.startswith("set_"))),
+            CAN,
+        ),
+        Row(
+            "long-run-executed",
+            "F6 with two bytes of data too many is executed",
+            tuned(_shortened(_two_bytes_more, lambda command: command.verb is Verb.RUN_SPEED)),
+            CAN,
+        ),
+        Row(
+            "long-settings-executed",
+            "settings with two bytes of data too many are stored",
+            tuned(_shortened(_two_bytes_more, lambda command: command.verb.value.startswith("set_"))),
+            CAN,
+        ),
         Row("current-echo-low-byte", "the echo of 83 has the low byte alone", frames(_echo_byte, Verb.SET_CURRENT), MODBUS),
         Row("exception-2-turning", "an unknown function gets exception 02 while turning", frames(_exceptions_turning), MODBUS),
     ),
@@ -848,6 +914,9 @@ DOING: Rows = {
     "limit": (
         Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes", tuned(_left_elsewhere)),
         Row("open-without-limits", "end limits do nothing in the open mode", tuned(_without_open_limits)),
+        Row(
+            "stuck-at-limit", "FD away from a closed end limit is refused", refused_when(_at_a_limit, Verb.MOVE_RELATIVE_PULSES)
+        ),
         Row("right-limit-passed", "FD passes the right end limit", tuned(_without_right_limit)),
     ),
     "set": (

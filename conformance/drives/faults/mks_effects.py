@@ -12,11 +12,12 @@ from fractions import Fraction
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
+from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import homing_by, mks, tuned
 from conformance.drives.faults.places import CAN, NATIVE, Change, Row, Rows, faults, having, result, storing, taken
-from conformance.drives.mks.core import Activity, Behaviour, MksCore
+from conformance.drives.mks.core import MOTIONS, Activity, Behaviour, MksCore
 from conformance.drives.mks.paths import Number
 
 # --- a shaft that is let go -------------------------------------------------------------------------------------------
@@ -183,6 +184,33 @@ def _last_words(change: Callable[[bytes], bytes]) -> Change:
     return tuned(tune, NATIVE)
 
 
+def _unwatched(verb: Verb) -> Change:
+    """Watch no motion of a verb for a locked rotor."""
+
+    def ask(drive: Drive, command: Command, values: Values) -> Values:
+        if command.verb in MOTIONS:
+            (mks(drive).heedless.add if command.verb is verb else mks(drive).heedless.discard)("protection")
+        return values
+
+    return Change(lambda hooks: hooks.request.append(ask), having(verb))
+
+
+def _turning_back(drive: MksCore) -> None:
+    """Turn the shaft back to where it was disabled when it is enabled."""
+    left: list[Number] = []
+    enable = drive.behaviours[Verb.ENABLE]
+
+    def act(core: MksCore, request: Request) -> Values | None:
+        if not request.values["enabled"]:
+            left[:] = [core.motor.position(core.now_ns)]
+        answer = enable(core, request)
+        if request.values["enabled"] and left:
+            core.motor.jump(core.now_ns, left.pop() - core.motor.position(core.now_ns))
+        return answer
+
+    drive.behaviours[Verb.ENABLE] = act
+
+
 EFFECTS: Rows = {
     "completion": (
         Row(
@@ -226,6 +254,18 @@ EFFECTS: Rows = {
             "91 turns at the home speed, but at 1000 rpm at most",
             homing_by(lambda settings: {"home_speed": min(settings["home_speed"], 1000)}),
         ),
+        Row(
+            "home-backs-off-half-a-turn",
+            "from a closed end stop homing goes back half a turn, whatever the return angle is",
+            Change(
+                homing_by(lambda s: {} if s["home_mode"] else {"return_angle": mks_shared.COUNTS_PER_TURN // 2}).install, CAN
+            ),
+        ),
+        Row(
+            "home-backs-off-16-bits",
+            "from a closed end stop homing goes back by the low 16 bits of the return angle",
+            Change(homing_by(lambda s: {} if s["home_mode"] else {"return_angle": s["return_angle"] & 0xFFFF}).install, CAN),
+        ),
         Row("small-tolerance-coarse", "stall tolerances below 72 degrees hold as that", _tolerance(72, max)),
         Row("great-tolerance-capped", "stall tolerances above 1800 degrees hold as that", _tolerance(1800, min)),
         Row("high-groups-deaf", "a group above 7Fh is not heard", taken(_deaf_to_high_groups), having(Verb.SET_GROUP_ADDRESS)),
@@ -241,6 +281,8 @@ EFFECTS: Rows = {
     "let go": (
         Row("protected-keeps-torque", "3E reads 1 and the motor holds the shaft", tuned(_keeping_torque)),
         Row("protected-goes-on", "3E reads 1 and the motor turns the shaft on", tuned(_going_on)),
+        Row("fe-unwatched", "the protection does not watch FE", _unwatched(Verb.MOVE_ABSOLUTE_PULSES)),
+        Row("enabling-turns-back", "F3 01 turns the shaft back to where F3 00 let it go", tuned(_turning_back)),
         Row("release-takes-up", "3D takes up the motion that the protection ended", tuned(_taking_up)),
         Row("disabled-keeps-torque", "3A reads 0 and the motor holds the shaft", tuned(_gripping(lambda drive: drive.by_bus))),
         Row(

@@ -40,6 +40,8 @@ from conformance.drives.mks.state import SUBDIVISION
 #: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
 _SCALED, _SAFE_RPM, _FASTEST_BACK = 32, 1200, 4
+#: The highest subdivision at which the speed is what is sent.
+_PLAIN_MOST = max(SUBDIVISION.plain)
 _MOTION_CODES = frozenset(command.code for command in mks_rs485.DIALECT.commands if command.verb in MOTIONS)
 
 
@@ -51,6 +53,42 @@ def _short(drive: Drive, command: Command, values: Values) -> Values:
 def _loses_pulses(drive: MksCore, request: Request) -> None:
     if drive.motor.speed(drive.now_ns):
         drive.memory.pulse_zero += _LOST * drive.pulse_counts
+
+
+def _target_kept(protected: bool) -> Callable[[MksCore], None]:
+    """Add to the next move by counts what was left of the move that the protection, or the emergency stop, ended."""
+
+    def change(drive: MksCore) -> None:
+        left = 0
+        stop, protect, move = drive.behaviours[Verb.EMERGENCY_STOP], drive.protect, drive.behaviours[Verb.MOVE_RELATIVE_AXIS]
+
+        def keep() -> None:
+            nonlocal left
+            target = drive.motor.wanted(drive.motor.settled)
+            left = round(target - drive.motor.position(drive.now_ns)) if drive.doing(Activity.MOVE) else 0
+
+        def stopped(core: MksCore, request: Request) -> Values | None:
+            keep()
+            return stop(core, request)
+
+        def let_go() -> None:
+            keep()
+            protect()
+
+        def moved(core: MksCore, request: Request) -> Values | None:
+            nonlocal left
+            if not core.memory.protected:
+                request.values["position"] += left
+                left = 0
+            return move(core, request)
+
+        drive.behaviours[Verb.MOVE_RELATIVE_AXIS] = moved
+        if protected:
+            drive.protect = let_go  # type: ignore[method-assign]
+        else:
+            drive.behaviours[Verb.EMERGENCY_STOP] = stopped
+
+    return change
 
 
 def _scaled_moves(drive: MksCore) -> None:
@@ -71,6 +109,14 @@ def _scaled_moves(drive: MksCore) -> None:
                 core.real_speed = plain  # type: ignore[method-assign]
 
         drive.behaviours[verb] = slow
+
+
+def _as_sent_at_odd(drive: MksCore) -> None:
+    """Turn at the speed as sent at odd subdivisions above 64."""
+    plain = drive.real_speed
+    drive.real_speed = lambda speed: (  # type: ignore[method-assign]
+        speed if drive.subdivision > _PLAIN_MOST and drive.subdivision % 2 else plain(speed)
+    )
 
 
 def _few_updates(verb: Verb) -> Change:
@@ -350,6 +396,12 @@ def _way_back(drive: Drive, command: Command, sent: Values, found: Values) -> Va
 SEQUENCES: Rows = {
     "behind a stop": (
         Row("stops-lose-pulses", f"33 loses {_LOST} pulses at each stop of a turning shaft", before(STOPS, _loses_pulses)),
+        Row("target-kept", "F4 behind F7 goes on to the target of the move that F7 ended, too", tuned(_target_kept(False))),
+        Row(
+            "target-kept-protected",
+            "F4 behind 3D goes on to the target of the move that the protection ended, too",
+            tuned(_target_kept(True)),
+        ),
         Row("homing-unstopped", "F7 says success and does not end homing", undone_when(_homes, Verb.EMERGENCY_STOP)),
         Row(
             "emergency-completes-pulses",
@@ -453,6 +505,12 @@ SEQUENCES: Rows = {
             "short-moves-undone",
             f"moves by fewer than {_SHORTEST} units turn nothing",
             request(_short, (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_RELATIVE_AXIS)),
+        ),
+        Row(
+            "as-sent-at-odd",
+            f"at odd subdivisions above {_PLAIN_MOST} the speed is the one that is sent",
+            tuned(_as_sent_at_odd),
+            SERIAL,
         ),
         Row("moves-scaled-at-32", "at 32 subdivisions moves go at half their speed", tuned(_scaled_moves)),
         Row("inner-request-obeyed", "a request in the data of another drive's is obeyed", tuned(_inner_requests), NATIVE),

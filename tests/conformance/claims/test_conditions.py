@@ -12,6 +12,19 @@ from conformance.suite.target import EMULATED, parse
 
 FAULTS = (*mks_conditions.FAULTS, *mks_sequences.FAULTS, *mks_effects.FAULTS, *lk_conditions.FAULTS)
 REFUTED_BY = {
+    "home-backs-off-half-a-turn": "motion/home/backs-off-cw",
+    "home-backs-off-16-bits": "motion/home/backs-off-ccw",
+    "target-kept-protected": "motion/release_protection/limp",
+    "stuck-at-limit": "motion/set_home/end-limit-lets-back",
+    "zero-speed-4-as-3": "motion/set_zero_mode/faster",
+    "near-by-quarters": "motion/set_zero_mode/near",
+    "short-way-down": "motion/set_zero_mode/direction-ccw",
+    "fe-unwatched": "motion/release_protection/limp-either-way",
+    "enabling-turns-back": "motion/enable/on-holds-here",
+    "target-kept": "motion/move_relative_axis/behind-ended",
+    "as-sent-at-odd": "motion/run_speed/at-each-subdivision",
+    "long-run-executed": "framing/run_speed/other-length",
+    "long-settings-executed": "framing/settings/other-length",
     "respond-0-needs-active": "motion/set_respond/0-silences-run_speed",
     "refused-aloud": "motion/set_respond/0-silences-refusals",
     "newer-keeps-ramp": "motion/run_speed/takes-over",

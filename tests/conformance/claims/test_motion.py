@@ -178,7 +178,7 @@ MKS = (
     ("release-ignored", "release_protection/releases"),
     ("protected-moves", "run_speed/protected"),
     ("stall-tolerance-ignored", "set_stall_tolerance/angle"),
-    ("zero-mode-ignored", "set_zero_mode/near-+0_3"),
+    ("zero-mode-ignored", "set_zero_mode/near"),
     ("zero-direction-ignored", "set_zero_mode/direction-ccw"),
     ("zero-status-frozen", "read_zero_status/tells"),
     ("saved-run-not-stored", "save_speed/runs-direction-0"),
