@@ -23,6 +23,8 @@ from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
 #: A further dialect must explain this share of the sample, in this many frames at least.
 _JOIN_SHARE = 0.01
 _JOIN_FRAMES = 3
+#: Items of a sample that is short, and the frames that are enough in one: a request that was tried again.
+_SHORT, _JOIN_SHORT = 12, 2
 #: Below this share no dialect is believed.
 _LEAST = 0.02
 #: Share of the bytes from which a dialect that was not chosen is told.
@@ -143,13 +145,14 @@ def _chosen(candidates: list[Dialect], sample: list[Chunk | CanFrame], kind: str
         shown = "; ".join(str(e) for e in evidence)
         return Choice(tuple(fitting), tuple(evidence), f"no dialect explains the bytes, all are tried ({shown})")
     chosen = [believed[0].dialect]
+    least = _JOIN_FRAMES if len(sample) > _SHORT else _JOIN_SHORT
     for other in believed[1:]:
-        if other.frames < _JOIN_FRAMES:
+        if other.frames < least:
             continue
         together = _try([*given, *chosen, other.dialect], sample)
         before = _try([*given, *chosen], sample)
         gain = sum(together.good_bytes.values()) - sum(before.good_bytes.values())
-        if together.frames.get(other.dialect.name, 0) >= _JOIN_FRAMES and gain >= _JOIN_SHARE * other.total_bytes:
+        if together.frames.get(other.dialect.name, 0) >= least and gain >= _JOIN_SHARE * other.total_bytes:
             chosen.append(other.dialect)
     # Of dialects that explain next to nothing a person need not know.
     told = [e for e in evidence if e.dialect in chosen or e.share >= _WORTH_TELLING]

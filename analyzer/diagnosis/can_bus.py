@@ -64,6 +64,12 @@ class _Errors(NamedTuple):
     deaf: list[Piece]
     #: What was to be sent waits, and nothing goes out.
     waiting: list[Piece]
+    #: A counter of errors falls: that is what frames that get through do.
+    recovering: bool
+
+
+#: The bit of a state that is error-active once more.
+_ACTIVE = 0x40
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -84,7 +90,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:
-    found = _Errors([], [], [], [], [], [], [])
+    found = _Errors([], [], [], [], [], [], [], _recovers(errors))
     for piece, can in errors:
         at = dict(enumerate(can.data))
         # SocketCAN's have eight bytes always.
@@ -107,6 +113,23 @@ def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:
         elif can.id & _BUS_ERROR or (can.id & _CONTROLLER and at.get(_STATE, 0) & _STRAINED):
             found.bare.append(piece)
     return found
+
+
+def _recovers(errors: list[tuple[Piece, CanFrame]]) -> bool:
+    """Say whether the counters of an adapter fall, or its state turns back to active: not where all begins anew."""
+    before: dict[str, tuple[int, int]] = {}
+    for _, can in errors:
+        if can.id & _BUS_OFF or len(can.data) < _LONGEST:
+            before.pop(can.port, None)
+            continue
+        counters = can.data[_SENT_COUNTER], can.data[_RECEIVED_COUNTER]
+        if not any(counters):
+            continue
+        last = before.get(can.port, (0, 0))
+        if (can.id & _CONTROLLER and can.data[_STATE] & _ACTIVE) or any(a < b for a, b in zip(counters, last, strict=True)):
+            return True
+        before[can.port] = counters
+    return False
 
 
 def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspicion]:
@@ -141,7 +164,7 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
             "can_no_ack", Confidence.LIKELY, [*all_errors, *unanswered], errors.stuck, heard,
             "The counter of the sender's errors stands where it does if no node acknowledges: at 128, or little above.", _ALONE,
         )  # fmt: skip
-    if garbled and not heard and not on_sending:
+    if garbled and not heard and not on_sending and not errors.recovering:
         yield _suspicion(
             "can_wrong_bitrate", Confidence.LIKELY if errors.off else sure, [*_of(all_errors, errors.garbled), *unanswered],
             errors.garbled, heard,

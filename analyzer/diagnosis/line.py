@@ -244,8 +244,9 @@ def _said(way: _Way, garbled: Sequence[Trouble]) -> Suspicion:
     pairs = [(s, r) for s in _RATES for r in _RATES if abs(s / r - way.ratio) < 0.001 * way.ratio]
     short = max(len(fit.data) for fit in fits) < _LEAST
     sure = (way.different > 1 and not short) or first.taken > 2 * _LEAST
+    weak = way.cause == "lost_start" and len(fits) == 1
     return Suspicion(
-        way.cause, Confidence.CERTAIN if sure else Confidence.LIKELY,
+        way.cause, Confidence.CERTAIN if sure and not weak else Confidence.POSSIBLE if weak else Confidence.LIKELY,
         # What spoils different frames spoils the others too, whether or not the way back is found.
         garbled if way.different > 1 else [f.trouble for f in fits],
         words.say.format(way.ratio),

@@ -21,6 +21,8 @@ from analyzer.values import counted
 _REGISTERS = (0x03, 0x04)
 #: Bytes of one register.
 _ONE = 2
+#: Bytes of the registers of a block, and the digits of a number that is met in one by no chance.
+_BLOCK, _TELLING_DIGITS = 16, 3
 #: Replies and numbers that are looked at.
 _MOST_REPLIES, _MOST_NUMBERS = 20, 40
 #: Characters before a number that tell what it is.
@@ -98,7 +100,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     if not words or (scene.noted and _COMPLAINT.search(words) is None and _COMPARED.search(words) is None):
         return
     replies = [p for p in scene.pieces if _registers(p)][:_MOST_REPLIES]
-    odd = next((odd for piece in replies if (odd := _odd(piece, words, _said(words))) is not None), None)
+    said = _said(words)
+    odd = next((odd for piece in replies if (odd := _odd(piece, words, _telling(piece, said))) is not None), None)
     odd = odd or _told(scene, replies, words)
     if odd is None:
         return
@@ -123,6 +126,13 @@ def _said(words: str) -> list[_Said]:
         line = words[max(words.rfind("\n", 0, row.start()) + 1, row.start() - _BEFORE) : row.start()]
         found.append(_Said(float(row[0]), _RIGHT.search(line) is not None, "." in row[0]))
     return found
+
+
+def _telling(piece: Piece, said: list[_Said]) -> list[_Said]:
+    """Return the numbers that tell something of a reply: among many registers a short number is met by chance."""
+    if len(_registers(piece)) <= _BLOCK:
+        return said
+    return [each for each in said if len(f"{abs(each.value):g}".replace(".", "").strip("0")) >= _TELLING_DIGITS]
 
 
 def _readings(data: bytes) -> Iterator[Reading]:

@@ -300,12 +300,17 @@ def _stretch(edge: _Edge) -> Stretch:
     return edge.trouble.stretch
 
 
+def _is_firm(edge: _Edge) -> bool:
+    """Say whether one edge tells enough: the bytes stand as they are, or a CRC says that a missing start fits them."""
+    return bool(edge.stray) or modbus_crc(edge.frame) == 0
+
+
 def _said(cause: str, found: list[_Edge], say: str, evidence: str, todo: str) -> Suspicion:
     roles = {edge.role for edge in found}
     whose = "replies" if roles == {Role.REPLY} else "requests" if roles == {Role.REQUEST} else "frames"
     return Suspicion(
         cause,
-        Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY,
+        Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY if _is_firm(found[0]) else Confidence.POSSIBLE,
         list(dict.fromkeys(edge.trouble for edge in found)),
         say.format(whose),
         f"{evidence}, at byte {found[0].trouble.offset}; {counted(len(found), 'time')}",

@@ -23,6 +23,8 @@ _ROUNDER = 2
 _ROUND = {2: 2, 3: 3, 4: 4, 8: 5}
 #: The weight from which on swapped bytes are no chance; a value out of range whose bytes swapped are in it weighs double.
 _ENOUGH = 2
+#: Digits of a number of four bytes that is meant, even if it is the only one.
+_FEW_DIGITS = 3
 _RANGE = frozenset(("out_of_range", "unknown_choice"))
 
 
@@ -206,8 +208,8 @@ def _weight(word: Word, data: bytes) -> int:
     if sound and (not sound_swapped or digits + _ROUNDER <= swapped):
         return -1
     rounder = sound_swapped and swapped <= _ROUND[len(data)] and swapped + _ROUNDER <= digits
-    # Among four bytes a number that is much rounder the other way is none by chance.
-    much = len(data) > 2 and swapped + 2 * _ROUNDER <= digits
+    # Of four bytes one in ten thousand is so much rounder the other way, one in a million with so few digits.
+    much = len(data) > 2 and swapped <= _FEW_DIGITS and swapped + 2 * _ROUNDER <= digits
     return int(rounder) * (2 if not sound or much else 1)
 
 

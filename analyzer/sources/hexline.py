@@ -192,6 +192,10 @@ _TWICE = re.compile(
     r"(?P<before>.*[\s:=])(?:0b(?P<binary>[01]{8})|(?P<decimal>\d{1,3}))\s*[(\[](?:0[xX])?(?P<hex>[0-9A-Fa-f]{1,2})[)\]]"
     r"(?:\s*(?:==|=|//|#|;|<-+|-+>?)\s.*)?"
 )
+#: One byte of a log behind its index: `byte 3: 0x02`, `Received byte[3] = 0x02`.
+_INDEXED = re.compile(
+    r"(?P<before>.*?)\bbyte\s*[\[#(]?\s*\d{1,3}\s*[\])]?\s*[:=]\s*0[xX](?P<hex>[0-9A-Fa-f]{1,2})", re.IGNORECASE
+)
 _NUMBER = re.compile(r"\d+\s*")
 _AROUND_NOTE = " \t,;|"
 #: A sentence before a mark: no header of bytes.
@@ -227,7 +231,9 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
         and "(0x" not in twice["before"].lower()
         and (int(twice["binary"], 2) if twice["binary"] else int(twice["decimal"])) == int(twice["hex"], 16)
     ):
-        return _of_twice(text, twice)
+        return _of_one(twice)
+    if "0x" in text[-4:].lower() and (indexed := _INDEXED.fullmatch(text)) is not None:
+        return _of_one(indexed)
     if decimal:
         data = written.decimal(text)
         return HexLine(Shape.TRAFFIC, data, radix=Radix.DECIMAL) if data else _as_it_stood(_peeled(text, decimal), line)
@@ -289,13 +295,13 @@ def _peeled(text: str, decimal: bool = False, led: bool = False) -> HexLine:
     return _Peeler(text, decimal, led).line()
 
 
-def _of_twice(text: str, twice: re.Match[str]) -> HexLine:
-    """Return a line that prints one byte, in decimal or binary and in hexadecimal: where a frame ends it does not tell."""
-    before = _Peeler(twice["before"])
+def _of_one(byte: re.Match[str]) -> HexLine:
+    """Return a line that prints one byte, twice or behind its index: where a frame ends it does not tell."""
+    before = _Peeler(byte["before"])
     while before._item():
         pass
-    words = [word for word in re.findall(r"[^\W\d_]+", twice["before"].lower()) if word in WORDS]
-    data = bytes((int(twice["hex"], 16),))
+    words = [word for word in re.findall(r"[^\W\d_]+", byte["before"].lower()) if word in WORDS]
+    data = bytes((int(byte["hex"], 16),))
     return HexLine(Shape.TRAFFIC, data, before.stamp, role_of(words), worded=bool(words), number=len(data))
 
 

@@ -74,7 +74,7 @@ _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z][a-z])")
 #: The name of what is asked for tells no sender.
 _FUNCTION = re.compile(r"\bread (?:\d+ |holding |input |discrete )*(?:registers?|coils?|inputs?)\b")
 _SENTENCE = re.compile(r"[.!?;]\s")
-_SIGN = re.compile(rf"(?:^|(?<=[\s\])|]))({'|'.join(map(re.escape, sorted(SIGNS, key=len, reverse=True)))})[\s:<\[({{'\"]*$")
+_SIGN = re.compile(rf"(?:^|(?<=[\s\])|:]))({'|'.join(map(re.escape, sorted(SIGNS, key=len, reverse=True)))})[\s:<\[({{'\"]*$")
 _NOT = frozenset(("not", "never", "no", "cannot", "without"))
 _WISHED = re.compile(
     r"\b(?:instead of|rather than|expect\w*(?! \d+ bytes)|should|shall|supposed to|must be|correct\w*|ought)\b", re.IGNORECASE
