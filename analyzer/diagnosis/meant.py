@@ -30,6 +30,8 @@ _BEFORE = 80
 #: How near a number comes to a reading: one that was printed, and one that somebody expects.
 _PRINTED, _EXPECTED = 2e-3, 2e-2
 _SCALES = (10, 100, 1000)
+#: How near a number of many digits comes to its reading, and between what such values are.
+_SAME, _PLAUSIBLE = 1e-5, (1e-3, 1e6)
 _HUGE = 1e20
 #: What comes before the words of a line that has frames, and bytes among words.
 _PLACE = re.compile(r"^line \d+, columns? [\d, ]+: ")
@@ -161,6 +163,8 @@ def _near(number: float, value: float, within: float) -> bool:
 def _odd(piece: Piece, words: str, said: list[_Said]) -> _Odd | None:
     """Return what is wrong with the value of a reply, by the numbers of the words."""
     readings = list(_readings(_registers(piece)))
+    if not any(s.right for s in said) and any(s.exact and _is_understood(s.value, readings) for s in said):
+        return None
     # What libraries make of registers, unless told otherwise.
     plain = [r for r in readings if r.order in ("AB", "ABCD") and (r.kind == "unsigned" or r.kind == "float")]
     got = [r for r in readings if r.value and any(not s.right and _near(s.value, r.value, _PRINTED) for s in said)]
@@ -178,6 +182,14 @@ def _odd(piece: Piece, words: str, said: list[_Said]) -> _Odd | None:
                 if not _near(value, one.value, _PRINTED) and (found := rank(one, value, readings, within, words)):
                     return _Odd(piece, *found)
     return None
+
+
+def _is_understood(value: float, readings: list[Reading]) -> bool:
+    """Say whether a number with many digits is the float that the reply has: nobody gets those by a wrong reading."""
+    within = (
+        r.value for r in readings if r.kind == "float" and r.order == "ABCD" and _PLAUSIBLE[0] < abs(r.value) < _PLAUSIBLE[1]
+    )
+    return len(f"{value:.9g}".replace(".", "")) > _TELLING_DIGITS and any(_near(value, each, _SAME) for each in within)
 
 
 def _scaled(one: Reading, value: float, readings: list[Reading], within: float, words: str) -> tuple[str, str, str] | None:

@@ -32,6 +32,11 @@ HEALTHY = {
     "[10:00:00][D][uart_debug:114]: <<< 00:01:00:02:00:03:00:04:0D:14",
     "frames with a head and a tail": "".join(f"RX: 02 FF 30 31 32 3{n} 03\n" for n in range(4)),
     "an adapter for cars": "".join(f">010{n}\n7E80341{n:02X}0D\n\n" for n in range(8)),
+    "Modbus TCP that begins with a reply": "RECV: 0x0 0x18 0x0 0x0 0x0 0x5 0x1 0x3 0x2 0x0 0x1\n"
+    "SEND: 0x0 0x19 0x0 0x0 0x0 0x6 0x1 0x3 0x10 0x23 0x0 0x1",
+    "marks behind the name of a logger": "DEBUG:modbus_tk:-> 00-01-00-00-00-06-01-04-fa-01-00-01\n"
+    "DEBUG:modbus_tk:<- 00-01-00-00-00-05-01-04-02-00-2a",
+    "a float that was read rightly": "The 9608 is asked for: 01 04 04 43 60 25 88 F4 E8 --> 224.146606445, but nothing is shown.",
     "exchanges of another maker": "TX: A0 A0 00 01 21 01\nRX: A0 A0 00 02 21 02 03\n" * 4,
 }
 
@@ -60,6 +65,23 @@ def test_what_is_well_is_not_accused(text, tmp_path, capsys):
 )
 def test_what_is_missed_is_told(text, cause, tmp_path, capsys):
     assert verdict(text, tmp_path, capsys)[1][:1] == [cause]
+
+
+def test_counters_that_fall_show_that_frames_get_through(tmp_path, capsys):
+    log = "".join(
+        f" (1.0{n}0000)  can0  20000088   [8]  00 00 04 00 00 00 {96 - 8 * n:02X} 00   ERRORFRAME\n" for n in range(5)
+    )
+    assert verdict(log, tmp_path, capsys)[1][:1] == ["can_bit_errors"]
+
+
+def test_two_dialects_in_a_short_capture(tmp_path, capsys):
+    log = "TX: FA 01 30 2B\n" * 2 + "TX: 01 04 00 32 00 01 90 05\nRX: 01 04 02 01 40 B9 50\n"
+    assert verdict(log, tmp_path, capsys)[1][:1] == ["wrong_dialect"]
+
+
+def test_bytes_behind_their_index(tmp_path, capsys):
+    came = "".join(f"byte {n}: 0x{byte:02X}\n" for n, byte in enumerate(bytes.fromhex("010304000100022A32")))
+    assert verdict(f"Sending: 01 03 00 00 00 02 C4 0B\n{came}", tmp_path, capsys) == ("ok", [])
 
 
 def test_a_log_of_a_server_is_read_from_the_other_side(tmp_path, capsys):
