@@ -36,7 +36,7 @@ HEALTHY = {
     "SEND: 0x0 0x19 0x0 0x0 0x0 0x6 0x1 0x3 0x10 0x23 0x0 0x1",
     "marks behind the name of a logger": "DEBUG:modbus_tk:-> 00-01-00-00-00-06-01-04-fa-01-00-01\n"
     "DEBUG:modbus_tk:<- 00-01-00-00-00-05-01-04-02-00-2a",
-    "a float that was read rightly": "The 9608 is asked for: 01 04 04 43 60 25 88 F4 E8 --> 224.146606445, but nothing is shown.",
+    "a float that was read rightly": "9608 is asked for: 01 04 04 43 60 25 88 F4 E8 --> 224.146606445, but nothing is shown.",
     "exchanges of another maker": "TX: A0 A0 00 01 21 01\nRX: A0 A0 00 02 21 02 03\n" * 4,
 }
 
