@@ -12,6 +12,7 @@ A small file costs as much as thousands of rows: half a millisecond of work, a r
 from __future__ import annotations
 
 import uuid
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -175,6 +176,7 @@ class Files:
         self.to = to
         self._owners: dict[str, Owner] = {}
         self._waiting: dict[tuple[str, bytes], list[tuple[str, pyarrow.Table]]] = {}
+        self._rows = Counter[tuple[str, bytes]]()
         self._transactions: list[pyarrow.Table] = []
         self._open: dict[tuple[str, bytes, tuple[str | None, ...]], DataFile] = {}
         self._added: list[Added] = []
@@ -184,9 +186,10 @@ class Files:
         self._owners[capture] = owner
         # Captures with and without dates have two schemas for one table, and so may two versions of a package.
         key = (name, rows.schema.serialize().to_pybytes())
-        pieces = self._waiting.setdefault(key, [])
-        pieces.append((capture, rows))
-        if sum(len(piece) for _, piece in pieces) >= GROUP:
+        self._waiting.setdefault(key, []).append((capture, rows))
+        self._rows[key] += len(rows)
+        if self._rows[key] >= GROUP:
+            del self._rows[key]
             self._convert(name, self._waiting.pop(key))
 
     def finish(self) -> list[Added]:
