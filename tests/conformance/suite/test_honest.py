@@ -219,6 +219,8 @@ ONCE_ACCUSED = [
     ("lk-rs485@1,model=MF,line-errors=1%", 2, "crossed-taken"),
     # What the reply to a setting says is that of the one which was asked for again, also where it is a refusal.
     ("mks-modbus@1,model=57D,line-errors=1%", 3, "motor_direction/every"),
+    # A reply with another address in it is lost, too.
+    ("mks-modbus@1,model=42D,line-errors=1%,encoder-noise=1", 21, "resilience/settings/speeding-up"),
 ]
 
 
