@@ -39,10 +39,10 @@ _LONGEST, _MOST_VALUES = 1785, 1 << 16
 _MOST_NUMBERS = 16 * _MOST_VALUES
 #: Numbers that cantools makes as many objects of: what they are, their pattern, the most.
 _LIMITS = (
-    # A name is short: what has no end is not looked through for each begin.
-    ("bytes of a message", r"^BO_ \s*\d+ [^:]{0,300}:\s*(\d+)", _LONGEST),
-    ("bits of a signal", r":\s*\d+\|(\d+)@", 8 * _LONGEST),
-    ("first bit of a signal", r":\s*(\d+)\|\d+@", 8 * _LONGEST),
+    # White space stands anywhere in a DBC file. A name is short: what has no end is not looked through for each begin.
+    ("bytes of a message", r"BO_\s*+\d++\s*+\w{1,300}+\s*+:\s*+(\d++)", _LONGEST),
+    ("bits of a signal", r":\s*+\d++\s*+\|\s*+(\d++)", 8 * _LONGEST),
+    ("first bit of a signal", r":\s*+(\d++)\s*+\|", 8 * _LONGEST),
     ("length", r"""\b(?:length|offset)\s*=\s*["'](\d+)""", 8 * _LONGEST),
     ("length", r"^[ \t]*(?:Len|DLC|MaxLength)\s*=\s*(\d+)", 8 * _LONGEST),
     ("length", r"<(?:LENGTH|BIT-LENGTH|FRAME-LENGTH|START-POSITION)>\s*(\d+)", 8 * _LONGEST),
@@ -91,7 +91,7 @@ def _check_size(text: Text, format: str) -> None:
             if len(found[1]) > len(str(most)) or int(found[1]) > most:
                 raise text.error(f"{what}: expected {most} at most, got {found[1]}", text.line_at(found.start(1)))
     values_at, numbers = -1, 0
-    for mark in re.finditer(r"^SG_MUL_VAL_ |;", text.text, re.MULTILINE):
+    for mark in re.finditer(r"SG_MUL_VAL_|;", text.text):
         if mark[0] != ";":
             values_at = mark.start() if values_at < 0 else values_at
         elif values_at >= 0:

@@ -240,6 +240,21 @@ BAD = {
 }
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (" BO_ 5 X: 400000000 A\n", "bytes of a message"),
+        ("BO_\t5 X\n:\n400000000 A\n", "bytes of a message"),
+        ('BO_ 5 X: 8 A\n SG_ a : 0 | 400000000 @ 1+ (1,0) [0|1] "" A\n', "bits of a signal"),
+        ('BO_ 5 X: 8 A\n SG_ a :\n400000000 |8@1+ (1,0) [0|1] "" A\n', "first bit of a signal"),
+        (" SG_MUL_VAL_\t5 a m 0 - 400000000;\n", "multiplexer values"),
+    ],
+)
+def test_numbers_that_would_take_all_memory_are_refused_however_they_are_spaced(text, said, tmp_path):
+    with pytest.raises(ServotapError, match=f"{said}: expected"):
+        load([write(tmp_path, HEAD + text)], [], print)
+
+
 @pytest.mark.parametrize("name", BAD)
 def test_a_bad_file_is_told_in_one_line_and_nothing_is_written(name, tmp_path, capsys):
     text, said = BAD[name]
