@@ -23,8 +23,8 @@ _ROUNDER = 2
 _ROUND = {2: 2, 3: 3, 4: 4, 8: 5}
 #: The weight from which on swapped bytes are no chance; a value out of range whose bytes swapped are in it weighs double.
 _ENOUGH = 2
-#: Digits of a number of four bytes that is meant, even if it is the only one.
-_FEW_DIGITS = 3
+#: Digits of a number that is meant even if it is the only one, by the bytes of its field; of two bytes none tells enough.
+_FEW_DIGITS = {2: 0, 3: 2, 4: 3, 8: 3}
 _RANGE = frozenset(("out_of_range", "unknown_choice"))
 
 
@@ -209,7 +209,7 @@ def _weight(word: Word, data: bytes) -> int:
         return -1
     rounder = sound_swapped and swapped <= _ROUND[len(data)] and swapped + _ROUNDER <= digits
     # Of four bytes one in ten thousand is so much rounder the other way, one in a million with so few digits.
-    much = len(data) > 2 and swapped <= _FEW_DIGITS and swapped + 2 * _ROUNDER <= digits
+    much = swapped <= _FEW_DIGITS[len(data)] and swapped + 2 * _ROUNDER <= digits
     return int(rounder) * (2 if not sound or much else 1)
 
 

@@ -37,6 +37,10 @@ HEALTHY = {
     "marks behind the name of a logger": "DEBUG:modbus_tk:-> 00-01-00-00-00-06-01-04-fa-01-00-01\n"
     "DEBUG:modbus_tk:<- 00-01-00-00-00-05-01-04-02-00-2a",
     "a float that was read rightly": "9608 is asked for: 01 04 04 43 60 25 88 F4 E8 --> 224.146606445, but nothing is shown.",
+    "one number that would be rounder the other way": "TX: FA 02 F4 0B A7 F0 F0 45 7A FA 3B\n"
+    "RX: FB 02 F4 01 F2\nRX: FB 02 F4 02 F3",
+    "one number of three bytes that would be short the other way": "can0  002   [8]  F5 06 46 57 ED FC FF 82\n"
+    "can0  002   [3]  F5 01 F8\ncan0  002   [3]  F5 02 F9\n",
     "exchanges of another maker": "TX: A0 A0 00 01 21 01\nRX: A0 A0 00 02 21 02 03\n" * 4,
 }
 
