@@ -13,14 +13,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Trait, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Trait, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.model import covering
 from conformance.motion import motion
-from conformance.motion.motion import MS, SECOND_NS
+from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -28,6 +28,8 @@ _CW, _CCW = 0, 1
 _SWITCH = 3000
 HOMING, HOMED = 5, 2
 _LIMIT_NS = 20 * SECOND_NS
+#: How far a move goes from where homing ended, in degrees.
+_BESIDE = 45
 #: How near the place is known where the shaft turns round (counts): at 60 rpm it goes so far between two looks at it.
 _BACK = 200
 _WAYS = {_CW: -1, _CCW: 1}
@@ -214,7 +216,7 @@ def _backs_off(probe: Probe, command: Command, way: str) -> None:
 
 @_of_homing("another number")
 def _zero(probe: Probe) -> None:
-    """Where homing ends is zero, of the encoder and of the pulses."""
+    """Where homing ends is zero: of the encoder, of the pulses, and for moves to a place."""
     _prepared(probe)
     bench.left_switch(probe, -_SWITCH)
     exchange = find_home(probe)
@@ -222,6 +224,12 @@ def _zero(probe: Probe) -> None:
     for verb, name in ((Verb.READ_POSITION, "position"), (Verb.READ_PULSES, "pulses")):
         text = f"the {name} is not zero where homing ended"
         probe.expect(probe.read(verb, name), near=0, unit="counts", refutes=text, exchange=exchange)
+    for move in probe.dialect.motions(MotionKind.MOVE_TO):
+        exchange = motion.begin(probe, move, _BESIDE, rpm=120, acceleration=QUICK, start=0)
+        probe.wait(SECOND_NS)
+        went, within = abs(motion.stand_still(probe).value), motion.miss(probe) + motion.same(probe)
+        text = f"{move.name} does not count from where homing ended"
+        probe.expect(went, near=_BESIDE, within=within, unit="degrees from there", refutes=text, exchange=exchange)
 
 
 def _without_switch(dialect: Dialect) -> Iterator[Case]:
@@ -398,14 +406,25 @@ def _ends_by_disabling(probe: Probe, command: Command) -> None:
 
 @_of_homing("others", each=that_tell_their_end(_homings))
 def _replies(probe: Probe, command: Command) -> None:
-    """Homing is answered by 1 when it begins and by 2 when home is found."""
-    _prepared(probe)
-    bench.left_switch(probe, -2 * probe.dialect.counts_per_turn)
-    since = len(probe.traffic)
-    exchange = find_home(probe)
-    probe.wait(2 * SECOND_NS)
-    text = "homing is not answered by 1 and then 2"
-    probe.expect(_statuses(probe, since, command), equal=[1, 2], refutes=text, exchange=exchange)
+    """Homing is answered by 1 when it begins and by 2 when home is found: both ways, by an open or closed switch or a wall."""
+    for row in covering.rows({"direction": (_CW, _CCW), "found": ("open", "closed", "wall"), "rpm": (60, 300)}):
+        way, found = _WAYS[row["direction"]], row["found"]
+        bench.wall(probe, None)
+        bench.left_switch(probe, way * 100 * probe.dialect.counts_per_turn)
+        _prepared(probe, home_direction=row["direction"], home_speed=row["rpm"], home_mode=int(found == "wall"))
+        if found == "wall":
+            bench.wall(probe, way * _SWITCH)
+        elif found == "closed":
+            bench.switch_here(probe, way, 1000)
+        else:
+            bench.left_switch(probe, way * 2 * probe.dialect.counts_per_turn)
+        since = len(probe.traffic)
+        exchange = find_home(probe)
+        probe.wait(2 * SECOND_NS)
+        text = "homing is not answered by 1 and then 2"
+        shown = ", ".join(f"{name} {value}" for name, value in row.items())
+        told = _statuses(probe, since, command)
+        probe.expect(told, equal=[1, 2], expected=f"1, 2: {shown}", refutes=text, exchange=exchange, key=text)
 
 
 # --- held at the end stop ---------------------------------------------------------------------------------------------

@@ -40,8 +40,8 @@ def _of_protection(
 # --- a held shaft -----------------------------------------------------------------------------------------------------
 
 
-def _prepare(probe: Probe, protection: int) -> None:
-    motion.prepare(probe, probe.command(Verb.MOVE_RELATIVE_AXIS))
+def _prepare(probe: Probe, protection: int, move: Verb | Command = Verb.MOVE_RELATIVE_AXIS) -> None:
+    motion.prepare(probe, probe.command(move))
     probe.do(Verb.SET_PROTECTION, {"protection": protection})
 
 
@@ -112,7 +112,7 @@ def _stall(probe: Probe, command: Command, port: str) -> None:
 def _lets_go(probe: Probe) -> None:
     """With the protection on, a shaft that is held in any move, either way, is let go, and 3E reads 1."""
     for move, turns in product(probe.dialect.motions(*MOVES), (_TURNS, -_TURNS)):
-        _prepare(probe, 1)
+        _prepare(probe, 1, move)
         _expect(probe, probe.traffic[-1], 0, "3E reads protected before the shaft was held")
         exchange = _held_move(probe, turns, move)
         _expect(probe, exchange, 1, f"3E does not read protected after the shaft was held in {move.name}")
@@ -338,6 +338,7 @@ def _limp(probe: Probe, command: Command) -> None:
     text = "3D takes the motion up again that the protection ended"
     expect_stays(before, motion.position(probe), exchange, text, _MISSING)
     for move in probe.dialect.motions(MotionKind.MOVE_BY):
+        motion.prepare(probe, move)
         moved = motion.follow(probe, move, 45)
         text = f"{move.name} behind 3D does not begin where the shaft stands"
         within = motion.miss(probe) + motion.same(probe)
@@ -364,7 +365,7 @@ def _limp_either_way(probe: Probe) -> None:
     moves = probe.dialect.motions(*MOVES)
     rest = [(move, (-1) ** n) for n, move in enumerate(sorted(moves, key=lambda c: c.verb is not Verb.MOVE_RELATIVE_AXIS), 1)]
     for number, (move, way) in enumerate((*rest, (None, 1), (None, -1))):
-        _prepare(probe, 1)
+        _prepare(probe, 1, move or Verb.MOVE_RELATIVE_AXIS)
         if move is None:
             motion.run_at(probe, way * _LIMP_RPM, QUICK)
             probe.wait(300 * MS)

@@ -23,6 +23,7 @@ from conformance.drives.faults.places import (
     MODBUS,
     NATIVE,
     SERIAL,
+    TELLING,
     Change,
     Of,
     Row,
@@ -673,6 +674,22 @@ def _home_told(drive: MksCore) -> None:
     drive.complete = tell  # type: ignore[method-assign]
 
 
+def _of_old_zero(drive: Drive, command: Command, values: Values) -> Values:
+    """Count from another zero than that of homing."""
+    return values | {"position": values["position"] + 500} if _homed(mks(drive)) else values
+
+
+def _ccw_home_untold(drive: MksCore) -> None:
+    """Do not tell the end of homing counter-clockwise."""
+    complete = drive.complete
+
+    def tell(request: Request, values: Values) -> None:
+        if request.command.verb is not Verb.HOME or drive.settings["home_direction"] != mks_shared.ConfigDirection.CCW:
+            complete(request, values)
+
+    drive.complete = tell  # type: ignore[method-assign]
+
+
 # --- in one condition of two --------------------------------------------------------------------------------------------
 
 
@@ -954,6 +971,8 @@ DOING: Rows = {
         Row(
             "homing-back-as-stopped", "F1 says stopped on homing's way back", told_when(_homes_back, Verb.READ_STATUS, status=1)
         ),
+        Row("fe-of-old-zero", "FE behind homing counts from another zero", request(_of_old_zero, Verb.MOVE_ABSOLUTE_PULSES)),
+        Row("homing-ccw-untold", "the end of homing counter-clockwise is not told", tuned(_ccw_home_untold), TELLING),
         Row("homing-ccw-lets-go", "homing counter-clockwise lets the shaft go at its end", when_home(_let_go_ccw)),
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
     ),

@@ -12,6 +12,8 @@ from conformance.suite.target import EMULATED, parse
 
 FAULTS = (*mks_conditions.FAULTS, *mks_sequences.FAULTS, *mks_effects.FAULTS, *lk_conditions.FAULTS)
 REFUTED_BY = {
+    "fe-of-old-zero": "motion/home/zero",
+    "homing-ccw-untold": "motion/home/replies",
     "home-backs-off-half-a-turn": "motion/home/backs-off-cw",
     "home-backs-off-16-bits": "motion/home/backs-off-ccw",
     "target-kept-protected": "motion/release_protection/limp",
