@@ -8,6 +8,7 @@ Proved from the source of every module (`ast`, so that comments and texts do not
    calls that set it up are those of `IOCTLS` and no others.
 4. Of what pyserial and python-can open, nothing is used but what `ONLY` lists: it can be read and closed.
 5. Sockets are made in the files of `SOCKETS` alone.
+6. Of the C library nothing is called but what `NATIVE` lists: it can set memory, and nothing else.
 
 Proved by running it: the kernel holds a recorded port read-only, in every process of a recording; nothing ever arrives at the
 other end of a pseudo-terminal, a TCP connection or a CAN bus that is recorded; no command writes its output into a port.
@@ -65,6 +66,8 @@ NOT_TO_A_BUS = {
 LOCKS = "analyzer/live/lock.py"
 #: Map memory that processes share: a reader and its successor, the processes of a decode.
 MEMORY = {"analyzer/live/reader_hand.py", "analyzer/sinks/shared.py"}
+#: Expressions by which the C library is called: file -> what is written there.
+NATIVE = {"analyzer/columns/memory.py": {"ctypes.CDLL", "ctypes.CDLL(None).mallopt"}}
 #: The calls that set a serial port up.
 IOCTLS = {"TIOCMBIC", "TCGETS2", "TCSETS2", "TIOCGICOUNT"}
 #: What is used of an object that could write: its name in the file -> attributes.
@@ -122,7 +125,7 @@ def opens(source):
             yield module
         if first == "socket" and source.name not in SOCKETS:
             yield module
-        if first in ("pty", "tty", "ctypes", "usb") or (first == "mmap" and source.name not in MEMORY):
+        if first in ("pty", "tty", "usb") or (first == "mmap" and source.name not in MEMORY):
             yield module
     for called, _ in source.calls:
         # `Bus` alone is also what a recording knows of one.
@@ -182,7 +185,18 @@ def only(source):
         yield f"{OPENS[source.name]} is not kept as {variable}"
 
 
-RULES = (sends, opens, writes, sets_up, only)
+def native(source):
+    """Rule 6: the C library is called for what is listed, and never kept."""
+    nodes = list(ast.walk(source.tree))
+    yield from {each for each in source.imported if each.startswith("ctypes.")}
+    called = {ast.unparse(n): n for n in nodes if isinstance(n, ast.Attribute) and ast.unparse(n).startswith("ctypes")}
+    yield from called.keys() - NATIVE.get(source.name, set())
+    names = sum(isinstance(n, ast.Name) and n.id == "ctypes" for n in nodes)
+    if names != sum(isinstance(n, ast.Attribute) and ast.unparse(n) == "ctypes.CDLL(None).mallopt" for n in nodes):
+        yield "ctypes is kept"
+
+
+RULES = (sends, opens, writes, sets_up, only, native)
 
 
 def broken(name, text):
@@ -230,6 +244,14 @@ def test_a_module_that_could_is_noticed(name, old, new):
     assert broken(name, text.replace(old, new, 1))
 
 
+@pytest.mark.parametrize("new", ["ctypes.CDLL(None).write", "ctypes.CDLL(None)", "ctypes.CDLL('libusb.so').mallopt"])
+def test_another_call_of_the_c_library_is_noticed(new):
+    (name,) = NATIVE
+    text = (ROOT / name).read_text()
+    assert broken(name, text.replace("ctypes.CDLL(None).mallopt", new))
+    assert broken("analyzer/other.py", text)
+
+
 def test_descriptors_are_handed_over_at_one_place():
     users = [name_of(path) for path in MODULES if "send_fds" in Source("", path.read_text()).words]
     assert users == ["analyzer/live/reader.py"]
@@ -238,7 +260,7 @@ def test_descriptors_are_handed_over_at_one_place():
 
 
 def test_the_files_named_here_are_there():
-    for name in {*OPENS, *SOCKETS, *ONLY}:
+    for name in {*OPENS, *SOCKETS, *ONLY, *NATIVE}:
         assert (ROOT / name).is_file(), name
 
 

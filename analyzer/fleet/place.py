@@ -9,7 +9,6 @@ import contextlib
 import errno
 import os
 import posixpath
-import socket
 import stat
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -235,13 +234,16 @@ def _check_endpoint(url: str, options: Mapping[str, Any]) -> None:
 
 def _connect(scheme: str, host: str, port: int) -> None:
     """Connect to a server. Whether it is the right one, the store's own client looks. Raises OSError."""
-    with socket.create_connection((host, port), _CONNECT_S) as connection:
-        if scheme == "https":
-            import ssl
+    import http.client
+    import ssl
 
-            context = ssl.create_default_context()
-            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-            context.wrap_socket(connection, server_hostname=host).close()
+    connection = http.client.HTTPConnection(host, port, timeout=_CONNECT_S)
+    if scheme == "https":
+        context = ssl.create_default_context()
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        connection = http.client.HTTPSConnection(host, port, timeout=_CONNECT_S, context=context)
+    with contextlib.closing(connection):
+        connection.connect()
 
 
 #: What stores call the time of a file, and what changes with its content. A folder's own files have times and numbers.

@@ -104,12 +104,15 @@ def turned(probe: Probe, subdivision: int) -> tuple[Tried, ...]:
     rest = motion.wait_standing(probe)
     refused: Refused | None = None
     for command, way in _table(probe.dialect)[subdivision]:
-        try:
-            found.append(_try(probe, subdivision, command, way, rest))
-            rest = found[-1].end
-        except Refused as error:
-            refused = error
-            rest = motion.stand_still(probe)
+        # The bytes of one way may hold another frame, which the gate refuses; those of the other way do not.
+        for each in (way, -way):
+            try:
+                found.append(_try(probe, subdivision, command, each, rest))
+                rest = found[-1].end
+                break
+            except Refused as error:
+                refused = error
+                rest = motion.stand_still(probe)
     if refused is not None and not found:
         raise refused
     return tuple(found)
