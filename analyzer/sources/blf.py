@@ -89,12 +89,15 @@ def _are_many(kind: int, data: bytes) -> bool:
 
 
 def _more_together(objects: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
-    """Yield objects; messages of several containers that follow each other as those of one, which costs less."""
+    """Yield objects; messages of several containers that follow each other as those of one, which costs less.
+
+    Of what is held nothing is left to say: it would be told behind what the next containers are found to be.
+    """
     held: list[bytes] = []
     held_kind = size = 0
     try:
         for kind, data in objects:
-            many = _are_many(kind, data)
+            many = _are_many(kind, data) and _holds_no_remote_frames(data)
             if held and (not many or kind != held_kind or size >= TOGETHER):
                 yield held_kind, b"".join(held)
                 held, size = [], 0
@@ -110,6 +113,13 @@ def _more_together(objects: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, 
         raise
     if held:
         yield held_kind, b"".join(held)
+
+
+def _holds_no_remote_frames(data: bytes) -> bool:
+    """Say whether none of these messages is a remote frame, whose data are told."""
+    from analyzer.sources.blf_blocks import remote
+
+    return not remote(data).any()
 
 
 def _together(source: Source, kind: int, data: bytes, start_ns: int) -> Iterator[CanFrame | CanBlock]:

@@ -47,6 +47,12 @@ def alike(buffer: bytearray, at: int) -> int:
     return count if count >= SHORTEST else 1
 
 
+def remote(data: bytes) -> np.ndarray:
+    """Say of each object whether it is a remote frame."""
+    found: np.ndarray = np.frombuffer(data, dtype=_OBJECT)["flags"] & _REMOTE != 0
+    return found
+
+
 def pieces(data: bytes, start_ns: int) -> Iterator[tuple[int, int, str, CanBlock | None]]:
     """Yield objects in stretches: from which to which, on which bus, and their frames; None: read them singly."""
     rows = np.frombuffer(data, dtype=_OBJECT)
@@ -56,7 +62,7 @@ def pieces(data: bytes, start_ns: int) -> Iterator[tuple[int, int, str, CanBlock
         return
     found = Found.of(len(rows))
     units = _UNITS.take(rows["unit"] == _TEN_MICROSECONDS)
-    plain = (rows["id"] <= STANDARD_ID) & (rows["length"] <= 8) & (rows["flags"] & _REMOTE == 0)
+    plain = (rows["id"] <= STANDARD_ID) & (rows["length"] <= 8) & ~remote(data)
     plain &= rows["ticks"] < _TICKS.take(rows["unit"] == _TEN_MICROSECONDS)
     found.t_ns[:] = start_ns + (rows["ticks"] * units).astype(np.int64)
     found.ids[:], found.sizes[:] = rows["id"], rows["length"]
