@@ -17,7 +17,7 @@ import subprocess
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,7 +48,7 @@ def messages(text: Text, name: str, note: Callable[[str], None]) -> Dialect:
     Raises UnreadableError for a file that cannot be read or contradicts itself.
     """
     format = _FORMATS.get(Path(text.path).suffix.lower(), "dbc")
-    found = _parsed(text, format)
+    found = _parsed(text.path, text.data, format)
     contained = [m.name for m in found if m.is_container]
     if contained:
         note(f"{text.path}: containers are not decoded: {printable(', '.join(contained[:5]))}")
@@ -72,16 +72,19 @@ def messages(text: Text, name: str, note: Callable[[str], None]) -> Dialect:
     )
 
 
-def _parsed(text: Text, format: str) -> list[MessageFacts]:
+#: Captures of a folder are decoded with the same files, one after the other.
+@lru_cache(maxsize=4)
+def _parsed(path: str, data: bytes, format: str) -> list[MessageFacts]:
     """Return the messages of a file. Another process parses it, which ends with this function however it ends.
 
     Raises UnreadableError for a file that cannot be read, or takes too much memory or time; UsageError without cantools.
     """
+    text = Text(path, data)
     memory, seconds = (
-        free + math.ceil(more * len(text.data) / (1 << 20))
+        free + math.ceil(more * len(data) / (1 << 20))
         for free, more in ((_MEMORY, _MEMORY_PER_MIB), (_SECONDS, _SECONDS_PER_MIB))
     )
-    answered = _answered(text, bounded.command("analyzer.devices.dbc_child", text.path, format, memory << 20, seconds), seconds)
+    answered = _answered(data, bounded.command("analyzer.devices.dbc_child", path, format, memory << 20, seconds), seconds)
     answer: Answer = pickle.loads(answered) if answered else TooMuchError()
     if isinstance(answer, TooMuchError):
         raise text.error(
@@ -93,7 +96,7 @@ def _parsed(text: Text, format: str) -> list[MessageFacts]:
     return answer
 
 
-def _answered(text: Text, command: Sequence[str], seconds: int) -> bytes:
+def _answered(data: bytes, command: Sequence[str], seconds: int) -> bytes:
     """Return what a process answers to a file, nothing where it was ended."""
     child = subprocess.Popen(
         command,
@@ -110,7 +113,7 @@ def _answered(text: Text, command: Sequence[str], seconds: int) -> bytes:
         assert child.stdout is not None
         # A process that has ended takes no more, and its answer is short.
         with contextlib.suppress(OSError):
-            child.stdin.write(LENGTH.pack(len(text.data)) + text.data)
+            child.stdin.write(LENGTH.pack(len(data)) + data)
             child.stdin.flush()
         answered = child.stdout.read(MOST_ANSWERED)
         return answered if child.wait() == 0 else b""

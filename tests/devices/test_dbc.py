@@ -401,6 +401,14 @@ def test_a_process_that_does_not_end_is_ended_at_its_deadline(tmp_path, monkeypa
     assert [child.poll() in (None, 0) for child in watched.seen] == [False]
 
 
+def test_a_file_is_parsed_once_for_many_captures(tmp_path, watched):
+    first, second = devices(tmp_path, BATTERY), devices(tmp_path, BATTERY)
+    assert first[0].link.codes == second[0].link.codes
+    assert len(watched.seen) == 1
+    devices(tmp_path, BATTERY.replace("Voltage", "Tension"))
+    assert len(watched.seen) == 2
+
+
 def test_no_process_is_left_after_ctrl_c(tmp_path, monkeypatch, watched):
     monkeypatch.setattr(watched, "interrupted", True)
     with pytest.raises(KeyboardInterrupt):

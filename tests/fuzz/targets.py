@@ -340,13 +340,13 @@ def _view(given: Input, place: Place) -> None:
 _MAP, _DBC = ("in.csv", "--modbus-map", "meter.log"), ("in.dbc", "--dbc", "battery.log")
 
 
-def _parsed_here(text: Text, format: str) -> list[MessageFacts]:
+def _parsed_here(path: str, data: bytes, format: str) -> list[MessageFacts]:
     """Parse a file of messages in this process, which has bounds, too: a process for each takes thirty times as long."""
 
     def late(number: int, frame: object) -> None:
         raise MemoryError("too late")
 
-    before = signal.signal(signal.SIGVTALRM, late)
+    text, before = Text(path, data), signal.signal(signal.SIGVTALRM, late)
     signal.setitimer(signal.ITIMER_VIRTUAL, 4.0)
     try:
         return dbc_child.parsed(text, format)
