@@ -321,6 +321,10 @@ HOSTILE = {
     "ranges.dbc": PAGE
     + "".join(f' SG_ s{n} m0 : 8|8@1+ (1,0) [0|0] "" A\n' for n in range(40))
     + "".join(f"SG_MUL_VAL_ 1 s{n} Page 0-65000;\n" for n in range(40)),
+    "one.dbc": PAGE + ' SG_ s m0 : 8|8@1+ (1,0) [0|0] "" A\nSG_MUL_VAL_ 1 s Page ' + ", ".join(["0-65535"] * 2000) + ";\n",
+    "offset.kcd": _kcd(
+        "<Message id='1' name='M' length='8'><Signal name='s' offset=' 4000000000 ' length='40000000000'/></Message>"
+    ),
     "nested.dbc": HEAD
     + "BO_ 1 M: 8 A\n"
     + "".join(f' SG_ s{n} {"m0M" if n else "M"} : {8 * n}|8@1+ (1,0) [0|0] "" A\n' for n in range(4))
@@ -346,6 +350,10 @@ def test_a_small_file_that_takes_all_memory_or_minutes_is_refused_in_a_line(name
     assert other.ru_utime - spent[1].ru_utime < dbc._SECONDS + dbc._SECONDS_PER_MIB + 1
     assert own.ru_utime - spent[0].ru_utime < 3
     assert own.ru_maxrss - spent[0].ru_maxrss < 64 << 10
+
+
+def test_numbers_of_a_comment_are_none_of_a_message(tmp_path):
+    assert devices(tmp_path, BATTERY + 'CM_ "at 12:00:4000 from 0-400000000: 99999 |";\n')[0].commands
 
 
 def test_values_of_a_long_range_are_decoded(tmp_path):
