@@ -9,46 +9,37 @@ Rules kept here:
 
 from __future__ import annotations
 
-import logging
+import contextlib
 import math
+import pickle
 import re
+import subprocess
+import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analyzer import bounded
 from analyzer.catalogue import Command, Dialect, Risk, Verb, always
+from analyzer.devices.dbc_child import LENGTH, MOST_ANSWERED, Answer, MessageFacts, SignalFacts, TooMuchError, begin_of
 from analyzer.devices.text import Text
 from analyzer.layout import RESERVED_NAMES, Field, FieldKind, MisfitError, ReadLayout
 from analyzer.link import EXTENDED_ID, MessageLink
 from analyzer.link.can import j1939_group
+from analyzer.own_process import without
 from analyzer.port import topic_name
-from analyzer.table.extras import needed
 from analyzer.values import printable
 
 if TYPE_CHECKING:
-    from cantools.database.can import Message, Signal
+    from cantools.database.can import Message
 
 #: What cantools reads, by the end of the file's name.
 _FORMATS = {".dbc": "dbc", ".kcd": "kcd", ".sym": "sym", ".arxml": "arxml"}
-_XML = frozenset({"kcd", "arxml"})
-#: The longest message that J1939 carries, in bytes, and as many multiplexer values as anyone numbers.
-_LONGEST, _MOST_VALUES = 1785, 1 << 16
-#: Multiplexer values of a whole file: each takes memory.
-_MOST_NUMBERS = 16 * _MOST_VALUES
-#: Numbers that cantools makes as many objects of: what they are, their pattern, the most.
-_LIMITS = (
-    # White space stands anywhere in a DBC file. A name is short: what has no end is not looked through for each begin.
-    ("bytes of a message", r"BO_\s*+\d++\s*+\w{1,300}+\s*+:\s*+(\d++)", _LONGEST),
-    ("bits of a signal", r":\s*+\d++\s*+\|\s*+(\d++)", 8 * _LONGEST),
-    ("first bit of a signal", r":\s*+(\d++)\s*+\|", 8 * _LONGEST),
-    ("length", r"""\b(?:length|offset)\s*=\s*["'](\d+)""", 8 * _LONGEST),
-    ("length", r"^[ \t]*(?:Len|DLC|MaxLength)\s*=\s*(\d+)", 8 * _LONGEST),
-    ("length", r"<(?:LENGTH|BIT-LENGTH|FRAME-LENGTH|START-POSITION)>\s*(\d+)", 8 * _LONGEST),
-)
-#: Bits at which cantools looks to check a file: two million in a second. It checks each message twice.
-_MOST_LOOKS = 16_000_000
+#: Of the process that parses a file: MiB of memory and seconds of CPU time, and more for each MiB of the file. Files of
+#: 4 MiB, the longest, that tools write take 160 MiB and 2 s. By the clock it may take longer: others use the processor, too.
+_MEMORY, _MEMORY_PER_MIB, _SECONDS, _SECONDS_PER_MIB, _CLOCK = 200, 50, 4, 5, 10
 
 
 def messages(text: Text, name: str, note: Callable[[str], None]) -> Dialect:
@@ -57,8 +48,7 @@ def messages(text: Text, name: str, note: Callable[[str], None]) -> Dialect:
     Raises UnreadableError for a file that cannot be read or contradicts itself.
     """
     format = _FORMATS.get(Path(text.path).suffix.lower(), "dbc")
-    _check_size(text, format)
-    found = _parsed(text, format)
+    found = _parsed(text.path, text.data, format)
     contained = [m.name for m in found if m.is_container]
     if contained:
         note(f"{text.path}: containers are not decoded: {printable(', '.join(contained[:5]))}")
@@ -67,7 +57,7 @@ def messages(text: Text, name: str, note: Callable[[str], None]) -> Dialect:
     if not found:
         raise text.error("expected messages, got none")
     codes = {_identifier(m): number for number, m in enumerate(found)}
-    groups = {j1939_group(key): number for key, number in codes.items() if found[number].protocol == "j1939"}
+    groups = {j1939_group(key): number for key, number in codes.items() if found[number].is_j1939}
     title = printable(Path(text.path).name)
     return Dialect(
         name=name,
@@ -82,161 +72,83 @@ def messages(text: Text, name: str, note: Callable[[str], None]) -> Dialect:
     )
 
 
-def _check_size(text: Text, format: str) -> None:
-    """Raise UnreadableError for numbers and declarations that would take all memory."""
-    if format in _XML and (found := re.search(r"<!(?:DOCTYPE|ENTITY)", text.text)):
-        raise text.error(f"expected no {found[0][2:]} in a file of messages", text.line_at(found.start()))
-    for what, pattern, most in _LIMITS:
-        for found in re.finditer(pattern, text.text, re.MULTILINE | re.IGNORECASE):
-            if len(found[1]) > len(str(most)) or int(found[1]) > most:
-                raise text.error(f"{what}: expected {most} at most, got {found[1]}", text.line_at(found.start(1)))
-    values_at, numbers = -1, 0
-    for mark in re.finditer(r"SG_MUL_VAL_|;", text.text):
-        if mark[0] != ";":
-            values_at = mark.start() if values_at < 0 else values_at
-        elif values_at >= 0:
-            numbers += _numbers(text, values_at, mark.start())
-            values_at = -1
-            if numbers > _MOST_NUMBERS:
-                raise text.error(f"multiplexer values: expected {_MOST_NUMBERS} in a file at most", text.line_at(mark.start()))
+#: Captures of a folder are decoded with the same files, one after the other.
+@lru_cache(maxsize=4)
+def _parsed(path: str, data: bytes, format: str) -> list[MessageFacts]:
+    """Return the messages of a file. Another process parses it, which ends with this function however it ends.
 
-
-def _numbers(text: Text, start: int, stop: int) -> int:
-    """Return how many multiplexer values stand in a place. Raises UnreadableError for a range longer than anyone has."""
-    numbers = 0
-    for found in re.finditer(r"(?<!\d)(\d++)\s*+-\s*+(\d++)", text.text[start:stop]):
-        if len(found[2]) > len(str(1 << 64)) or int(found[2]) - int(found[1]) > _MOST_VALUES:
-            raise text.error(
-                f"multiplexer values: expected {_MOST_VALUES} at most, got {found[0]}", text.line_at(start + found.start())
-            )
-        numbers += max(0, int(found[2]) - int(found[1])) + 1
-    return numbers
-
-
-def _looks(message: Message) -> int:
-    """Return at how many bits cantools looks to check a message: each, for each of its signals, in each place of a multiplexer.
-
-    Eight signals, or bits that are copied, count as one bit.
+    Raises UnreadableError for a file that cannot be read, or takes too much memory or time; UsageError without cantools.
     """
-    bits = 8 * message.length
-    below: dict[str | None, list[Signal]] = {}
-    for signal in message.signals:
-        below.setdefault(signal.multiplexer_signal, []).append(signal)
-
-    def of(signals: Sequence[Signal], times: int) -> int:
-        looks = 0
-        for signal in signals:
-            seen = times * len(signal.multiplexer_ids or (0,))
-            looks += seen * bits
-            if signal.is_multiplexer:
-                inner = below.get(signal.name, [])
-                values = {each for child in inner for each in child.multiplexer_ids or ()} | set(signal.choices or ())
-                looks += seen * len(values) * (len(inner) + bits) // 8 + of(inner, seen)
-        return looks
-
-    return of(below.get(None, []), 1)
+    text = Text(path, data)
+    memory, seconds = (
+        free + math.ceil(more * len(data) / (1 << 20))
+        for free, more in ((_MEMORY, _MEMORY_PER_MIB), (_SECONDS, _SECONDS_PER_MIB))
+    )
+    answered = _answered(data, bounded.command("analyzer.devices.dbc_child", path, format, memory << 20, seconds), seconds)
+    answer: Answer = pickle.loads(answered) if answered else TooMuchError()
+    if isinstance(answer, TooMuchError):
+        raise text.error(
+            f"reading it takes more memory or time than a device file may: {memory} MiB, {seconds} s; "
+            "expected no lengths or ranges so large"
+        )
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
 
 
-@contextmanager
-def _bounded() -> Iterator[None]:
-    """Have cantools refuse a file at whose bits it would look for minutes. All formats come to the same check."""
-    kind, left = needed("cantools.database.can.message").Message, _MOST_LOOKS
-    check = kind.refresh
-
-    def bounded(message: Message, strict: bool | None = None) -> None:
-        nonlocal left
-        left -= _looks(message)
-        if left < 0:
-            raise ValueError(f"expected fewer signals in messages so long, got too many with message {message.name}")
-        check(message, strict)
-
-    kind.refresh = bounded
+def _answered(data: bytes, command: Sequence[str], seconds: int) -> bytes:
+    """Return what a process answers to a file, nothing where it was ended."""
+    child = subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        # Ctrl-C in a terminal is for this process alone, which ends the other, or goes on to record.
+        start_new_session=True,
+    )
+    deadline = threading.Timer(_CLOCK * seconds, child.kill)
+    deadline.start()
     try:
-        yield
+        assert child.stdin is not None
+        assert child.stdout is not None
+        # A process that has ended takes no more, and its answer is short.
+        with contextlib.suppress(OSError):
+            child.stdin.write(LENGTH.pack(len(data)) + data)
+            child.stdin.flush()
+        answered = child.stdout.read(MOST_ANSWERED)
+        return answered if child.wait() == 0 else b""
     finally:
-        kind.refresh = check
+        deadline.cancel()
+        deadline.join()
+        child.kill()
+        # It reads no more: what was not written yet is of no use.
+        with contextlib.suppress(OSError), child:
+            pass
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Let cantools say nothing on the streams: what counts is checked here."""
-    logger = logging.getLogger("cantools")
-    before, logger.disabled = logger.level, False
-    logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
-
-
-def _parsed(text: Text, format: str) -> list[Message]:
-    database = needed("cantools.database")
-    try:
-        with _quiet(), _bounded():
-            loaded = database.load_string(text.text, database_format=format, strict=True, sort_signals=None)
-    # A parser that files of strangers reach can raise anything.
-    except Exception as error:
-        raise _refused(text, getattr(error, f"e_{format}", None) or error) from None
-    for message in loaded.messages:
-        # An attribute that XML leaves out is nothing to cantools.
-        if not message.name:
-            raise text.error(f"expected a name of the message 0x{message.frame_id:X}, got none")
-        if not all(signal.name for signal in message.signals):
-            raise text.error(f"expected a name of each signal of {message.name}, got none")
-        for signal in message.signals:
-            _check_numbers(text, message, signal)
-    return list(loaded.messages)
-
-
-def _check_numbers(text: Text, message: Message, signal: Signal) -> None:
-    """Raise UnreadableError for a number that is larger than any float."""
-    for what in ("scale", "offset", "minimum", "maximum"):
-        number = getattr(signal, what)
-        try:
-            usable = number is None or math.isfinite(number)
-        except OverflowError:
-            usable = False
-        if not usable:
-            line = text.line_of(rf"^\s*SG_ {re.escape(signal.name)}\b")
-            raise text.error(f"{message.name}.{signal.name}: expected a {what} that a float can hold, got {number}", line)
-
-
-def _refused(text: Text, error: Exception) -> Exception:
-    """Return what cantools says of a file, with the place where it tells one."""
-    said = str(error) or type(error).__name__
-    place = re.search(r"at line (\d+), column (\d+)", said)
-    if place is not None:
-        return text.error(said, int(place[1]))
-    named = re.search(r"message (\S+?)\.?$", said)
-    line = text.line_of(rf"^BO_ \s*\d+ \s*{re.escape(named[1])}\s*:") if named is not None else None
-    if isinstance(error, (LookupError, AttributeError, TypeError, AssertionError, RecursionError)):
-        said = f"cantools cannot read it: {type(error).__name__} {said}"
-    return text.error(said, line)
-
-
-def _check_once(text: Text, found: list[Message]) -> None:
+def _check_once(text: Text, found: list[MessageFacts]) -> None:
     """Raise UnreadableError for two messages of one identifier or name, and two signals of one name."""
-    seen: dict[int, Message] = {}
+    seen: dict[int, MessageFacts] = {}
     for message in found:
         other = seen.setdefault(_identifier(message), message)
         if other is not message:
-            line = text.line_of(rf"^BO_ \s*\d+ \s*{re.escape(message.name)}\s*:")
+            line = text.line_of(begin_of(message.name))
             raise text.error(f"{message.name} has the identifier 0x{message.frame_id:X} of {other.name}", line)
         twice = [name for name, n in Counter(_names(message).values()).items() if n > 1]
         if twice:
-            line = text.line_of(rf"^BO_ \s*\d+ \s*{re.escape(message.name)}\s*:")
+            line = text.line_of(begin_of(message.name))
             raise text.error(f"{message.name} has two signals {twice[0]}", line)
     names = Counter(topic_name(m.name) for m in found)
     for name, count in names.items():
         if count > 1:
-            raise text.error(f"two messages have the name {name}", text.line_of(rf"^BO_ \s*\d+ \s*{re.escape(name)}\s*:"))
+            raise text.error(f"two messages have the name {name}", text.line_of(begin_of(name)))
 
 
-def _identifier(message: Message) -> int:
-    return message.frame_id | (EXTENDED_ID if message.is_extended_frame else 0)
+def _identifier(message: MessageFacts) -> int:
+    return message.frame_id | (EXTENDED_ID if message.is_extended else 0)
 
 
-def _names(message: Message) -> dict[str, str]:
+def _names(message: MessageFacts) -> dict[str, str]:
     """Return the names of a message's signals in the log, by their own."""
     own = [signal.name for signal in message.signals]
     twins = {f"{name}{end}" for name in own for end in ("_name", "_text")}
@@ -248,7 +160,7 @@ def _names(message: Message) -> dict[str, str]:
     return result
 
 
-def _command(text: Text, message: Message, code: int) -> Command:
+def _command(text: Text, message: MessageFacts, code: int) -> Command:
     names = _names(message)
     fields = tuple(_field(signal, names[signal.name]) for signal in message.signals)
     return Command(
@@ -263,25 +175,31 @@ def _command(text: Text, message: Message, code: int) -> Command:
     )
 
 
-def _field(signal: Signal, name: str) -> Field:
+def _field(signal: SignalFacts, name: str) -> Field:
     note = [printable(signal.comment)] if signal.comment else []
     limits = [f"{limit:g}" if limit is not None else "" for limit in (signal.minimum, signal.maximum)]
     if any(limits):
         note.append(f"range {'..'.join(limits)}")
-    choices = {int(v): printable(str(n)) for v, n in signal.choices.items()} if signal.choices else None
-    facts: dict[str, Any] = {"name": name, "unit": printable(signal.unit or ""), "choices": choices, "note": "; ".join(note)}
-    if signal.is_float or signal.scale != 1 or signal.offset != 0:
+    choices = {value: printable(label) for value, label in signal.choices.items()} if signal.choices else None
+    facts: dict[str, Any] = {"name": name, "unit": printable(signal.unit), "choices": choices, "note": "; ".join(note)}
+    if signal.is_scaled:
         return Field(bit_width=0, kind=FieldKind.NUMBER, **facts)
     return Field(bit_width=signal.length, kind=FieldKind.INT if signal.is_signed else FieldKind.UINT, **facts)
 
 
-def _reader(message: Message, names: dict[str, str]) -> Callable[[bytes], dict[str, Any]]:
-    """Return what decodes the data of a message by cantools."""
-    signals: dict[str, tuple[str, Any, Any]]
-    signals = {s.name: (names[s.name], s.conversion, s.choices or {}) for s in message.signals}
-    failed = needed("cantools").database.DecodeError
+def _reader(facts: MessageFacts, names: dict[str, str]) -> Callable[[bytes], dict[str, Any]]:
+    """Return what decodes the data of a message by cantools, which is loaded for the first message."""
+
+    @cache
+    def loaded() -> tuple[Message, dict[str, tuple[str, Any, Any]], type[Exception]]:
+        with without("asammdf"):
+            from cantools.database import DecodeError
+
+            message: Message = pickle.loads(facts.decoder)
+        return message, {s.name: (names[s.name], s.conversion, s.choices or {}) for s in message.signals}, DecodeError
 
     def read(data: bytes) -> dict[str, Any]:
+        message, signals, failed = loaded()
         try:
             sent: Any = message.decode(data, decode_choices=False, scaling=False)
         except failed as error:

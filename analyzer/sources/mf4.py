@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import json
 import os
 import subprocess
-import sys
 from collections.abc import Iterator
 from typing import IO
 
 import msgspec
 
+from analyzer import bounded
 from analyzer.catalogue import Role
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
@@ -30,17 +29,6 @@ from analyzer.sources.source import Source
 _SHORT = "reading the MF4 file takes more memory than a process may have for it"
 #: What asammdf opens as it is; by other endings it guesses at archives, which it deletes after use.
 _ENDINGS = (".mf4", ".mdf")
-#: The process finds this package where its parent did, and its library prints nothing of its own.
-_CHILD = """\
-import json, os, sys
-sys.path[:] = json.loads(sys.argv[2])
-out = os.fdopen(os.dup(1), "wb")
-os.dup2(2, 1)
-from analyzer.sources import magic
-from analyzer.sources.budget import child_limits
-from analyzer.sources.mf4_child import main
-main(sys.argv[1], out, *map(int, sys.argv[3:]))
-"""
 
 
 def read(source: Source) -> Iterator[CanFrame]:
@@ -68,7 +56,7 @@ def _records(source: Source) -> Iterator[CanFrame]:
         path = _as_file(source, folder)
         size = os.stat(path).st_size
         child = subprocess.Popen(
-            [sys.executable, "-c", _CHILD, os.path.abspath(path), json.dumps(sys.path), *map(str, child_limits(size))],
+            bounded.command("analyzer.sources.mf4_child", os.path.abspath(path), *child_limits(size)),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

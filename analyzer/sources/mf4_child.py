@@ -7,13 +7,14 @@ A stream that ends without a batch marked as last means that the process died.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import struct
 from collections.abc import Callable
 from typing import IO, Any, cast
 
 import msgspec
+
+from analyzer import bounded
 
 #: Frames of one batch.
 BATCH = 500
@@ -47,15 +48,10 @@ class Batch(msgspec.Struct, array_like=True):
     short: bool = False
 
 
-def main(path: str, out: IO[bytes], memory: int, seconds: int) -> None:
+def main(out: IO[bytes], path: str, memory: str, seconds: str) -> None:
     """Write the frames of a file to `out`, within so many bytes of memory and so much CPU time."""
     logging.disable(logging.CRITICAL)
-    # Windows has no limits of a process.
-    with contextlib.suppress(ImportError):
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+    bounded.limit(int(memory), int(seconds))
     opened = False
     rows: list[Row] = []
     try:

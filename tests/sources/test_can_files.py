@@ -10,6 +10,7 @@ from pathlib import Path
 import can
 import pytest
 
+from analyzer import bounded
 from analyzer.catalogue import Role
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
@@ -347,7 +348,7 @@ def test_a_crash_of_the_mf4_reader_is_a_problem(tmp_path: Path, monkeypatch: pyt
     path = tmp_path / "capture.mf4"
     path.write_bytes(b"MDF     4.10    " + bytes(200))
     monkeypatch.setattr(mf4, "_installed", lambda: True)
-    monkeypatch.setattr(mf4, "_CHILD", "import os; os.abort()")
+    monkeypatch.setattr(bounded, "CHILD", "import os; os.abort()")
     with pytest.raises(UnreadableError, match=r"asammdf crashed on it \(exit code -6\)"):
         read_all(path)
 
@@ -359,7 +360,7 @@ def test_an_mf4_that_lacks_memory_is_not_called_damaged(tmp_path: Path, monkeypa
     path.write_bytes(b"MDF     4.10    " + bytes(200))
     monkeypatch.setattr(mf4, "_installed", lambda: True)
     lacking = "import can.io.mf4\ndef MF4Reader(path): raise MemoryError\ncan.io.mf4.MF4Reader = MF4Reader\n"
-    monkeypatch.setattr(mf4, "_CHILD", lacking + mf4._CHILD)
+    monkeypatch.setattr(bounded, "CHILD", lacking + bounded.CHILD)
     with pytest.raises(UnreadableError, match=r"capture.mf4: reading the MF4 file takes more memory .*: MemoryError"):
         read_all(path)
 
