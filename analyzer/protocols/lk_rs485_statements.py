@@ -313,6 +313,7 @@ STATEMENTS: tuple[S, ...] = (
         "Max Speed",
         "Max Acceleration",
         "Max Torque Current",
+        max_speed=("motion/write_parameter/speed-limit-run_speed-each-way",),
         max_acceleration=("timing/write_parameter/one-ramp", "timing/write_parameter/speed-ramp-run_speed-each-way"),
         max_torque_current=("motion/write_parameter/torque-limit",),
     ),

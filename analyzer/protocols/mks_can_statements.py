@@ -42,7 +42,7 @@ def _setting(section: str, command: str, sent: str, *fields: str) -> Iterator[St
     yield said(
         f"{section}/kept",
         "What was set is a stored parameter: a restart and a loss of power leave it.",
-        "read-back/settings/restart",
+        "read-back/settings/restart*",
         f"read-back/{command}/power",
     )
 
@@ -497,6 +497,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "addressing/group/executed",
         "addressing/group/other",
         "addressing/group/settings",
+        "read-back/settings/restart-group",
         "examples/move_relative_pulses/to_group_*",
     ),
     said(

@@ -258,9 +258,15 @@ _SETTINGS = (
             "What the group address is sent, the group's drives execute.",
             "addressing/group/*_*/*",
             "addressing/group/executed",
+            "read-back/settings/restart-group",
             "examples/*/to_group_*",
         ),
-        said("5.2.16/others", "What another group is sent, a drive does not execute.", "addressing/group/other"),
+        said(
+            "5.2.16/others",
+            "What another group is sent, a drive does not execute.",
+            "addressing/group/other",
+            "addressing/group/*_*/*",
+        ),
         said(
             "5.2.16/silent",
             "What a group is sent is not answered.",
@@ -371,7 +377,12 @@ _SETTINGS = (
         "addressing/package/last_of_five",
     ),
     said("5.7/slots", "Each of the five slots is executed.", *(f"addressing/package/slot_{n}" for n in range(1, 6))),
-    said("5.7/settings", "A slot holds any ordinary command, without head and checksum.", "addressing/package/setting*"),
+    said(
+        "5.7/settings",
+        "A slot holds any ordinary command, without head and checksum.",
+        "addressing/package/setting*",
+        "read-back/settings/restart-package",
+    ),
     said("5.7/length", "A package has 52 bytes.", "addressing/package/length", "addressing/package/broken_off"),
     said(
         "5.7/zeros",
@@ -398,6 +409,7 @@ _FRAMES = (
         "addressing/broadcast/*_*/*",
         "addressing/broadcast/executed",
         "addressing/broadcast/setting/executed",
+        "read-back/settings/restart-broadcast",
     ),
     said(
         "4/broadcast-silent",

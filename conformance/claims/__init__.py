@@ -51,6 +51,7 @@ MODULES = (
     "settings.read_back",
     "settings.effects",
     "settings.restart",
+    "settings.restart_together",
     "settings.restore",
     # timing
     "timing",

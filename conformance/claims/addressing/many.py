@@ -36,6 +36,8 @@ _GROUP, _OTHER_GROUP, _BYTE = 0x50, 0x60, 0xFF
 _HIGH_GROUP = 0xE0
 #: How long a motion or a stop is listened to: its ramp takes 24 ms.
 _TURNS_NS = 100_000_000
+#: How long the shaft has until it is looked at, by an address that is not the drive's: at its ramp it turns at 60 rpm by then.
+_BETWEEN_NS = 30_000_000
 #: A ramp of 2.5 ms for a rpm, by which a shaft rises in a while; how long a stop at once may take, and is then looked at.
 _HALTED_RAMP, _RISES_NS, _HALTS_NS, _LOOK_NS = 206, 160_000_000, 15_000_000, 40_000_000
 #: What a drive is told behind all else.
@@ -272,6 +274,8 @@ def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> 
     """{run} by {what} turns the shaft, {stop} by it lets it stand, and neither is answered, then or at its end."""
     motion.prepare(probe, run)
     to = many.join(probe)
+    if many is _GROUPS and stop is probe.dialect.stops_of(run)[0]:
+        _expect_stays(probe, run, _near_groups(probe, to))
     # By its ramp the shaft would go on for 0.15 s.
     ramp_of = {"acceleration": _HALTED_RAMP} if motion.of(run).acceleration else {}
     values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run), **ramp_of)
@@ -298,6 +302,16 @@ def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> 
         motion.stand_still(probe)
         text = f"a drive in a group no longer answers {run.name} to its own address"
         probe.expect(received_text(own), holds=not own.silent, expected="a reply", refutes=text, exchange=own)
+
+
+def _expect_stays(probe: Probe, run: Command, addresses: list[int]) -> None:
+    """Refute a drive that any of these addresses turns."""
+    values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run))
+    for address in addresses:
+        sent = probe.send(probe.build(run, values, address=address).item(), timeout_ns=_BETWEEN_NS)
+        went = abs(motion.speed(probe).value)
+        text, key = f"{run.name} by the group {address} turns a drive of another group", f"{run.name} by another group"
+        probe.expect(went, at_most=motion.CALM / 8, unit="rpm", refutes=text, exchange=sent, key=key)
 
 
 def _ramped(dialect: Dialect) -> Iterator[Case]:
@@ -346,13 +360,21 @@ def _group_changes(dialect: Dialect) -> Iterator[Case]:
     return (case for case in _changes(dialect) if case["kind"] == _GROUPS.name)
 
 
+def _near_groups(probe: Probe, group: int) -> list[int]:
+    """Return other groups' addresses: those that differ in one bit, that below, and the low byte; none a drive's own."""
+    last = probe.dialect.addresses[1]
+    near = (*(group ^ 1 << bit for bit in range(last.bit_length())), group - 1, group & _BYTE)
+    mine = (group, probe.address, probe.rig.group, probe.dialect.broadcast)
+    return [each for each in dict.fromkeys(near) if each not in mine and each <= last]
+
+
 @_addressing("an answer, or an effect of it", _group_changes, name="{many}/other")
 def _other_group(probe: Probe, many: _Many, shown: Observable) -> None:
-    """A command to another group address than the drive's is neither executed nor answered."""
+    """A command to a group address that differs from the drive's in one bit or more is neither executed nor answered."""
     shown.prepare(probe)
     group = many.join(probe)
     change = shown.change(probe)
-    for address in (group + 1, group - 1, *((group & _BYTE,) if group > _BYTE else ())):
+    for address in _near_groups(probe, group):
         sent = send_to(probe, address, change, shown.settle_ns)
         probe.expect(
             received_text(sent) if not sent.silent else "it is executed",

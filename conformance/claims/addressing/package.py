@@ -292,7 +292,8 @@ def _setting(probe: Probe, command: Command) -> None:
     )
 
 
-def _in_second_slot(probe: Probe, package: Command, name: str, values: dict[str, int]) -> Exchange:
+def in_second_slot(probe: Probe, package: Command, name: str, values: dict[str, int]) -> Exchange:
+    """Send a command to the drive in the second slot of a package and wait for its effect."""
     frame = _frame(probe, package, [EMPTY, {"address": probe.address, "command": name, **values}])
     return probe.send(frame, timeout_ns=_EFFECT_NS)
 
@@ -307,7 +308,7 @@ def _enables(probe: Probe, command: Command) -> None:
     """Disabling and enabling in a slot of a package switch the motor."""
     motion.ready_to_move(probe)
     for enabled in (0, 1):
-        sent = _in_second_slot(probe, command, probe.command(Verb.ENABLE).name, {"enabled": enabled})
+        sent = in_second_slot(probe, command, probe.command(Verb.ENABLE).name, {"enabled": enabled})
         text = f"enable {enabled} in a slot of a package does not switch the motor"
         seen = probe.read(Verb.READ_ENABLED, "enabled")
         if seen != enabled:
@@ -320,7 +321,7 @@ def _sets_subdivision(probe: Probe, command: Command) -> None:
     """A setting of the flash is executed in a slot of a package: another subdivision changes the pulses."""
     move, finer = probe.command(Verb.MOVE_RELATIVE_PULSES), 2 * motion.SUBDIVISION
     motion.prepare(probe, move)
-    sent = _in_second_slot(probe, command, probe.command(Verb.SET_SUBDIVISION).name, {"subdivision": finer})
+    sent = in_second_slot(probe, command, probe.command(Verb.SET_SUBDIVISION).name, {"subdivision": finer})
     probe.wait(probe.rig.write_gap_ns)
     went = motion.follow(probe, move, 90, acceleration=motion.QUICK)
     text = "a subdivision in a slot of a package is not set"
@@ -335,7 +336,7 @@ def _sets_mode(probe: Probe, command: Command) -> None:
     pulses = next(
         n for n in motion.field_of(choose, "work_mode").choice_names.values() if n not in motion.bus_modes(probe.dialect)
     )
-    sent = _in_second_slot(probe, command, choose.name, {"work_mode": motion.choice(choose, "work_mode", pulses)})
+    sent = in_second_slot(probe, command, choose.name, {"work_mode": motion.choice(choose, "work_mode", pulses)})
     probe.wait(probe.rig.write_gap_ns)
     asked = probe.ask(Verb.ENABLE, {"enabled": 1})
     refused = motion.refused(probe, asked)
@@ -359,7 +360,7 @@ def _by_its_ramp(probe: Probe, command: Command) -> None:
         start = motion.place(probe, run)
         # 10 ms for one rpm.
         values = motion.values_of(probe.dialect, run, 5 * 360, rpm=120, acceleration=_SLOW_RAMP, start=start)
-        sent = _in_second_slot(probe, command, run.name, values)
+        sent = in_second_slot(probe, command, run.name, values)
         look = motion.speed(probe)
         elapsed_ns, seen = look.t_ns - sent.sent_ns, abs(look.value)
         motion.stop(probe, motion.QUICK)

@@ -91,6 +91,15 @@ def _speed_limit_at_once(probe: Probe) -> None:
     _expect_at_once(probe, limited_runs, probe.command(Verb.RUN_SPEED))
 
 
+def _unlimited_motions(dialect: Dialect) -> Iterator[Case]:
+    """Yield the run and the moves that have no highest speed of their own."""
+    for case in commands(Verb.WRITE_PARAMETER)(dialect):
+        for run in dialect.motions(MotionKind.RUN):
+            yield Case(dialect, case.command, {"move": run, "record": limited_runs})
+    for case in _unlimited_moves(dialect):
+        yield Case(dialect, case.command, {**case.given, "record": limited_speeds})
+
+
 def _unlimited_moves(dialect: Dialect) -> Iterator[Case]:
     for case in commands(Verb.WRITE_PARAMETER)(dialect):
         for move in without_max_speed(dialect):
@@ -115,6 +124,10 @@ class _Limited:
     def holds(self) -> bool:
         """Whether the limit held."""
         return abs(self.seen - self.limit) <= self.within
+
+
+#: Moves or runs under limits, once for all claims about them.
+_Record = Callable[[Probe, Command], tuple[_Limited, ...]]
 
 
 def limited_speeds(probe: Probe, move: Command) -> tuple[_Limited, ...]:
@@ -157,7 +170,7 @@ def limited_places(probe: Probe, move: Command) -> tuple[_Limited, ...]:
     return tuple(found)
 
 
-def _limited(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ...]], move: Command) -> tuple[_Limited, ...]:
+def _limited(probe: Probe, record: _Record, move: Command) -> tuple[_Limited, ...]:
     found = probe.recorded(record, move)
     if not found:
         probe.meets(FIRMWARE)
@@ -168,14 +181,14 @@ def _from_begin(found: tuple[_Limited, ...]) -> tuple[_Limited, ...]:
     return tuple(one for one in found if not one.under_way)
 
 
-def _expect_held(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ...]], command: Command) -> None:
+def _expect_held(probe: Probe, record: _Record, command: Command) -> None:
     """Refute a speed limit that does not hold for a motion from its begin."""
     for one in _from_begin(_limited(probe, record, command)):
         text = f"the speed limit does not hold for {command.name}"
         probe.expect(one.seen, near=one.limit, within=one.within, unit="rpm", refutes=text, exchange=one.exchange)
 
 
-def _expect_at_once(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ...]], command: Command) -> None:
+def _expect_at_once(probe: Probe, record: _Record, command: Command) -> None:
     """Refute a speed limit that holds for a motion from its begin, and not for one under way."""
     found = _limited(probe, record, command)
     if not all(one.holds for one in _from_begin(found)):
@@ -185,7 +198,7 @@ def _expect_at_once(probe: Probe, record: Callable[[Probe, Command], tuple[_Limi
         probe.expect(one.seen, near=one.limit, within=one.within, unit="rpm", refutes=text, exchange=one.exchange)
 
 
-def _expect_each_way(probe: Probe, record: Callable[[Probe, Command], tuple[_Limited, ...]], move: Command, limit: str) -> None:
+def _expect_each_way(probe: Probe, record: _Record, move: Command, limit: str) -> None:
     """Refute a limit that holds one way alone."""
     found = _from_begin(_limited(probe, record, move))
     beyond = [one for one in found if not one.holds]
@@ -215,15 +228,16 @@ def _speed_limit_moves_at_once(probe: Probe, move: Command) -> None:
 
 
 @_of_parameter(
-    each=_unlimited_moves,
+    each=_unlimited_motions,
     name="{command}/speed-limit-{move}-each-way",
     refuted_by="a faster shaft one way",
     at_best=Certainty.LIKELY,
     rests_on=(),
+    risks=risks_by(Verb.RUN_SPEED),
 )
-def _speed_limit_each_way(probe: Probe, move: Command) -> None:
+def _speed_limit_each_way(probe: Probe, move: Command, record: _Record) -> None:
     """The speed limit that holds for {move} one way holds the other way too."""
-    _expect_each_way(probe, limited_speeds, move, "speed limit")
+    _expect_each_way(probe, record, move, "speed limit")
 
 
 def _moves_to_positions(dialect: Dialect) -> Iterator[Case]:

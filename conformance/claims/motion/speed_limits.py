@@ -11,11 +11,13 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind
+from analyzer.layout import Field
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import command_of, expect_speed, expect_stays, expect_taken, of_motion
 from conformance.claims.motion.moves import keeps_position, with_max_speed
+from conformance.claims.ranges import edges
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SUBDIVISION, Sample
 from conformance.talk.exchange import Exchange
@@ -25,6 +27,8 @@ from conformance.talk.probe import Probe
 _HIGHEST = 3000
 #: The max_speed of a move that others are not to keep, in rpm.
 _SLOW = 5
+#: What is left of a speed of which a drive drops the highest bit (rpm).
+_LEFT = 60
 
 
 _LATE = "slow-replies-in-motion"
@@ -34,13 +38,18 @@ _KEEPS_NS = 350 * MS
 _TURNS = 19.9
 
 
+def too_fast(field: Field) -> tuple[int, ...]:
+    """Return two speeds above a field's highest: one of which little is left in fewer bits, or with a sign, and its last."""
+    left = (1 << field.bit_width - 1) + _LEFT
+    return (left, field.wire_maximum) if left > field.high else edges.above(field)
+
+
 def _limited_runs(dialect: Dialect) -> Iterator[Case]:
     """Yield the runs and moves whose speed is in rpm and whose ramp is known: such drives turn at most at the highest speed."""
     for command in dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ():
         speed = motion.of(command).speed
         if speed and motion.field_of(command, speed).unit == "rpm":
-            widest = motion.field_of(command, speed).wire_maximum
-            yield Case(dialect, command, {"speed": _HIGHEST, "beyond": (_HIGHEST + 1, widest)})
+            yield Case(dialect, command, {"speed": _HIGHEST, "beyond": too_fast(motion.field_of(command, speed))})
 
 
 class Spun(NamedTuple):

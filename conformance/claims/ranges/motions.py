@@ -18,7 +18,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, R
 from analyzer.layout import Field, FieldKind
 from conformance.claim import Aspect, Inconclusive
 from conformance.claims.declare import Case
-from conformance.claims.motion.speed_limits import spun
+from conformance.claims.motion.speed_limits import spun, too_fast
 from conformance.claims.ranges import edges
 from conformance.claims.ranges.edges import of_ranges
 from conformance.claims.requests import with_reserved
@@ -212,7 +212,7 @@ def _highest(dialect: Dialect, mode: str, field: Field) -> int:
 
 def _too_fast(dialect: Dialect) -> Iterator[Case]:
     for command, field in _with_speed(dialect):
-        values = edges.above(field)
+        values = too_fast(field)
         if values:
             yield edges.case(dialect, command, field, "above", values, **_needs(dialect, command))
 

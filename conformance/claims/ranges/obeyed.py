@@ -14,6 +14,7 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from math import log2
 from typing import Any
 
 from analyzer import encoder
@@ -139,8 +140,9 @@ def _signed(dialect: Dialect) -> Iterator[tuple[Command, Field]]:
 
 def _within(dialect: Dialect) -> Iterator[Case]:
     for command, field in _signed(dialect):
-        # A shaft needs more than a little torque to move.
-        inside = tuple(v // 4 for v in (field.low, field.high))
+        # A shaft needs more than a little torque to move. Of a power of two a field that is narrowed leaves nothing.
+        quarter = 1 << round(log2(field.high / 4))
+        inside = (-quarter, quarter)
         for where, values in (("lowest", (field.low,)), ("highest", (field.high,)), ("inside", inside)):
             yield edges.case(dialect, command, field, where, values, **_needs(dialect, command))
 
@@ -240,9 +242,10 @@ def _move(probe: Probe, command: Command, field: Field, limit: int) -> dict[str,
 
 @of_ranges(each=_at_limit("highest"), refuted_by="a shaft that stays")
 def _highest_limit(probe: Probe, command: Command, field: Field) -> None:
-    """The highest {field} is obeyed."""
-    motion.ready_to_move(probe)
-    _expect_obeyed(probe, command, _move(probe, command, field, field.high), f"{field.name} {field.high}", 1)
+    """The highest {field} is obeyed, and the highest power of two, of which a narrowed field leaves nothing."""
+    for limit in (field.high, 1 << field.bit_width - 1):
+        motion.ready_to_move(probe)
+        _expect_obeyed(probe, command, _move(probe, command, field, limit), f"{field.name} {limit}", 1)
 
 
 @of_ranges(each=_at_limit("lowest", 0), refuted_by="a shaft that moves", rests_on=(Doubt.MEANING,), quirks=(ZERO_SPEED,))
@@ -293,7 +296,7 @@ def _expect_reached(probe: Probe, command: Command, angle: int, direction: int) 
     now = probe.read(Verb.READ_SINGLE_TURN)
     probe.expect(
         now,
-        holds=_between(now, angle) <= _SAME * 100,
+        holds=_between(now, angle) <= _SAME * 100 and 0 <= now < _TURN,
         expected=f"{angle}",
         refutes=f"{command.name}: angle {angle} in direction {direction} ends at {now}",
         exchange=exchange,

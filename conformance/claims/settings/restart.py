@@ -1,6 +1,5 @@
 """Restart and power: a drive keeps what it stores, and loses what it holds only while it runs.
 
-    settings/restart                      what was set is there after a restart, all settings at once
     NAME/power                            a setting that is not the default is there after the power was cut
     save_speed/restart, clean             a kept run begins again, a forgotten one does not
     set_zero_mode/restart                 the shaft goes back to the kept zero
@@ -14,7 +13,7 @@ Rules kept here:
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
 from itertools import combinations, pairwise
 from typing import NamedTuple
@@ -26,10 +25,9 @@ from conformance.claim import Inconclusive, NotRun, Refuted
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.ranges import edges
-from conformance.claims.resilience.settings import expect_effects
 from conformance.claims.settings import kept_effects, setting_effects
 from conformance.claims.settings.kept_effects import Kept
-from conformance.claims.settings.known_settings import ReadableSetting, Setting, every_setting, needs
+from conformance.claims.settings.known_settings import every_setting
 from conformance.claims.settings.link_changes import (
     NEW_ADDRESS_ANSWERS,
     OTHER_ADDRESS,
@@ -129,40 +127,6 @@ def _kept(probe: Probe, command: Command, effect: SettingEffect, end: str, how: 
     )
 
 
-def _all_together(dialect: Dialect) -> Iterator[Case]:
-    chosen = [each for each in every_setting(dialect) if each.command.verb is not Verb.SET_ENABLE_LEVEL]
-    if Verb.RESTART in dialect.by_verb and motion.can_move(dialect):
-        risks, names = needs(chosen)
-        facts = {
-            "section": dialect.by_verb[Verb.RESTART].section,
-            "risks": motion.risks(dialect, Risk.UNBOUNDED, *risks, *dialect.by_verb[Verb.RESTART].all_risks),
-            "settings": tuple(dict.fromkeys(motion.settings(dialect, *names))),
-            "commands": tuple(each.command.name for each in chosen),
-            "parameters": {},
-        }
-        yield Case(dialect, given={"chosen": chosen}, facts=facts)
-
-
-@of_read_back(each=_all_together, name="settings/restart", refuted_by="another setting", aspect=None)
-def _all_kept(probe: Probe, chosen: list[Setting]) -> None:
-    """A restart keeps every setting, at any values of the others."""
-    motion.ready_to_move(probe)
-    held: dict[str, Mapping[str, int]] = {}
-    # What some modes refuse is set before the mode.
-    for each in sorted(chosen, key=lambda each: each.command.verb is Verb.SET_WORK_MODE):
-        values = each.other(each.read(probe)) if isinstance(each, ReadableSetting) else each.values[0]
-        exchange = probe.do(each.command, values)
-        held[each.name] = values
-    restart(probe)
-    for each in chosen:
-        if isinstance(each, ReadableSetting):
-            got = each.read(probe)
-            text = f"{each.name} is another one after a restart"
-            wanted = {n: held[each.name][n] for n in got if n in held[each.name]}
-            probe.expect({n: got[n] for n in wanted}, equal=wanted, refutes=text, exchange=exchange, key=f"{each.name} lost")
-    expect_effects(probe, chosen, held, "before a restart")
-
-
 def _kept_fields(dialect: Dialect) -> Iterator[Case]:
     if Verb.RESTART in dialect.by_verb:
         for command, row in kept_effects.rows(dialect):
@@ -196,11 +160,14 @@ def _kept_field(probe: Probe, command: Command, row: Kept) -> None:
 @_of_restart(each=commands(Verb.WRITE_USER_ID), refuted_by="another number", fields=fields_of, settings=fields_of)
 def _user_id(probe: Probe, command: Command) -> None:
     """A restart keeps the user's number."""
-    wanted = {next(iter(command.request_forms[0].layout.named)): 0x01020304}
-    probe.do(command, wanted)
-    exchange = restart(probe)
-    got = dict.fromkeys(wanted, probe.read(Verb.READ_USER_ID))
-    expect_values(probe, command, wanted, got, exchange, "after a restart")
+    field = next(iter(command.request_forms[0].layout.named.values()))
+    # Memory that is empty reads as the highest number.
+    for number in (0x01020304, field.high):
+        wanted = {field.name: number}
+        probe.do(command, wanted)
+        exchange = restart(probe)
+        got = {field.name: probe.read(Verb.READ_USER_ID)}
+        expect_values(probe, command, wanted, got, exchange, "after a restart")
 
 
 def _addresses(dialect: Dialect) -> Iterator[Case]:

@@ -412,6 +412,8 @@ NUMBER: Rows = {
         ),
         Row("pulses-16-bit", "FD keeps only 16 bits of the pulses", asked("pulses", low_bits(16))),
         Row("speed-8-bit", "speeds keep only their low byte", asked("speed", low_bits(8))),
+        Row("speed-12-bit", "of a speed above 4095 motions keep 12 bits", asked("speed", low_bits(12))),
+        Row("speed-15-bit", "of a speed above 32767 motions keep 15 bits", asked("speed", low_bits(15))),
         Row("home-speed-low-byte", "90 stores only the low byte of the speed", stored("home_speed", low_bits(8))),
         Row(
             "lk-position-int32",
@@ -423,6 +425,8 @@ NUMBER: Rows = {
             "0xA3 and 0xA4 take only the lower 32 bits of the angle",
             asked("position", half_signed, MULTI_TURN),
         ),
+        Row("lk-asked-speed-24-bit", "0xA2 takes only the lower 24 bits of the speed", asked("speed", low_bits(24))),
+        Row("lk-max-speed-24-bit", "moves keep only 24 bits of max_speed", asked("max_speed", low_bits(24))),
         Row("lk-asked-speed-int16", "0xA2 takes only the lower 16 bits of the speed", asked("speed", half_signed)),
         Row(
             "lk-parameter-int16", "0xC1 takes only the lower 16 bits of limits and ramps", asked(WIDE_PARAMETERS, low_bits(16))

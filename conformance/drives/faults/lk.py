@@ -134,6 +134,11 @@ def _gains_exchanged(drive: LkDrive, values: Values) -> Values:
     return {a: values[b] for p in pairs for a, b in (p, p[::-1])}
 
 
+def _whole_turn_told(drive: LkDrive, values: Values) -> Values:
+    turned = abs(drive.motor.motion.angle - drive.motor.zero) >= 360
+    return {"angle": values["angle"] or 36_000 * turned}
+
+
 def _running_on(drive: LkDrive, values: Values) -> Values:
     field = drive.dialect.by_name["read_position"].reply_forms[0].layout.named["position"]
     return {"angle": field.wire(drive.motor.motion.angle - drive.motor.zero) % (1 << 32)}
@@ -574,6 +579,15 @@ def _half_as_fast_below(drive: LkDrive, request: Request) -> None:
     drive.motor.move_to(position, top / 2 if position < 0 else top)
 
 
+def _unlimited_run_below(drive: LkDrive, request: Request) -> None:
+    """Run counter-clockwise past the speed limit."""
+    kept = drive.motor.limits
+    if request.physical["speed"] < 0:
+        drive.motor.limits = replaced_limits(kept, speed=drive.motor.build.top_speed)
+    drive.motor.go(Speed(request.physical["speed"]))
+    drive.motor.limits = kept
+
+
 def _unlimited_clockwise(drive: LkDrive, request: Request) -> None:
     """Turn by an increment, clockwise as fast as the motor can."""
     distance = request.physical["position"]
@@ -774,6 +788,16 @@ ROWS: Rows = {
         ),
     ),
     "range": (
+        Row(
+            "lk-single-turn-36000",
+            "0x94 tells 36000 in place of 0",
+            _read(lambda d, v: {"angle": v["angle"] or 36_000}, Verb.READ_SINGLE_TURN),
+        ),
+        Row(
+            "lk-single-turn-36000-turned",
+            "0x94 tells 36000 in place of 0 where the shaft has made turns",
+            _read(_whole_turn_told, Verb.READ_SINGLE_TURN),
+        ),
         Row("lk-single-turn-runs-on", "0x94 counts on past 359.99 degrees", _read(_running_on, Verb.READ_SINGLE_TURN)),
         Row(
             "lk-single-turn-shifted",
@@ -1119,6 +1143,11 @@ ROWS: Rows = {
             "lk-speed-limit-below-only",
             "0xA7 clockwise ignores the speed limit",
             moving(("move_increment",), _unlimited_clockwise),
+        ),
+        Row(
+            "lk-run-limit-clockwise-only",
+            "0xA2 counter-clockwise ignores the speed limit",
+            moving(("run_speed",), _unlimited_run_below),
         ),
         Row(
             "lk-torque-limit-late",

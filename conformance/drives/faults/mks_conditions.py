@@ -55,6 +55,8 @@ _BY_COUNTS = frozenset({Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS})
 _MOVES = MOTIONS - {Verb.RUN_SPEED}
 _ENDS = STOPS | {Verb.EMERGENCY_STOP}
 _BITS = 16
+#: What 32 bits of an empty flash read as.
+_EMPTY = 0xFFFF_FFFF
 
 
 def _rpm(drive: MksCore) -> float:
@@ -241,6 +243,42 @@ def _deaf_after_refusal(drive: MksCore) -> None:
     drive.hooks.accept.append(accept)
 
 
+def _lost_if_sent(to: Callable[[Drive, Message], bool]) -> Change:
+    """Lose settings by a restart that were sent so, and keep others."""
+
+    def change(drive: MksCore) -> None:
+        sent = False
+
+        def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+            nonlocal sent
+            sent = to(drive, message)
+            return wanted
+
+        def store(_: Drive, name: str, value: int) -> tuple[str, int]:
+            (drive.forgetful.add if sent else drive.forgetful.discard)(name)
+            return name, value
+
+        drive.hooks.accept.append(accept)
+        drive.hooks.stored.append(store)
+
+    return tuned(change)
+
+
+def _is_for_group(drive: Drive, message: Message) -> bool:
+    return bool(message.address) and message.address == drive.settings.get("group_address") != drive.address
+
+
+def _heard_by_group(bit: int) -> Change:
+    """Hear another group address that differs in one bit."""
+
+    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        group = drive.settings.get("group_address")
+        near = group and message.address == group ^ 1 << bit != drive.address
+        return wanted or bool(frame.checksum_ok and near and mks(drive).responder.understands(message))
+
+    return Change(taken(accept).install, having(Verb.SET_GROUP_ADDRESS))
+
+
 def _deaf_after_a_pause(drive: MksCore) -> None:
     """Lose the first request after a long pause."""
     last_ns = 0
@@ -289,6 +327,8 @@ HEARING: Rows = {
             "motion to the group has no ramp",
             Change(tuned(_group_without_ramp).install, having(Verb.SET_GROUP_ADDRESS)),
         ),
+        Row("hears-bad-group-bit-7", "a group address whose highest bit in a byte differs is obeyed", _heard_by_group(7)),
+        Row("hears-bad-group-bit-4", "a group address that differs by 10h is obeyed", _heard_by_group(4)),
         Row("group-motion-answered", "motion to the group is answered", answered(_answers_group), NATIVE),
     ),
     "length": (Row("emergency-without-check", "F7 is obeyed without its check", tuned(_obey_without_check), CAN),),
@@ -509,6 +549,12 @@ def _after_restart(change: Callable[[MksCore], None]) -> Change:
 
 def _speeds_as_sent(drive: MksCore) -> None:
     drive.real_speed = lambda speed: speed  # type: ignore[method-assign]
+
+
+def _number_unset(drive: MksCore) -> None:
+    """Take the highest number for memory that is empty."""
+    if drive.settings["user_id"] == _EMPTY:
+        drive.settings["user_id"] = 0
 
 
 def _coarse(drive: MksCore) -> None:
@@ -912,6 +958,23 @@ DOING: Rows = {
         Row("enable-level-forgotten", "a restart forgets the level of En", Change(forgetful("enable_level").install, SERIAL)),
         Row("baud-rate-lost", "a restart loses the speed of the line", Change(forgetful("baud_rate").install, SERIAL)),
         Row("dialect-lost", "a restart loses the dialect", Change(forgetful("modbus").install, NATIVE)),
+        Row("user-id-unset-lost", "a restart takes the number FFFFFFFFh for none", _after_restart(_number_unset), CAN),
+        Row(
+            "broadcast-settings-lost",
+            "a restart loses what all drives were set to",
+            _lost_if_sent(lambda drive, message: message.address == drive.dialect.broadcast),
+        ),
+        Row(
+            "group-settings-lost",
+            "a restart loses what the group was set to",
+            Change(_lost_if_sent(_is_for_group).install, having(Verb.SET_GROUP_ADDRESS)),
+        ),
+        Row(
+            "package-settings-lost",
+            "a restart loses what was set in a package",
+            _lost_if_sent(lambda drive, message: message.command is not None and message.command.slots is not None),
+            NATIVE,
+        ),
         Row("saved-run-once", "a saved run begins at one power-on alone", tuned(_once)),
         Row("saved-ramp-lost", "a saved run begins without its ramp", _stored_as("saved_acceleration", lambda v: 0)),
         Row("saved-speed-byte", "a saved run has the low byte of its speed", _stored_as("saved_speed", lambda v: v & 0xFF)),

@@ -28,6 +28,8 @@ def test_conforming_drives_confirm_every_claim(drive):
         ("ignores-broadcast", "mks-can", {"broadcast/executed"}),
         ("answers-group", "mks-rs485", {"group/read", "group/silent"}),
         ("ignores-group", "mks-can", {"group/executed"}),
+        ("hears-bad-group-bit-7", "mks-rs485", {"group/other", "group/run_speed/stop_speed"}),
+        ("hears-bad-group-bit-4", "mks-can", {"group/other", "group/move_relative_axis/stop_relative_axis"}),
         ("group-replaces-address", "mks-can", {"group/own"}),
         ("lk-answers-address-0", "lk-rs485", {"other/zero"}),
         ("address-not-stored", "mks-rs485", {"set_address/moves"}),

@@ -246,6 +246,10 @@ def moves(open_story):
     for speed in (2999, 3000, 3001, 5000):
         story.tell("move_absolute_axis", speed=speed, position=100_000)
     yield story
+    story = open_story()
+    story.tell("move_relative_axis", speed=0x803C, position=100_000)
+    story.wait(SECOND, 4)
+    yield story
     story = open_story(mode=3)
     story.tell("move_relative_axis", speed=600, position=100_000)
     story.wait(SECOND, 2)

@@ -266,6 +266,37 @@ def turns(bench: Bench) -> None:
     look(bench)
 
 
+def whole_turns(bench: Bench) -> None:
+    """Stand at the angle 0, within the first turn and behind another."""
+    for _ in range(2):
+        bench.ask("move_single_turn", direction=0, angle=0)
+        bench.wait(3)
+        bench.ask("read_single_turn")
+        bench.ask("move_increment", position=36_000)
+        bench.wait(3)
+        bench.ask("read_single_turn")
+
+
+def very_fast(bench: Bench) -> None:
+    """Run and move at speeds of which 24 bits leave nothing."""
+    bench.ask("run_speed", speed=1 << 29)
+    bench.wait(0.1)
+    look(bench)
+    bench.ask("stop")
+    bench.wait(2)
+    bench.ask("move_increment_limited", position=72_000, max_speed=1 << 31)
+    bench.wait(0.1)
+    look(bench)
+
+
+def limited_below(bench: Bench) -> None:
+    """Run counter-clockwise beyond a speed limit."""
+    bench.ask("write_parameter", parameter=32, speed_limit=10_000)
+    bench.ask("run_speed", speed=-36_000)
+    bench.wait(1)
+    look(bench)
+
+
 def limits(bench: Bench) -> None:
     bench.ask("write_parameter", parameter=32, speed_limit=20_000)
     bench.ask("write_parameter", parameter=30, torque_limit=100)
@@ -478,6 +509,9 @@ SCRIPTS: dict[str, Script] = {
     "zero": zero,
     "position and power": position_and_power,
     "turns": turns,
+    "whole turns": whole_turns,
+    "very fast": very_fast,
+    "limited below": limited_below,
     "limits": limits,
     "torque limit": torque_limit,
     "gains": gains,
@@ -559,6 +593,8 @@ SHOWN_BY: dict[str, str] = {
     "lk-position-int32": "far",
     "lk-target-int32": "far",
     "lk-asked-speed-int16": "fast",
+    "lk-asked-speed-24-bit": "very fast",
+    "lk-max-speed-24-bit": "very fast",
     "lk-parameter-int16": "limits",
     "lk-asked-speed-tenfold": "speed",
     "lk-speed-tenth": "speed",
@@ -634,6 +670,7 @@ SHOWN_BY: dict[str, str] = {
     "lk-max-speed-half-below": "below",
     "lk-ramp-steep-below": "below",
     "lk-speed-limit-below-only": "below",
+    "lk-run-limit-clockwise-only": "limited below",
     "lk-torque-limit-late": "below",
     "lk-speed-limit-late": "below",
     "lk-reads-silent-while-off": "states",
@@ -724,6 +761,8 @@ SHOWN_BY: dict[str, str] = {
     "lk-stalled-while-turning": "readings",
     "lk-zero-not-told": "zero",
     "lk-single-turn-shifted": "turns",
+    "lk-single-turn-36000": "whole turns",
+    "lk-single-turn-36000-turned": "whole turns",
     "lk-whole-turns-ignored": "lengths",
     "lk-fast-moves-long": "lengths",
     "lk-clear-turns-upward": "lengths",
