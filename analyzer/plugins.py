@@ -44,7 +44,7 @@ def points(group: str) -> list[EntryPoint]:
 def _may_have(group: str) -> bool:
     """Say whether a package that is installed may have entry points of a group.
 
-    To look for its name in their lists is faster than to load what reads them. What is no folder, and what cannot be read, may.
+    To look for its name in their lists is faster than to load what reads them. Archives and unreadable folders count as yes.
     """
     if any(hasattr(finder, "find_distributions") and finder.__module__ != _FOLDERS for finder in sys.meta_path):
         return True

@@ -34,7 +34,7 @@ def scratch_folder() -> Iterator[Path]:
     try:
         yield folder
     finally:
-        # Removed while it is held: nobody else does it at the same time.
+        # The lock is still held, so that no other run removes it at the same time.
         shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)
 

@@ -98,7 +98,7 @@ def _checked(scene: Scene, bursts: list[tuple[Trouble, bytes]]) -> _Fit | None:
     for rule, before, behind in product(rules, _BEFORE, _BEHIND):
         if behind and len({data[-1] for data in frames}) > 1:
             continue
-        # Frames whose Modbus CRC fits are of Modbus, whatever their function.
+        # A frame whose Modbus CRC fits is of Modbus, also with a function that is not known here.
         if not before and not behind and rule.of(_CHECKED, 0) == modbus_crc(_CHECKED).to_bytes(2, "little"):
             continue
         fitting = [(t, data) for data, t in frames.items() if _fits(rule.of, data[before : len(data) - behind])]

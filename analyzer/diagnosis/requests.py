@@ -62,7 +62,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             key = (why.cause, why.say if why.by_exception else "")
             found.setdefault(key, []).append(_Wrong(troubles, piece, refusal, why))
     asked = sum(piece.is_request for piece in scene.pieces)
-    # Examples of a document, of which nobody says that they were sent.
+    # A document shows examples, which may never have been sent.
     examples = scene.noted and not scene.timed and sum(piece.sound for piece in scene.pieces) > _FEW // 2
     for (cause, _), rows in found.items():
         first = rows[0]

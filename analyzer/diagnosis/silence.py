@@ -295,7 +295,7 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _only_to_all(scene: Scene, message: Message) -> bool:
-    """Say whether an unknown register is written and nobody but all is asked: a write to all stands beside other requests."""
+    """Say whether an unknown register is written and all requests are broadcasts: a real broadcast has others beside it."""
     unknown = message.command in message.frame.dialect.fallbacks.values()
     return unknown and all(p.message is not None and p.message.address == message.address for p in scene.requests)
 
@@ -420,7 +420,7 @@ def _switched_off(scene: Scene) -> Iterator[Suspicion]:
         right = build(dialect, command, message.address, {setting[1].name: 1, **({active: 1} if active else {})})
         frame = shown(right, dialect.link.identifier(command, message.address))
         yield Suspicion(
-            # The frame shows the setting. Only words can show that somebody misses replies.
+            # The frame shows the setting. That replies are missed, only words can show.
             "respond_off", Confidence.CERTAIN if scene.words else Confidence.LIKELY,
             [t for t in scene.troubles if t.offset >= piece.offset],
             f"Address {message.who} is told to answer no motion command: respond is set to 0.",

@@ -152,7 +152,7 @@ class DataFile:
     def write(self, rows: pyarrow.Table, captures: Collection[str]) -> bool:
         """Write rows as one row group; `captures`: whose they are. Say whether there is room for more."""
         if self._writer is None:
-            # What is kept for years is compressed whatever its encoding. The log of the table has the schema, with units.
+            # A lake is kept for years, so columns of each encoding are compressed. Units stand in the schema of the log.
             how = packing(self._written) | {"compression": "snappy" if len(rows) < _FEW else "zstd", "compression_level": None}
             parquet = needed("pyarrow.parquet")
             self._writer = parquet.ParquetWriter(self._buffer, self._written, store_schema=False, **how)

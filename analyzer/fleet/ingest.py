@@ -231,7 +231,7 @@ def workers(scheduler: str, count: int) -> Iterator[Any]:
                     )
                 )
             except RuntimeError as error:
-                # Dask tells so whatever a process of its lacked: descriptors, processes, memory.
+                # Dask says the same for all that a process may lack: descriptors, processes, memory.
                 raise UsageError(
                     f"{counted(count, 'worker')} of Dask cannot be started: {error} Fewer need less of the system: --workers"
                 ) from None

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _RISING = frozenset(("time", "time_ns", "sequence", "_offset", "_request_sequence", "request_sequence"))
 #: Numbers of which there are few, beside words: for each of these stands its place among those that occur.
 _FEW = frozenset(("address", "_can_id", "_latency", "latency"))
-#: What nobody looks for by its least and greatest.
+#: Columns in which nobody searches by least and greatest values.
 _UNORDERED = frozenset(("_raw",))
 _DIFFERENCES = "DELTA_BINARY_PACKED"
 _LEVEL = 1

@@ -297,15 +297,12 @@ def _limited_motions(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, dialect.by_verb[Verb.WRITE_PARAMETER], {"how": command}, facts)
 
 
-@of_motion(
-    each=_limited_motions,
-    name="{command}/torque-limit-{how}",
-    refuted_by="motion",
-    at_best=Certainty.LIKELY,
-    settings=("torque_limit",),
-    own=lambda case: {Risk.SETTING},
-    quirks=may_meet(FIRMWARE),
+_of_torque_limit = partial(
+    of_motion, at_best=Certainty.LIKELY, settings=("torque_limit",), own=lambda case: {Risk.SETTING}, quirks=may_meet(FIRMWARE)
 )
+
+
+@_of_torque_limit(each=_limited_motions, name="{command}/torque-limit-{how}", refuted_by="motion")
 def _torque_limit_of(probe: Probe, how: Command) -> None:
     """With a torque limit of 0, with which no run turns the shaft, {how} turns it neither."""
     kept = parameter(probe, "torque_limit")
@@ -339,15 +336,7 @@ def _forces(dialect: Dialect) -> Iterator[Case]:
 _LOW, _THERE_NS, _NEAR = FORCE // 2, 250 * MS, FORCE / 4
 
 
-@of_motion(
-    each=_forces,
-    name="{command}/torque-limit-at-once-{how}",
-    refuted_by="the torque of before",
-    at_best=Certainty.LIKELY,
-    settings=("torque_limit",),
-    own=lambda case: {Risk.SETTING},
-    quirks=may_meet(FIRMWARE),
-)
+@_of_torque_limit(each=_forces, name="{command}/torque-limit-at-once-{how}", refuted_by="the torque of before")
 def _torque_limit_at_once(probe: Probe, how: Command) -> None:
     """A torque limit that holds for {how} from its begin holds as soon as it is written for one that is under way."""
     kept = parameter(probe, "torque_limit")
