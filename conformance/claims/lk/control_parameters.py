@@ -95,9 +95,8 @@ def _unlimited_motions(dialect: Dialect) -> Iterator[Case]:
     """Yield the run and the moves that have no highest speed of their own."""
     for case in commands(Verb.WRITE_PARAMETER)(dialect):
         for run in dialect.motions(MotionKind.RUN):
-            yield Case(dialect, case.command, {"move": run, "record": limited_runs})
-    for case in _unlimited_moves(dialect):
-        yield Case(dialect, case.command, {**case.given, "record": limited_speeds})
+            yield Case(dialect, case.command, {"move": run})
+    yield from _unlimited_moves(dialect)
 
 
 def _unlimited_moves(dialect: Dialect) -> Iterator[Case]:
@@ -235,9 +234,9 @@ def _speed_limit_moves_at_once(probe: Probe, move: Command) -> None:
     rests_on=(),
     risks=risks_by(Verb.RUN_SPEED),
 )
-def _speed_limit_each_way(probe: Probe, move: Command, record: _Record) -> None:
+def _speed_limit_each_way(probe: Probe, move: Command) -> None:
     """The speed limit that holds for {move} one way holds the other way too."""
-    _expect_each_way(probe, record, move, "speed limit")
+    _expect_each_way(probe, limited_runs if move.verb is Verb.RUN_SPEED else limited_speeds, move, "speed limit")
 
 
 def _moves_to_positions(dialect: Dialect) -> Iterator[Case]:

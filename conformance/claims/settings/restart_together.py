@@ -101,9 +101,10 @@ def _all_together(dialect: Dialect) -> Iterator[Case]:
             continue
         chosen = way.chosen(dialect)
         risks, names = needs(chosen)
+        joining = dialect.by_verb[Verb.SET_GROUP_ADDRESS].all_risks if way.ready is many.join else ()
         facts = {
             "section": dialect.by_verb[Verb.RESTART].section,
-            "risks": motion.risks(dialect, Risk.UNBOUNDED, *risks, *dialect.by_verb[Verb.RESTART].all_risks),
+            "risks": motion.risks(dialect, Risk.UNBOUNDED, *risks, *dialect.by_verb[Verb.RESTART].all_risks, *joining),
             "settings": tuple(dict.fromkeys((*motion.settings(dialect, *names), *way.settings))),
             "commands": tuple(each.command.name for each in chosen),
             "alone": way is not _WAYS[0],
