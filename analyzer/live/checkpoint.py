@@ -36,10 +36,10 @@ NAMES = ("checkpoint.0", "checkpoint.1")
 _CHECK = 4
 
 
-#: Numbers as their places in a log bound them.
+#: Numbers as their places in a log bound them. The upper half is left for what a recording that goes on adds.
 Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
-Number2 = Annotated[int, msgspec.Meta(ge=0, lt=1 << 16)]
-Number4 = Annotated[int, msgspec.Meta(ge=0, lt=1 << 32)]
+Number2 = Annotated[int, msgspec.Meta(ge=0, lt=1 << 15)]
+Number4 = Annotated[int, msgspec.Meta(ge=0, lt=1 << 31)]
 
 
 class BusState(msgspec.Struct, kw_only=True):
