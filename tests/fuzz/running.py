@@ -6,8 +6,8 @@ import contextlib
 import io
 import json
 import os
-import re
 import random
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
