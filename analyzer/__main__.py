@@ -19,8 +19,8 @@ def main() -> int:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     # Modules that are loaded leave next to nothing to collect, and each search would go through all that is there by then.
     gc.disable()
-    from analyzer import own_process
     from analyzer.cli import main as command
+    from analyzer.system import own_process
 
     own_process.is_own = True
     signal.signal(signal.SIGINT, handler)

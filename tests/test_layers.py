@@ -15,7 +15,7 @@ LAYERS = (
     ("analyzer.errors", "analyzer"),
     ("analyzer.layout",),
     ("analyzer.codec", "analyzer.values"),
-    ("analyzer.bounded", "analyzer.own_process", "analyzer.plugins", "analyzer.scratch", "analyzer.whole_file"),
+    ("analyzer.plugins", "analyzer.system"),
     ("analyzer.link",),
     ("analyzer.catalogue",),
     ("analyzer.protocols",),

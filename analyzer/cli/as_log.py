@@ -16,9 +16,9 @@ from analyzer.cli.decode_targets import Capture
 from analyzer.cli.reading import progress
 from analyzer.cli.time_range import TimeRange
 from analyzer.diagnosis.watch import Watch
-from analyzer.scratch import scratch_folder
 from analyzer.sources import Source, open_source
 from analyzer.sources.times import ShownTime
+from analyzer.system.scratch import scratch_folder
 
 #: Options that ask for another decoding than the one in a log.
 _DECODING = ("dbc", "modbus_map", "model", "baud", "group", "ids", "late")

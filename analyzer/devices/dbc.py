@@ -21,15 +21,15 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analyzer import bounded
 from analyzer.catalogue import Command, Dialect, Risk, Verb, always
 from analyzer.devices.dbc_child import LENGTH, MOST_ANSWERED, Answer, MessageFacts, SignalFacts, TooMuchError, begin_of
 from analyzer.devices.text import Text
 from analyzer.layout import RESERVED_NAMES, Field, FieldKind, MisfitError, ReadLayout
 from analyzer.link import EXTENDED_ID, MessageLink
 from analyzer.link.can import j1939_group
-from analyzer.own_process import without
 from analyzer.port import topic_name
+from analyzer.system import bounded
+from analyzer.system.own_process import without
 from analyzer.values import printable
 
 if TYPE_CHECKING:

@@ -21,10 +21,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
-from analyzer import bounded
 from analyzer.devices.text import Text
 from analyzer.errors import ServotapError
-from analyzer.own_process import without
+from analyzer.system import bounded
+from analyzer.system.own_process import without
 from analyzer.table.extras import needed
 
 if TYPE_CHECKING:

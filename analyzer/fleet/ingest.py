@@ -35,7 +35,7 @@ from analyzer.fleet.ranges import HUGE, Range, Scan, Task, do, is_split, joined,
 from analyzer.fleet.rows import TAKEN, Taken, Work
 from analyzer.live import profile
 from analyzer.live.spool import spool_folder
-from analyzer.scratch import scratch_folder
+from analyzer.system.scratch import scratch_folder
 from analyzer.table.extras import needed
 from analyzer.values import counted, printable, quote
 

@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 from urllib.request import getproxies, proxy_bypass
 
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.scratch import scratch_folder
+from analyzer.system.scratch import scratch_folder
 from analyzer.table.extras import needed
 from analyzer.values import printable, quote
 

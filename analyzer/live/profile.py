@@ -31,8 +31,8 @@ from analyzer.catalogue import Dialect
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live.endpoint import Endpoint
+from analyzer.system.whole_file import read_whole
 from analyzer.values import addresses, near, printable, quote
-from analyzer.whole_file import read_whole
 
 FILE = "servotap.toml"
 #: The key of a profile beside captures that says whose they are.

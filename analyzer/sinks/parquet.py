@@ -29,11 +29,11 @@ from analyzer.columns.pairs import Plain
 from analyzer.columns.rows import alike, physical_column, states
 from analyzer.decoder import physical
 from analyzer.layout import STATE_UNITS, Field, FieldKind
-from analyzer.own_process import without
 from analyzer.pipeline import Entry, topic_name
 from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane, Message
 from analyzer.sinks.schemas import forms_of
 from analyzer.sources.times import Clock
+from analyzer.system.own_process import without
 from analyzer.table.extras import needed
 
 if TYPE_CHECKING:

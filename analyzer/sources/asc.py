@@ -17,12 +17,12 @@ import re
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, cast
 
-from analyzer.own_process import without
 from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines, is_like, share
 from analyzer.sources.source import Source, quote
 from analyzer.sources.times import Clock, clock_ns, day_ns, number_ns
+from analyzer.system.own_process import without
 from analyzer.values import counted
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, cast
 
-from analyzer.own_process import without
 from analyzer.records import CanFrame
 from analyzer.sources.can_library import Tap, frames
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.source import Source, quote
 from analyzer.sources.times import number_ns
+from analyzer.system.own_process import without
 
 if TYPE_CHECKING:
     from can import Message

@@ -16,15 +16,15 @@ from typing import IO
 
 import msgspec
 
-from analyzer import bounded
 from analyzer.catalogue import Role
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
-from analyzer.scratch import scratch_folder
 from analyzer.sources import magic
 from analyzer.sources.budget import child_limits
 from analyzer.sources.mf4_child import LENGTH, Batch
 from analyzer.sources.source import Source
+from analyzer.system import bounded
+from analyzer.system.scratch import scratch_folder
 
 _SHORT = "reading the MF4 file takes more memory than a process may have for it"
 #: What asammdf opens as it is; by other endings it guesses at archives, which it deletes after use.

@@ -14,7 +14,7 @@ from typing import IO, Any, cast
 
 import msgspec
 
-from analyzer import bounded
+from analyzer.system import bounded
 
 #: Frames of one batch.
 BATCH = 500

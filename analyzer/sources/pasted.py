@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk
-from analyzer.scratch import scratch_folder
 from analyzer.sources import open_source
+from analyzer.system.scratch import scratch_folder
 
 
 class Pasted(NamedTuple):

@@ -105,7 +105,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(_Controller(config), "servotap-controller")
     real = _any_real(config)
     if real or config.getoption("servotap_budget"):
-        from analyzer.scratch import scratch_folder
+        from analyzer.system.scratch import scratch_folder
 
         opened = contextlib.ExitStack()
         config.add_cleanup(opened.close)

@@ -15,7 +15,7 @@ import msgspec
 
 from analyzer.cli.output import write_whole
 from analyzer.errors import UnreadableError
-from analyzer.whole_file import read_whole
+from analyzer.system.whole_file import read_whole
 from conformance.claim import Outcome
 from conformance.suite.record import RunRecord, VerdictRecord
 

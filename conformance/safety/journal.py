@@ -19,8 +19,8 @@ import msgspec
 from analyzer.catalogue import Command, all_fields
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.sinks.mcap_index import write_whole
+from analyzer.system.whole_file import read_whole
 from analyzer.values import value_text
-from analyzer.whole_file import read_whole
 from conformance.claim import RigFault
 
 

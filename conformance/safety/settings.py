@@ -16,8 +16,8 @@ import msgspec
 from analyzer.catalogue import Command, Dialect, Risk, Verb, all_fields
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.layout import Field
+from analyzer.system.whole_file import read_whole
 from analyzer.values import near, parse_value, quote, refusal
-from analyzer.whole_file import read_whole
 from conformance.talk.probe import Probe
 
 Given = Mapping[str, str]

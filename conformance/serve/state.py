@@ -19,7 +19,7 @@ from typing import Any
 from analyzer.cli.output import write_whole
 from analyzer.errors import UsageError
 from analyzer.live.lock import Lock
-from analyzer.whole_file import read_whole
+from analyzer.system.whole_file import read_whole
 from conformance.drives.drive import Drive
 
 _KIND = "drives"

@@ -19,7 +19,7 @@ import msgspec
 from analyzer import __version__
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
-from analyzer.scratch import scratch_folder
+from analyzer.system.scratch import scratch_folder
 from analyzer.values import near, quote, storable
 from conformance import claims as registry
 from conformance.claim import Claim, Outcome, Theme, Verdict

@@ -302,8 +302,8 @@ def test_a_time_zone_a_day_off_is_told_and_no_fault():
 
 def test_ctrl_c_while_the_command_line_is_imported_shows_no_traceback(tmp_path):
     """The import of the command line waits to be interrupted; before ours, Python's own beginning is beyond reach."""
-    (tmp_path / "analyzer").mkdir()
-    for name in ("__init__.py", "__main__.py", "own_process.py"):
+    (tmp_path / "analyzer" / "system").mkdir(parents=True)
+    for name in ("__init__.py", "__main__.py", "system/__init__.py", "system/own_process.py"):
         (tmp_path / "analyzer" / name).write_text((ROOT / "analyzer" / name).read_text())
     (tmp_path / "analyzer" / "cli.py").write_text("import time\nprint('here', flush=True)\ntime.sleep(20)\n")
     words = [sys.executable, "-S", "-m", "analyzer"]

@@ -14,7 +14,6 @@ import cantools
 import pytest
 from cantools.database import Database, can, conversion
 
-from analyzer import bounded
 from analyzer.cli import main
 from analyzer.decoder import physical
 from analyzer.devices import dbc, dbc_child, load
@@ -25,6 +24,7 @@ from analyzer.link import sum8
 from analyzer.pipeline import Pipeline
 from analyzer.port import Options
 from analyzer.records import CanFrame, Role
+from analyzer.system import bounded
 from tests.collect import Collect
 from tests.columns.both_ways import blocks, messages, outcome, short_runs
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import can
 import pytest
 
-from analyzer import bounded
 from analyzer.catalogue import Role
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
 from analyzer.sources import open_source
+from analyzer.system import bounded
 from tests.contracts.source_contract import read_all
 from tests.sources import builders
 

@@ -8,12 +8,12 @@ import tempfile
 
 import pytest
 
-from analyzer.scratch import PREFIX, scratch_folder
+from analyzer.system.scratch import PREFIX, scratch_folder
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "O_DIRECTORY"), reason="the system has no such locks")
 
 HOLDS = """
-from analyzer.scratch import scratch_folder
+from analyzer.system.scratch import scratch_folder
 with scratch_folder() as folder:
     (folder / "copy").write_bytes(b"x")
     print(folder, flush=True)

@@ -10,7 +10,7 @@ import pytest
 from tests.fuzz.corpus import CAPTURES
 
 LOAD = (
-    "import sys; from importlib.util import find_spec; from analyzer import own_process; own_process.is_own = {}; "
+    "import sys; from importlib.util import find_spec; from analyzer.system import own_process; own_process.is_own = {}; "
     "from analyzer.sources import open_source; list(open_source(sys.argv[1])); from can.io import mf4; "
     "print('asammdf' in sys.modules, mf4.asammdf is not None, find_spec('asammdf') is not None)"
 )

@@ -16,7 +16,7 @@ sys.path[:] = json.loads(sys.argv[2])
 out = os.fdopen(os.dup(1), "wb")
 os.dup2(2, 1)
 from importlib import import_module
-from analyzer import own_process
+from analyzer.system import own_process
 own_process.is_own = True
 import_module(sys.argv[1]).main(out, *sys.argv[3:])
 """

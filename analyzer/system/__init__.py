@@ -1,0 +1,1 @@
+"""What the program asks of the operating system: processes with bounds, folders for a while, small files as a whole."""
