@@ -15,13 +15,13 @@ from pathlib import Path
 from types import TracebackType
 
 from analyzer.live.reader_port import Stop
+from conformance.bus.can_port import CanPort
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
 from conformance.drives.drive import Drive
 from conformance.drives.serial_bus import SerialBus
 from conformance.serve import can as can_server
 from conformance.serve import serial_server
-from conformance.serve.can import CanPort
 from conformance.serve.clock import Clock
 from conformance.serve.pty import PtyPort
 from conformance.serve.serial_server import SerialPort
