@@ -14,8 +14,8 @@ from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame
+from conformance.bus import open_can_port
 from conformance.bus.can_port import Acceptance, CanPort
-from conformance.bus.can_socket import open_port
 from conformance.bus.line import Line, LineLost
 from conformance.drives.can_bits import frame_bits
 
@@ -42,7 +42,7 @@ class CanLine(Line):
         if interface not in _FIXED or endpoint.speed is not None:
             options["bitrate"] = endpoint.bits_per_second
         try:
-            return open_port(interface, channel, heard_as=Role.REPLY, **options)
+            return open_can_port(interface, channel, heard_as=Role.REPLY, **options)
         except UsageError as error:
             raise UsageError(f"{error}{_hint(interface, channel, str(error))}") from None
 

@@ -1,7 +1,7 @@
 """CAN buses that are sockets, without python-can on the way of a received frame: it takes several times as long for one.
 
     udp_multicast   a datagram of MessagePack, as python-can's interface of that name sends it; two sockets
-    socketcan       a frame of the kernel; python-can opens the socket and sends
+    socketcan       a frame of the kernel; `conformance.bus.python_can` opens the socket and sends
 
 All that waits is read at one go. So the queue of the kernel stays short, and what is read is not out of date.
 
@@ -23,22 +23,15 @@ import msgspec
 
 from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
-from analyzer.live.reader_can_socket import (
-    MULTICAST_PORT,
-    Dissect,
-    dissect_kernel,
-    dissect_multicast,
-    open_multicast,
-    with_room,
-)
+from analyzer.live.reader_can_socket import MULTICAST_PORT, Dissect, dissect_multicast, open_multicast, with_room
 from analyzer.records import CanFrame
 from conformance.bus.can_port import CanPort
-from conformance.bus.python_can import ROOM, LibraryPort, socket_of
 
 #: Frames that are read at one go, before the time is looked at.
 _AT_ONCE = 256
 _LONGEST = 4096
-_KERNEL_FRAME = 72
+#: Bytes that the kernel may keep for a socket: a tenth of a second of a full bus. More would be out of date when read.
+ROOM = 1 << 20
 #: Options of `udp_multicast`. Its bit rate is that of the emulated bus behind it.
 _OPTIONS = ("port", "hop_limit", "bitrate")
 
@@ -61,7 +54,7 @@ _pack = msgspec.msgpack.Encoder().encode
 _Read = Callable[[], tuple[bytes, bool]]
 
 
-class _Frames:
+class Frames:
     """The frames that come on a socket, many at a time."""
 
     def __init__(self, port: CanPort, made: socket.socket, read: _Read, dissect: Dissect) -> None:
@@ -138,7 +131,7 @@ class MulticastPort(CanPort):
             data, sent_by = made.recvfrom(_LONGEST)
             return data, sent_by[:2] == own
 
-        self._frames = _Frames(self, made, read, dissect_multicast)
+        self._frames = Frames(self, made, read, dissect_multicast)
 
     def receive(self, timeout_ns: int) -> CanFrame | None:
         got = self._frames.next(timeout_ns)
@@ -165,34 +158,3 @@ def _set_hops(sender: socket.socket, hops: int) -> None:
         sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, hops)
     else:
         sender.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, hops)
-
-
-class SocketCanPort(LibraryPort):
-    """A bus of SocketCAN. Frames of other programs on this machine are read, too."""
-
-    def __init__(self, channel: str, *, heard_as: Role = Role.REQUEST, **options: Any) -> None:
-        super().__init__("socketcan", channel, heard_as=heard_as, **options)
-        made = self._made = socket_of(self._bus)
-
-        def read() -> tuple[bytes, bool]:
-            data, _, flags, _ = made.recvmsg(_KERNEL_FRAME, 0, socket.MSG_DONTWAIT)
-            return data, bool(flags & socket.MSG_CONFIRM)
-
-        self._frames = _Frames(self, made, read, dissect_kernel)
-
-    def receive(self, timeout_ns: int) -> CanFrame | None:
-        got = self._frames.next(timeout_ns)
-        return None if got is None else self._frame(*got)
-
-    def close(self) -> None:
-        self._made.close()
-        super().close()
-
-
-def open_port(interface: str, channel: str, *, heard_as: Role = Role.REQUEST, **options: Any) -> CanPort:
-    """Open a port to a CAN bus. `options`: of the interface. Raises UsageError where it cannot be opened."""
-    if interface == "udp_multicast":
-        return MulticastPort(channel, heard_as=heard_as, **options)
-    if interface == "socketcan":
-        return SocketCanPort(channel, heard_as=heard_as, **options)
-    return LibraryPort(interface, channel, heard_as=heard_as, **options)

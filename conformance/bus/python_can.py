@@ -16,15 +16,18 @@ import time
 from collections import deque
 from typing import Any
 
-import can
-
 from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.reader_can_library import flags_of
-from analyzer.live.reader_can_socket import with_room
+from analyzer.live.reader_can_socket import dissect_kernel, with_room
+from analyzer.own_process import without
 from analyzer.records import CanFrame
 from analyzer.values import quote
 from conformance.bus.can_port import CanPort
+from conformance.bus.can_socket import ROOM, Frames
+
+with without("asammdf"):
+    import can
 
 #: How long a frame that was sent may take to return.
 _RETURN_NS = 500_000_000
@@ -32,8 +35,8 @@ _RETURN_NS = 500_000_000
 _FAILURES = 20
 #: What is slept where an interface does not wait itself: looking again at once would take a whole core.
 _PAUSE_NS = 1_000_000
-#: Bytes that the kernel may keep for a socket: a tenth of a second of a full bus. More would be out of date when read.
-ROOM = 1 << 20
+#: Bytes of the longest frame of the kernel.
+_KERNEL_FRAME = 72
 
 
 def socket_of(bus: can.BusABC) -> socket.socket:
@@ -132,3 +135,25 @@ class LibraryPort(CanPort):
         super().close()
         with contextlib.suppress(Exception):
             self._bus.shutdown()
+
+
+class SocketCanPort(LibraryPort):
+    """A bus of SocketCAN. Frames of other programs on this machine are read, too."""
+
+    def __init__(self, channel: str, *, heard_as: Role = Role.REQUEST, **options: Any) -> None:
+        super().__init__("socketcan", channel, heard_as=heard_as, **options)
+        made = self._made = socket_of(self._bus)
+
+        def read() -> tuple[bytes, bool]:
+            data, _, flags, _ = made.recvmsg(_KERNEL_FRAME, 0, socket.MSG_DONTWAIT)
+            return data, bool(flags & socket.MSG_CONFIRM)
+
+        self._frames = Frames(self, made, read, dissect_kernel)
+
+    def receive(self, timeout_ns: int) -> CanFrame | None:
+        got = self._frames.next(timeout_ns)
+        return None if got is None else self._frame(*got)
+
+    def close(self) -> None:
+        self._made.close()
+        super().close()

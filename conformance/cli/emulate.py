@@ -233,11 +233,11 @@ class _Place(NamedTuple):
 
 def _open(bus: SerialBus | CanBus, arguments: argparse.Namespace) -> _Place:
     if isinstance(bus, CanBus):
-        from conformance.bus.can_socket import open_port
+        from conformance.bus import open_can_port
         from conformance.serve import can
 
         interface, channel, options = can.parse_endpoint(arguments.can)
-        on_can = open_port(interface, channel, **options)
+        on_can = open_can_port(interface, channel, **options)
         bus.speed = on_can.bitrate
         return _Place(on_can, partial(can.serve, bus, on_can))
     from conformance.serve import serial_server

@@ -19,10 +19,10 @@ from analyzer.errors import ServotapError, UsageError
 from analyzer.live.endpoint import parse
 from analyzer.live.spool import CanFlag
 from analyzer.records import CanFrame
-from conformance.bus import can_socket, open_line
+from conformance.bus import open_can_port, open_line, python_can
 from conformance.bus.can_port import Acceptance
-from conformance.bus.can_socket import MulticastPort, SocketCanPort, open_port
-from conformance.bus.python_can import LibraryPort
+from conformance.bus.can_socket import MulticastPort
+from conformance.bus.python_can import LibraryPort, SocketCanPort
 from conformance.gate.gate import Allowance, Gate
 from conformance.safety import stopping
 from conformance.talk.dialogue import MS, Dialogue
@@ -123,7 +123,7 @@ def test_what_is_no_frame_is_counted_and_ends_nothing(group: int, capsys: pytest
 )
 def test_what_cannot_be_opened_is_told(channel: str, options: dict[str, Any], told: str):
     with pytest.raises(UsageError, match=told):
-        open_port("udp_multicast", channel, **options)
+        open_can_port("udp_multicast", channel, **options)
 
 
 # --- SocketCAN --------------------------------------------------------------------------------------------------------
@@ -158,7 +158,7 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> Kernel:
 
 
 def test_frames_of_the_kernel(kernel: Kernel):
-    port = open_port("socketcan", "can9")
+    port = open_can_port("socketcan", "can9")
     assert isinstance(port, SocketCanPort)
     kernel.put(0x001, b"\1\2")
     kernel.put(0x80000000 | 0x12345, b"")
@@ -177,32 +177,32 @@ def test_frames_of_the_kernel(kernel: Kernel):
 
 def test_own_frames_are_those_that_the_kernel_marks(kernel: Kernel, monkeypatch: pytest.MonkeyPatch):
     """It marks all frames of this machine, too: those of other programs are no own ones."""
-    port = open_port("socketcan", "can9", receive_own_messages=True)
-    assert isinstance(port, SocketCanPort)
     marks = iter((socket.MSG_DONTROUTE, socket.MSG_DONTROUTE | socket.MSG_CONFIRM, 0))
 
-    class Marked:
-        def recvmsg(self, *_: int) -> tuple[bytes, list[Any], int, None]:
+    class Marked(socket.socket):
+        def recvmsg(self, *_: int) -> Any:
             mark = next(marks, None)
             if mark is None:
                 raise BlockingIOError
             return struct.pack("=IB3x8s", 0x100 + (mark >> 2), 0, b""), [], mark, None
 
-    monkeypatch.setattr(can_socket, "socket_of", lambda bus: Marked())
-    port.close()
-    port = open_port("socketcan", "can9")
-    got = [port.receive(0) for _ in range(3)]
+    monkeypatch.setattr(python_can, "socket_of", lambda bus: Marked(socket.AF_UNIX))
+    with closing(open_can_port("socketcan", "can9", receive_own_messages=True)) as port:
+        got = [port.receive(0) for _ in range(3)]
     assert [f.id for f in got if f is not None] == [0x101, 0x100]
 
 
 def test_an_interface_that_goes_down_is_told(kernel: Kernel, monkeypatch: pytest.MonkeyPatch):
-    class Down:
-        def recvmsg(self, *_: int) -> None:
+    class Down(socket.socket):
+        def recvmsg(self, *_: int) -> Any:
             raise OSError(100, "Network is down")
 
-    monkeypatch.setattr(can_socket, "socket_of", lambda bus: Down())
-    with pytest.raises(ServotapError, match="can9 is gone: Network is down"):
-        open_port("socketcan", "can9").receive(SECOND_NS)
+    monkeypatch.setattr(python_can, "socket_of", lambda bus: Down(socket.AF_UNIX))
+    with (
+        closing(open_can_port("socketcan", "can9")) as port,
+        pytest.raises(ServotapError, match="can9 is gone: Network is down"),
+    ):
+        port.receive(SECOND_NS)
 
 
 # --- a full bus -------------------------------------------------------------------------------------------------------

@@ -185,10 +185,10 @@ class Bridge:
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
-    """Wait until something outside this process is so."""
+    """Wait until something outside this process is so. It never looks for longer than it leaves the processor to others."""
     deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
+    while (begun := time.monotonic()) < deadline:
         if condition():
             return True
-        time.sleep(0.005)
+        time.sleep(max(0.005, time.monotonic() - begun))
     return condition()
