@@ -11,6 +11,9 @@ import subprocess
 import sys
 from typing import Any
 
+from analyzer import own_process
+from analyzer.own_process import without
+
 #: Seconds for all interfaces together.
 TIMEOUT_S = 4.0
 #: Interfaces that need no asking: SocketCAN, buses without a wire, and serial ports, which are listed as such.
@@ -41,7 +44,8 @@ def main() -> None:
     # What a vendor's library prints goes elsewhere than our answer.
     answer = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    import can
+    with without("asammdf"):
+        import can
 
     names = [name for name in sorted(can.VALID_INTERFACES) if name not in _LEFT_OUT]
     # Releases before 4.6 have no time-out of their own; the one around this process holds for all.
@@ -54,4 +58,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    own_process.is_own = True
     main()

@@ -23,6 +23,7 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
+from analyzer import own_process
 from analyzer.errors import ServotapError
 from analyzer.live import config
 from analyzer.live.config import PortConfig
@@ -225,5 +226,6 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    own_process.is_own = True
     with contextlib.suppress(BrokenPipeError):
         sys.exit(main())

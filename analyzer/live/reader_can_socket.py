@@ -131,7 +131,8 @@ class CanSocketPort:
     def open(self, stop: Stop) -> Opened:
         made: socket.socket | None = None
         try:
-            made = self._open_kernel() if self._kernel else self._open_multicast()
+            group = int(self._endpoint.options.get("port", MULTICAST_PORT))
+            made = self._open_kernel() if self._kernel else open_multicast(self._channel, group)
         except OSError as error:
             raise Unopened(f"cannot open {self._endpoint.place}: {error.strerror or error}") from None
         self._overflows = 0
@@ -169,34 +170,6 @@ class CanSocketPort:
             made.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, 0x1FFFFFFF)
             made.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
             made.bind((self._channel,))
-        except BaseException:
-            made.close()
-            raise
-        return made
-
-    def _open_multicast(self) -> socket.socket:
-        try:
-            group = ipaddress.ip_address(self._channel)
-        except ValueError:
-            raise OSError(22, f"{self._channel} is not an address, expected one such as 239.74.163.2") from None
-        if not group.is_multicast:
-            raise OSError(22, f"{self._channel} is not a multicast address, expected one such as 239.74.163.2")
-        port = int(self._endpoint.options.get("port", MULTICAST_PORT))
-        family = socket.AF_INET if group.version == 4 else socket.AF_INET6
-        made = socket.socket(family, socket.SOCK_DGRAM)
-        try:
-            for option in ("SO_REUSEADDR", "SO_REUSEPORT"):
-                if hasattr(socket, option):
-                    made.setsockopt(socket.SOL_SOCKET, getattr(socket, option), 1)
-            made.bind(("", port))
-            # Traffic of groups that other programs on this machine have joined is not ours.
-            if group.version == 4:
-                _wish(made, _IP_MULTICAST_ALL, 0, socket.IPPROTO_IP)
-                request = group.packed + struct.pack("@I", socket.INADDR_ANY)
-                made.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, request)
-            else:
-                _wish(made, _IPV6_MULTICAST_ALL, 0, socket.IPPROTO_IPV6)
-                made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, group.packed + struct.pack("@I", 0))
         except BaseException:
             made.close()
             raise
@@ -281,6 +254,35 @@ class CanSocketPort:
         if 0 < lost < 1 << 31:
             self._overflows = count
             store.event("kernel_dropped", frames=lost, from_ns=store.last_ns, t_ns=t_ns)
+
+
+def open_multicast(channel: str, port: int) -> socket.socket:
+    """Return a socket that hears a multicast group. Raises OSError."""
+    try:
+        group = ipaddress.ip_address(channel)
+    except ValueError:
+        raise OSError(22, f"{channel} is not an address, expected one such as 239.74.163.2") from None
+    if not group.is_multicast:
+        raise OSError(22, f"{channel} is not a multicast address, expected one such as 239.74.163.2")
+    family = socket.AF_INET if group.version == 4 else socket.AF_INET6
+    made = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        for option in ("SO_REUSEADDR", "SO_REUSEPORT"):
+            if hasattr(socket, option):
+                made.setsockopt(socket.SOL_SOCKET, getattr(socket, option), 1)
+        made.bind(("", port))
+        # Traffic of groups that other programs on this machine have joined is not ours.
+        if group.version == 4:
+            _wish(made, _IP_MULTICAST_ALL, 0, socket.IPPROTO_IP)
+            request = group.packed + struct.pack("@I", socket.INADDR_ANY)
+            made.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, request)
+        else:
+            _wish(made, _IPV6_MULTICAST_ALL, 0, socket.IPPROTO_IPV6)
+            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, group.packed + struct.pack("@I", 0))
+    except BaseException:
+        made.close()
+        raise
+    return made
 
 
 def _overflows(made: socket.socket) -> int | None:

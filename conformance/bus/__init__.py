@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
+from typing import Any
 
-from analyzer.catalogue import Dialect
+from analyzer.catalogue import Dialect, Role
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
+from conformance.bus.can_port import CanPort
 from conformance.bus.line import Line
 
-__all__ = ["at_default_rate", "open_line"]
+__all__ = ["at_default_rate", "open_can_port", "open_line"]
 
 #: Kind of endpoint -> module and class of its line, imported only when one is opened.
 _KINDS = {
@@ -18,6 +20,12 @@ _KINDS = {
     "tcp": ("conformance.bus.tcp", "TcpLine"),
     "can": ("conformance.bus.can", "CanLine"),
 }
+#: Likewise for the interfaces of CAN that are read without python-can, and for all others.
+_INTERFACES = {
+    "udp_multicast": ("conformance.bus.can_socket", "MulticastPort"),
+    "socketcan": ("conformance.bus.python_can", "SocketCanPort"),
+}
+_LIBRARY = ("conformance.bus.python_can", "LibraryPort")
 
 
 def open_line(endpoint: Endpoint) -> Line:
@@ -30,6 +38,14 @@ def open_line(endpoint: Endpoint) -> Line:
     module, name = _KINDS[endpoint.kind]
     line: Line = getattr(import_module(module), name)(endpoint)
     return line
+
+
+def open_can_port(interface: str, channel: str, *, heard_as: Role = Role.REQUEST, **options: Any) -> CanPort:
+    """Open a port to a CAN bus. `options`: of the interface. Raises UsageError where it cannot be opened."""
+    module, name = _INTERFACES.get(interface, _LIBRARY)
+    place = (channel,) if interface in _INTERFACES else (interface, channel)
+    port: CanPort = getattr(import_module(module), name)(*place, heard_as=heard_as, **options)
+    return port
 
 
 def at_default_rate(endpoint: Endpoint, dialect: Dialect) -> Endpoint:

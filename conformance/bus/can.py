@@ -1,4 +1,4 @@
-"""A CAN bus as a line, through a python-can interface. `can:INTERFACE:CHANNEL[,bitrate=N][,OPTION=VALUE...]`
+"""A CAN bus as a line: a socket, or an interface of python-can. `can:INTERFACE:CHANNEL[,bitrate=N][,OPTION=VALUE...]`
 
 An adapter is opened at the bit rate of the endpoint. A kernel interface (`socketcan`) keeps the rate set by `ip link`. Buses
 without bits (`virtual`, `udp_multicast`) have no rate. The last two cannot change the rate later either.
@@ -14,8 +14,9 @@ from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame
+from conformance.bus import open_can_port
+from conformance.bus.can_port import Acceptance, CanPort
 from conformance.bus.line import Line, LineLost
-from conformance.bus.python_can import CanPort
 from conformance.drives.can_bits import frame_bits
 
 _SECOND_NS = 1_000_000_000
@@ -32,6 +33,7 @@ class CanLine(Line):
         self._free_ns = 0
         self._closed = False
         self._port = self._open(endpoint)
+        self.acceptance: Acceptance = self._port.acceptance
 
     @staticmethod
     def _open(endpoint: Endpoint) -> CanPort:
@@ -40,7 +42,7 @@ class CanLine(Line):
         if interface not in _FIXED or endpoint.speed is not None:
             options["bitrate"] = endpoint.bits_per_second
         try:
-            return CanPort(interface, channel, heard_as=Role.REPLY, **options)
+            return open_can_port(interface, channel, heard_as=Role.REPLY, **options)
         except UsageError as error:
             raise UsageError(f"{error}{_hint(interface, channel, str(error))}") from None
 
@@ -86,6 +88,7 @@ class CanLine(Line):
         self._port.close()
         changed = self.endpoint.at(bits_per_second)
         self._port = self._open(changed)
+        self._port.acceptance = self.acceptance
         self.endpoint = changed
 
     def _check(self) -> None:
@@ -108,6 +111,4 @@ def _hint(interface: str, channel: str, why: str) -> str:
         from conformance.bus.serial import permission_hint
 
         return f"\n  {permission_hint(channel)}"
-    if interface == "udp_multicast" and "msgpack" in why:
-        return "\n  it needs msgpack: pip install msgpack"
     return ""

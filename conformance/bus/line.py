@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 
 from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame, Chunk
+from conformance.bus.can_port import Acceptance
 from conformance.claim import RigFault
 
 
@@ -28,6 +29,8 @@ class Line(ABC):
     endpoint: Endpoint
     emulated: bool = False
     anchor_ns: int = 0
+    #: Which frames of a CAN bus are read.
+    acceptance: Acceptance | None = None
     #: When a setting was last written, on this line's clock; None: none was. Hasty writes are dropped by real drives.
     setting_ns: int | None = None
 
@@ -35,6 +38,11 @@ class Line(ABC):
     def is_can(self) -> bool:
         """Whether frames of CAN are sent, else bytes of a serial line."""
         return self.endpoint.bus_kind == "can"
+
+    @property
+    def passed(self) -> int:
+        """Bytes of CAN frames that came and were not read."""
+        return 0 if self.acceptance is None else self.acceptance.passed
 
     @property
     def byte_ns(self) -> int:

@@ -1,10 +1,9 @@
-"""A python-can interface, for emulated drives and for lines to real drives.
+"""A CAN bus behind an interface of python-can.
 
-Rule: `receive` gives only frames of other senders. Some interfaces (`HANDS_BACK`) return each sent frame to its sender, once
-and in order. So sent frames are remembered until they return. The identifier alone is not enough: MKS replies have the
-identifier of their request, and may have the same bytes.
+With `receive_own_messages` an interface returns each sent frame to its sender, once and in order. So sent frames are
+remembered until they return. The identifier alone is not enough: MKS replies have the identifier of their request, and may have
+the same bytes.
 
-What an adapter says that cannot be read is counted, and told on standard error: the first at once, the count at the end.
 Lines that python-can itself passes over (of an unknown letter) are not seen here.
 """
 
@@ -13,50 +12,48 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-import sys
 import time
 from collections import deque
 from typing import Any
 
-import can
-
 from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
-from analyzer.live.reader_can_socket import with_room
+from analyzer.live.reader_can_library import flags_of
+from analyzer.live.reader_can_socket import dissect_kernel, with_room
+from analyzer.own_process import without
 from analyzer.records import CanFrame
-from analyzer.values import printable, quote
+from analyzer.values import quote
+from conformance.bus.can_port import CanPort
+from conformance.bus.can_socket import ROOM, Frames
 
-#: Interfaces of python-can that return frames to their sender, even if told not to.
-HANDS_BACK = frozenset({"udp_multicast"})
+with without("asammdf"):
+    import can
+
 #: How long a frame that was sent may take to return.
 _RETURN_NS = 500_000_000
 #: Failures to receive in a row after which the interface is taken to be gone.
 _FAILURES = 20
 #: What is slept where an interface does not wait itself: looking again at once would take a whole core.
 _PAUSE_NS = 1_000_000
-#: Bytes that the kernel may keep for a socket: a tenth of a second of a full bus. More would be out of date when read.
-_ROOM = 1 << 20
+#: Bytes of the longest frame of the kernel.
+_KERNEL_FRAME = 72
 
 
-def _give_room(bus: can.BusABC) -> None:
-    """Let the kernel keep frames while this process does not run, where an interface is a socket."""
-    # Most interfaces have no file, or one that is no socket.
-    with contextlib.suppress(NotImplementedError, OSError):
-        number = os.dup(bus.fileno())
-        try:
-            with_room(same := socket.socket(fileno=number), _ROOM)
-            same.detach()
-        finally:
-            os.close(number)
+def socket_of(bus: can.BusABC) -> socket.socket:
+    """Return the socket behind an interface, as one that is closed by itself. Raises OSError where it is none."""
+    number = os.dup(bus.fileno())
+    try:
+        return socket.socket(fileno=number)
+    except OSError:
+        os.close(number)
+        raise
 
 
-class CanPort:
-    """A python-can bus. `heard_as`: the role of those on the other end. Raises UsageError where it cannot be opened."""
+class LibraryPort(CanPort):
+    """A bus of python-can. Raises UsageError where it cannot be opened."""
 
     def __init__(self, interface: str, channel: str, *, heard_as: Role = Role.REQUEST, **options: Any) -> None:
-        self._heard_as = heard_as
-        self.name = f"{interface}:{channel}"
-        self.bitrate: int | None = options.get("bitrate")
+        super().__init__(f"{interface}:{channel}", heard_as, options.get("bitrate"))
         known = can.VALID_INTERFACES
         if interface not in known:
             raise UsageError(f"no CAN interface {quote(interface)} (python-can has {', '.join(sorted(known))})")
@@ -65,19 +62,14 @@ class CanPort:
         # Each interface raises what its library raises.
         except Exception as error:
             raise UsageError(f"cannot open {self.name}: {type(error).__name__}: {error}") from None
-        _give_room(self._bus)
+        # The kernel keeps frames while this process does not run. Most interfaces have no file, or one that is no socket.
+        with contextlib.suppress(NotImplementedError, OSError), contextlib.closing(socket_of(self._bus)) as made:
+            with_room(made, ROOM)
         self._own: deque[tuple[int, int, bytes]] = deque()
-        self._hands_back = interface in HANDS_BACK or bool(options.get("receive_own_messages"))
+        self._hands_back = bool(options.get("receive_own_messages"))
         self._failures = 0
-        self.lost = 0
-        #: What the adapter said that could not be read, and why the last of it could not.
-        self.unread, self._why = 0, ""
 
     def receive(self, timeout_ns: int) -> CanFrame | None:
-        """Return the next frame of the others, None after the timeout.
-
-        Raises ServotapError when the interface is gone.
-        """
         from_ns = time.monotonic_ns()
         try:
             message = self._bus.recv(timeout_ns / 1e9)
@@ -101,25 +93,13 @@ class CanPort:
         if not message.is_remote_frame and not message.is_fd and len(message.data or b"") != message.dlc:
             self._not_read(f"a frame of length {message.dlc} has {len(message.data or b'')} bytes")
             return None
-        frame = CanFrame(
-            None,
-            self.name,
-            message.arbitration_id,
-            bytes(message.data or b""),
-            self._heard_as,
-            bool(message.is_extended_id),
-            bool(message.is_remote_frame),
-            bool(message.is_error_frame),
-            bool(message.is_fd),
-        )
+        data, flags = bytes(message.data or b""), flags_of(message)
+        if not self.acceptance.takes(message.arbitration_id, flags, len(data)):
+            return None
+        frame = self._frame(message.arbitration_id, flags, data)
         # Some interfaces mark what is handed back, others do not; either way it has come back once.
         returned = self._hands_back and self._returned(frame)
         return None if returned or not message.is_rx else frame
-
-    def _not_read(self, why: str) -> None:
-        self.unread, self._why = self.unread + 1, why
-        if self.unread == 1:
-            print(f"servotap: {self.name} said what cannot be read: {printable(why)}", file=sys.stderr, flush=True)
 
     def _returned(self, frame: CanFrame) -> bool:
         """Say whether a frame is one of ours that has come back."""
@@ -132,18 +112,7 @@ class CanPort:
                 return True
         return False
 
-    def send(self, frame: CanFrame) -> None:
-        """Send a frame of a drive; one that the interface does not take is lost."""
-        try:
-            self.put(frame)
-        except ServotapError:
-            self.lost += 1
-
     def put(self, frame: CanFrame) -> None:
-        """Send a frame of any kind.
-
-        Raises ServotapError for one that the interface does not take.
-        """
         message = can.Message(
             arbitration_id=frame.id,
             data=frame.data,
@@ -163,10 +132,28 @@ class CanPort:
             raise ServotapError(f"{self.name} does not send: {type(error).__name__}: {error}") from None
 
     def close(self) -> None:
-        """Close the interface; it may be done twice."""
-        if self.unread > 1:
-            text = f"servotap: {self.name} said {self.unread} things that cannot be read, the last: {printable(self._why)}"
-            print(text, file=sys.stderr, flush=True)
-        self.unread = 0
+        super().close()
         with contextlib.suppress(Exception):
             self._bus.shutdown()
+
+
+class SocketCanPort(LibraryPort):
+    """A bus of SocketCAN. Frames of other programs on this machine are read, too."""
+
+    def __init__(self, channel: str, *, heard_as: Role = Role.REQUEST, **options: Any) -> None:
+        super().__init__("socketcan", channel, heard_as=heard_as, **options)
+        made = self._made = socket_of(self._bus)
+
+        def read() -> tuple[bytes, bool]:
+            data, _, flags, _ = made.recvmsg(_KERNEL_FRAME, 0, socket.MSG_DONTWAIT)
+            return data, bool(flags & socket.MSG_CONFIRM)
+
+        self._frames = Frames(self, made, read, dissect_kernel)
+
+    def receive(self, timeout_ns: int) -> CanFrame | None:
+        got = self._frames.next(timeout_ns)
+        return None if got is None else self._frame(*got)
+
+    def close(self) -> None:
+        self._made.close()
+        super().close()

@@ -31,7 +31,7 @@ from conformance.drives.wire_faults import WireFaults, parse_rates
 from conformance.serve.clock import Clock
 
 if TYPE_CHECKING:
-    from conformance.serve.can import CanPort
+    from conformance.bus.can_port import CanPort
     from conformance.serve.serial_server import SerialPort
 
 EXAMPLES = """\
@@ -233,10 +233,11 @@ class _Place(NamedTuple):
 
 def _open(bus: SerialBus | CanBus, arguments: argparse.Namespace) -> _Place:
     if isinstance(bus, CanBus):
+        from conformance.bus import open_can_port
         from conformance.serve import can
 
         interface, channel, options = can.parse_endpoint(arguments.can)
-        on_can = can.CanPort(interface, channel, **options)
+        on_can = open_can_port(interface, channel, **options)
         bus.speed = on_can.bitrate
         return _Place(on_can, partial(can.serve, bus, on_can))
     from conformance.serve import serial_server

@@ -88,6 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
     failures: list[str] = []
     with as_interrupt(), gate_to(endpoint, Allowance()) as gate:
         drives = [_Drive(*each, gate.line.endpoint.bits_per_second) for each in named]
+        # On a full bus, frames of others must not make replies late. Orders to all are read: they may move what is stopped.
+        everyone = [dialect.broadcast for dialect in dialects if dialect.broadcast is not None]
+        if gate.line.acceptance is not None:
+            gate.line.acceptance.only([*everyone, *(each.address for each in drives), *([] if alone else addresses)])
         try:
             for drive in drives:
                 _ask(gate, drive)
@@ -152,12 +156,13 @@ class _Everywhere:
             _ask(gate, drives[-1])
             return False
 
-        begun_ns = gate.now_ns()
+        begun_ns, passed = gate.now_ns(), gate.line.passed
         with showing_progress(quiet=False) as progress:
             report = scan(
                 gate, self._dialects, addresses=self._addresses, rates=self._rates, busy=True, enough=take, progress=progress
             )  # fmt: skip
         heard = sum(len(stray.data) for stray in report.strays) + _CAN_BYTES * report.others.total()
+        heard += gate.line.passed - passed
         self._others_send = stopping.flood(heard, gate.now_ns() - begun_ns)
         return list({drive.name: drive for drive in drives}.values())
 

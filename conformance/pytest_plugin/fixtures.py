@@ -71,13 +71,14 @@ def can_bus_of(*drives: str) -> Iterator[can.BusABC]:
     """Serve drives on a virtual bus of python-can in real time and yield another end of it. Raises UsageError."""
     import can as library
 
+    from conformance.bus.python_can import LibraryPort
     from conformance.serve import can
     from conformance.serve.clock import Clock
 
     channel = f"servotap-{os.getpid()}-{next(_channels)}"
     # Opened first: what is wrong with the drives is told before anything runs.
     bus = CanBus([make.make(make.parse(text)) for text in drives])
-    port = can.CanPort("virtual", channel)
+    port = LibraryPort("virtual", channel)
     served = _served(partial(can.serve, bus, port, Clock()), port.close)
     with served, library.Bus(interface="virtual", channel=channel) as end:
         yield end

@@ -26,7 +26,7 @@ from typing import IO
 
 import msgspec
 
-from analyzer import dialects
+from analyzer import dialects, own_process
 from analyzer.catalogue import Dialect, Risk, Verb
 from analyzer.cli.boundary import bounded
 from analyzer.errors import ServotapError
@@ -393,5 +393,6 @@ def _answer(stream: IO[bytes], answer: say.Answer) -> bool:
 
 
 if __name__ == "__main__":
+    own_process.is_own = True
     # It writes to the terminal of the suite.
     sys.exit(bounded(lambda words: main(), sys.argv[1:]))

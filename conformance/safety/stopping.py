@@ -139,7 +139,7 @@ def tell(gate: Gate, dialect: Dialect, address: int, *, at_once: bool = False) -
 def others_send(traffic: Sequence[Exchange]) -> list[str]:
     """Return in words how much came in these exchanges that answers nothing; nothing where it is little."""
     frames = [m.frame for e in traffic for m in (*(a.message for a in e.others), *e.foreign)]
-    count = sum(len(frame.data) for frame in frames) + sum(len(j.data) for e in traffic for j in e.junk)
+    count = sum(len(frame.data) for frame in frames) + sum(e.passed + sum(len(j.data) for j in e.junk) for e in traffic)
     return [*flood(count, sum(e.until_ns - e.sent_ns for e in traffic)), *_moved_by_others(traffic)]
 
 

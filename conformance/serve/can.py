@@ -4,7 +4,7 @@
 
 Rules:
 
-1. The drives' own frames never count as requests (`conformance.bus.python_can`).
+1. The drives' own frames never count as requests (`conformance.bus.can_port`).
 2. Only CAN 2.0 data frames with 11 bits reach a drive; all others are only logged.
 3. With `bitrate`, drives at another rate receive nothing; without it each drive's rate is right.
 """
@@ -18,11 +18,9 @@ from analyzer.errors import UsageError
 from analyzer.live.endpoint import value_of
 from analyzer.live.reader_port import Stop
 from analyzer.values import quote
-from conformance.bus.python_can import CanPort
+from conformance.bus.can_port import CanPort
 from conformance.drives.can_bus import CanBus
 from conformance.serve.clock import Clock
-
-__all__ = ["CanPort", "parse_endpoint", "serve"]
 
 #: The longest wait for a frame: how late the wish to end is noticed.
 _WAIT_NS = 100_000_000

@@ -31,6 +31,10 @@ PAUSE_NS = 15 * MS
 _WHOLE_PAUSE_NS = 2 * MS
 #: Bytes of the longest frame; what goes on beyond it is no frame.
 _LONGEST_FRAME = 64
+#: So long after a deadline, this process stood still: a machine that is free wakes it within that.
+_STOOD_STILL_NS = 5 * MS
+#: Pieces that are read at the most behind a deadline: others may send without end.
+_MOST_WAITING = 256
 #: Requests whose replies are still known for theirs.
 _OPEN_REQUESTS = 256
 #: Spans of the bus that were sent here: what is decoded late may lie in an earlier one.
@@ -145,6 +149,7 @@ class Dialogue:
         self._pipeline = Pipeline(self.dialects, (self._sorter,), Options(byte_ns=line.byte_ns, late_ns=late_ns))
         self._pipeline.set_up(self._name, usual_setup(self.dialects))
         self._exchange = Exchange(None, 0)
+        self._passed = 0
         self._pending = False
 
     # --- one request ----------------------------------------------------------------------------------------------
@@ -184,7 +189,7 @@ class Dialogue:
 
     def begin(self, exchange: Exchange) -> Exchange:
         """Let what comes from now on be a part of an exchange."""
-        self._exchange = exchange
+        self._exchange, self._passed = exchange, self.gate.line.passed
         self._take()
         return exchange
 
@@ -206,11 +211,22 @@ class Dialogue:
                 over, deadline_ns = True, min(deadline_ns, gate.now_ns() + quiet_ns)
             elif done_ns and not begun and any(a.paired for a in new):
                 begun, deadline_ns = True, gate.now_ns() + done_ns
+        if gate.now_ns() - deadline_ns > _STOOD_STILL_NS:
+            self.read_waiting()
         # A frame that has begun belongs to this exchange to its end, or to the pause that ends it.
         until_ns = gate.now_ns() + _LONGEST_FRAME * gate.line.byte_ns + 2 * self._pause_ns
         while self._half_way and gate.now_ns() < until_ns:
             self.receive(until_ns)
         return self.finish()
+
+    def read_waiting(self) -> None:
+        """Take into the exchange what has come already. Raises LineLost.
+
+        A busy machine can let this process stand still until after a deadline, and what came meanwhile came in time.
+        """
+        for _ in range(_MOST_WAITING):
+            if self.receive(self.gate.now_ns()) is None:
+                return
 
     def receive(self, until_ns: int) -> Chunk | CanFrame | None:
         """Take what comes next into the exchange; None after a pause, or when the time is over. Raises LineLost."""
@@ -247,6 +263,7 @@ class Dialogue:
             # What a drive sent is not known: it is no silence, and says nothing of the drive.
             raise PluginError(f"a dialect of this line cannot be read: {link.left_out}")
         self._exchange.until_ns = self.gate.now_ns()
+        self._exchange.passed = self.gate.line.passed - self._passed
         return self._exchange
 
     # --- what comes -----------------------------------------------------------------------------------------------

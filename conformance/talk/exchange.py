@@ -101,8 +101,8 @@ class Exchange:
     `sent`: bytes or the CAN frame, None where only was listened. `sent_ns`: when its last bit was on the wire. `command`
     and `values` (integers as sent): what was asked, where it was built from a command. `requests`: the frames in what was
     sent; `answers`: all frames that came, but for `foreign`: those of CAN nodes that are no drives; `received`: every byte
-    that came (on CAN the data of the frames of drives). `until_ns`: how long was listened. `again`: the same request sent once
-    more, where the line had damaged the reply.
+    that came (on CAN the data of the frames of drives); `passed`: bytes of CAN frames that came and were not read. `until_ns`:
+    how long was listened. `again`: the same request sent once more, where the line had damaged the reply.
     """
 
     sent: bytes | CanFrame | None
@@ -117,6 +117,7 @@ class Exchange:
     until_ns: int = 0
     requests: list[Entry] = field(default_factory=list)
     received: bytes = b""
+    passed: int = 0
     again: Exchange | None = None
 
     @property
@@ -153,6 +154,10 @@ class Exchange:
         """Say whether an answer is to the asked command, rather than the final reply of an earlier one."""
         asked = self.command
         return asked is not None and answer.command is not None and answer.command.name == asked.name
+
+    def owns(self, answer: Answer) -> bool:
+        """Say whether the analyzer pairs an answer with what was sent here, rather than with an earlier request."""
+        return any(answer.entry.request_sequence == request.sequence for request in self.requests)
 
     @property
     def is_read(self) -> bool:

@@ -311,10 +311,11 @@ def _scan_rate(
             report.others.update(message.who for message in exchange.foreign)
             if found is not None:
                 known = {(f.dialect.name, f.address, f.speed) for f in report.found}
-                if (found.dialect.name, found.address, found.speed) not in known:
-                    report.found.append(found)
-                if enough is not None and enough(found):
-                    return False
+                for each in (found, *finder.late(exchange, dialect, address)):
+                    if (each.dialect.name, each.address, each.speed) not in known:
+                        report.found.append(each)
+                    if enough is not None and enough(each):
+                        return False
             elif exchange.received:
                 kind = _stray_kind(exchange, dialect, address)
                 report.strays.append(Stray(rate, drive_name(dialect, address), exchange.received, kind))
@@ -333,9 +334,18 @@ class Finder:
         """Ask for a drive; return it, if one answered, and the exchange. Raises LineLost."""
         command = search_read(dialect, address, self.dialogue.gate)
         exchange = self._ask(dialect, command, address)
-        answer = next((a for a in exchange.answers if _is_of(a, dialect)), None)
-        if answer is None:
-            return None, exchange
+        answers = [a for a in exchange.answers if _is_of(a, dialect)]
+        # A late answer of a drive that was asked before is not this one's, as long as there is another.
+        answer = next((a for a in answers if exchange.owns(a) or not a.paired), next(iter(answers), None))
+        return None if answer is None else self._found(answer, dialect, address, command), exchange
+
+    def late(self, exchange: Exchange, dialect: Dialect, address: int) -> list[Found]:
+        """Return the drives whose answers to earlier questions came with that of another drive."""
+        command = search_read(dialect, address, self.dialogue.gate)
+        others = [a for a in exchange.answers if _is_of(a, dialect) and a.paired and not exchange.owns(a)]
+        return [self._found(a, dialect, address, command) for a in others]
+
+    def _found(self, answer: Answer, dialect: Dialect, address: int, command: Command) -> Found:
         message = answer.message
         wrong = "" if message.frame.checksum_ok else "its checksum is wrong"
         if message.address != address:
@@ -344,7 +354,7 @@ class Finder:
         place = message.address if _possible(dialect, [message.address]) else address
         values = dict(physical(message)) | self._more(dialect, place, command)
         speed = self.dialogue.gate.line.endpoint.bits_per_second
-        return Found(dialect, place, speed, answer.latency_ns, answer.data, values, wrong), exchange
+        return Found(dialect, place, speed, answer.latency_ns, answer.data, values, wrong)
 
     def _more(self, dialect: Dialect, address: int, asked: Command) -> dict[str, Any]:
         values: dict[str, Any] = {}
@@ -361,7 +371,8 @@ class Finder:
         built = assemble(dialect, command, address)
         line = self.dialogue.gate.line
         wire_ns = _reply_bytes(dialect, command) * line.byte_ns or 200 * _SECOND_NS // line.endpoint.bits_per_second
-        return self.dialogue.ask(built.item(), wire_ns + self._patience_ns)
+        asked = self.dialogue.send(built.item())
+        return self.dialogue.collect(asked, lambda exchange, new: any(map(exchange.owns, new)), wire_ns + self._patience_ns)
 
 
 def _reply_bytes(dialect: Dialect, command: Command) -> int:

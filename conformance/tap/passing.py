@@ -230,6 +230,8 @@ class Passing:
         if self._to_adapter:
             self._to_adapter += data
             data = bytes(self._to_adapter)
+        # Before: who waits for the bytes is woken by the write, and often runs before this process does again.
+        now_ns = time.monotonic_ns()
         try:
             written = os.write(fd, data)
         except BlockingIOError:
@@ -238,7 +240,6 @@ class Passing:
             self._to_adapter[:] = data
             self._lose(error.strerror or str(error))
             return
-        now_ns = time.monotonic_ns()
         self._to_adapter[:] = data[written:]
         if written:
             self.on_taken(REQUEST, written)

@@ -29,7 +29,7 @@ from conformance.gate.gate import Gate, Judge, Objection, Refused
 from conformance.safety.signals import undisturbed
 from conformance.safety.stopping import GuardLost, stop
 from conformance.talk.dialogue import Dialogue
-from conformance.talk.exchange import Exchange
+from conformance.talk.exchange import Answer, Exchange
 from conformance.tools.replay_plan import Plan, Reply, Step, reply_of
 
 MS = 1_000_000
@@ -41,6 +41,8 @@ PATIENCE_NS = 100 * MS
 _LEAD_NS = 50 * MS
 #: Steps whose replies may still come: a completion comes long after the request.
 _OPEN = 256
+#: So long after a request, a reply that answers no other is taken for its own.
+_OVERTAKEN_NS = 1000 * MS
 #: The replay listens this long after the last step, plus the recorded time of its replies.
 _TAIL_NS = 300 * MS
 
@@ -245,6 +247,9 @@ class Replay:
             if not self._spin_ns:
                 self._listen(due_ns)
         late_ns = gate.now_ns() - due_ns
+        if late_ns > SPIN_NS:
+            # What came before a request does not answer it.
+            self._read_waiting()
         # What it sets in motion is known before it leaves: a signal can break in while it does, and the motor turns then.
         before = dict(self.moving)
         self._watch(step, moves=True)
@@ -273,12 +278,18 @@ class Replay:
             return False
         while self._awaited > 0 and self.gate.now_ns() < self._awaited_until_ns:
             self._receive(self._awaited_until_ns)
+        if self._awaited > 0:
+            self._read_waiting()
         self._awaited = 0
         return self.gate.now_ns() > due_ns
 
     def _listen(self, until_ns: int) -> None:
         while self.gate.now_ns() < until_ns:
             self._receive(until_ns)
+
+    def _read_waiting(self) -> None:
+        self._dialogue.read_waiting()
+        self._sort()
 
     def _receive(self, until_ns: int) -> None:
         got = self._dialogue.receive(until_ns)
@@ -292,12 +303,23 @@ class Replay:
         for answer in exchange.answers:
             sequence = answer.entry.request_sequence
             sent = next((s for s in reversed(self._open) if any(r.sequence == sequence for r in s.exchange.requests)), None)
+            sent = sent or self._overtaken(answer)
             if sent is None:
                 self.result.others += 1
             else:
                 sent.replies.append(reply_of(answer.message))
         self.result.junk += len(exchange.junk)
         exchange.answers, exchange.junk = [], []
+
+    def _overtaken(self, answer: Answer) -> SentStep | None:
+        """Return the oldest step that lacks such a reply: where the next request overtook it, it is late and not missing."""
+        reply = reply_of(answer.message)
+        for sent in self._open:
+            lacks = len(sent.replies) < len(sent.step.replies) and sent.step.replies[len(sent.replies)].kind == reply.kind
+            recent = answer.last_ns - sent.exchange.sent_ns <= _OVERTAKEN_NS
+            if lacks and recent and sent.step.address == answer.message.address:
+                return sent
+        return None
 
     # --- what moves -----------------------------------------------------------------------------------------------
 

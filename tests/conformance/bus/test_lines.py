@@ -10,7 +10,6 @@ import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
@@ -25,10 +24,10 @@ from conformance.bus import open_line, serial
 from conformance.bus.echo import WAIT_NS, EchoFilter, could_be_reply
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.line import Line, LineLost
+from conformance.bus.python_can import LibraryPort
 from conformance.bus.serial import SerialLine
 from conformance.drives.can_bus import CanBus
 from conformance.drives.serial_bus import SerialBus
-from conformance.serve.can import CanPort
 from conformance.serve.pty import PtyPort
 from conformance.serve.tcp import TcpPort
 from tests.conformance.drives.served import drives, on_can, on_port, on_pty
@@ -348,7 +347,7 @@ def can_answers(line: Line, item: CanFrame) -> list[bytes]:
 
 def test_a_can_line():
     channel = f"test {uuid.uuid4()}"
-    with on_can(CanBus(drives("mks-can@1")), CanPort("virtual", channel)):
+    with on_can(CanBus(drives("mks-can@1")), LibraryPort("virtual", channel)):
         line = open_line(parse(f"can:virtual:{channel},bitrate=500000"))
         try:
             assert line.is_can
@@ -367,18 +366,11 @@ def test_a_can_line():
             line.receive(0)
 
 
-def test_frames_that_an_interface_hands_back(monkeypatch: pytest.MonkeyPatch):
+def test_frames_that_an_interface_hands_back():
     # A calibration is answered with its very bytes: the host's own frame comes back first, the drive's second.
-    monkeypatch.setattr("conformance.bus.python_can.HANDS_BACK", frozenset({"virtual"}))
     channel = f"test {uuid.uuid4()}"
-    opened: Any = can.Bus
-
-    def hands_back(*args: Any, **options: Any) -> Any:
-        return opened(*args, **{"receive_own_messages": True} | options)
-
     with can.Bus(channel, "virtual") as drive:
-        monkeypatch.setattr(can, "Bus", hands_back)
-        line = open_line(parse(f"can:virtual:{channel}"))
+        line = open_line(parse(f"can:virtual:{channel},receive_own_messages=true"))
         try:
             item = CanFrame(None, "x", 1, bytes.fromhex("80 00 81"))
             line.write(item)

@@ -6,18 +6,25 @@ import io
 import os
 import select
 import signal
+import subprocess
+import sys
+import uuid
 
 import pytest
 
 from analyzer import cli as analyzer_cli
 from analyzer import dialects
 from analyzer.encoder import build
+from analyzer.errors import ServotapError
+from analyzer.records import CanFrame
+from conformance.bus.can_socket import MulticastPort
 from conformance.cli import stop
+from conformance.drives.can_bus import CanBus
 from conformance.drives.serial_bus import SerialBus
 from conformance.safety import stopping
-from tests.conformance.drives.served import LoggedPty, drives, on_port, wait_for
+from tests.conformance.drives.served import LoggedPty, drives, on_can, on_port, wait_for
 
-MKS, LK = dialects.get("mks-rs485"), dialects.get("lk-rs485")
+MKS, LK, MKS_CAN = (dialects.get(name) for name in ("mks-rs485", "lk-rs485", "mks-can"))
 RUNNING = (
     build(MKS, "run_speed", 2, {"speed": 300, "acceleration": 200}),
     build(LK, "motor_on", 3),
@@ -138,3 +145,49 @@ def test_all_are_told_to_stop_before_any_is_looked_for(port, capsys):
     asked = pty.heard.index(build(MKS, "read_status", 1))
     assert pty.heard.index(build(MKS, "stop_speed", 0, {"acceleration": 200})) < asked
     assert pty.heard.index(build(LK, "stop", 4)) < asked
+
+
+_FLOOD = """
+import socket, sys, time
+from conformance.bus.can_socket import MulticastPort
+from analyzer.records import CanFrame
+port = MulticastPort(sys.argv[1], port=int(sys.argv[2]))
+begun, sent = time.monotonic(), 0
+while True:
+    due = int((time.monotonic() - begun) * 4000)
+    # What a machine that is busy did not send in time is not made up for.
+    for _ in range(min(due - sent, 100)):
+        port.put(CanFrame(None, "", 0x321, bytes([sent % 251] * 8)))
+    sent = due
+    time.sleep(0.001)
+"""
+
+
+def test_on_a_flooded_can_bus_the_drive_is_proved_to_stand(capsys):
+    """Four thousand frames a second of another node: a bus of 500 kbit/s is full with them."""
+    group, number = "239.74.163.103", 20000 + uuid.uuid4().int % 30000
+    try:
+        port, host = MulticastPort(group, port=number), MulticastPort(group, port=number)
+        host.put(CanFrame(None, "", 0x7FF, b"\0"))
+        carried = port.receive(2_000_000_000)
+    except ServotapError as error:
+        pytest.skip(f"udp_multicast does not open here: {error}")
+    if carried is None:
+        pytest.skip("udp_multicast does not carry frames here")
+    bus = CanBus(drives("mks-can@1,work_mode=bus_closed"), wire_time=False)
+    drive = bus.drives[0]
+    with on_can(bus, port):
+        for name, values in (("enable", {"enabled": 1}), ("run_speed", {"direction": 0, "speed": 300, "acceleration": 200})):
+            host.put(CanFrame(None, "", 1, build(MKS_CAN, name, 1, values)))
+            assert wait_for(lambda: host.receive(10_000_000) is not None)
+        assert wait_for(lambda: bool(drive.motor.speed(drive.now_ns)))
+        with subprocess.Popen([sys.executable, "-c", _FLOOD, group, str(number)]) as flood:
+            try:
+                assert wait_for(lambda: (got := host.receive(10_000_000)) is not None and got.id == 0x321, 30)
+                assert run(f"can:udp_multicast:{group},port={number}", "mks-can@1") == 0
+                assert flood.poll() is None
+            finally:
+                flood.kill()
+        assert drive.motor.speed(drive.now_ns) == 0
+    host.close()
+    assert "mks-can@1: stands at" in capsys.readouterr().out

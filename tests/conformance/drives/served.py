@@ -15,13 +15,13 @@ from pathlib import Path
 from types import TracebackType
 
 from analyzer.live.reader_port import Stop
+from conformance.bus.can_port import CanPort
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
 from conformance.drives.drive import Drive
 from conformance.drives.serial_bus import SerialBus
 from conformance.serve import can as can_server
 from conformance.serve import serial_server
-from conformance.serve.can import CanPort
 from conformance.serve.clock import Clock
 from conformance.serve.pty import PtyPort
 from conformance.serve.serial_server import SerialPort
@@ -185,10 +185,10 @@ class Bridge:
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
-    """Wait until something outside this process is so."""
+    """Wait until something outside this process is so. It never looks for longer than it leaves the processor to others."""
     deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
+    while (begun := time.monotonic()) < deadline:
         if condition():
             return True
-        time.sleep(0.005)
+        time.sleep(max(0.005, time.monotonic() - begun))
     return condition()

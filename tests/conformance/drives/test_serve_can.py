@@ -16,8 +16,9 @@ from analyzer.catalogue import Role
 from analyzer.encoder import build
 from analyzer.errors import UsageError
 from conformance.bus import python_can
+from conformance.bus.python_can import LibraryPort
 from conformance.drives.can_bus import CanBus
-from conformance.serve.can import CanPort, parse_endpoint
+from conformance.serve.can import parse_endpoint
 from conformance.serve.pty import PtyPort
 from tests.conformance.drives.plain_drive import PlainDrive
 from tests.conformance.drives.served import Bridge, Emulated, drives, on_can, wait_for
@@ -53,7 +54,7 @@ def channel() -> str:
 
 
 def on_virtual(channel: str, bus: CanBus) -> Any:
-    return on_can(bus, CanPort("virtual", channel))
+    return on_can(bus, LibraryPort("virtual", channel))
 
 
 def test_virtual(channel: str) -> None:
@@ -82,7 +83,7 @@ def test_slcan_over_a_pair_of_terminals() -> None:
     try:
         options = {"sleep_after_open": 0, "bitrate": 500000}
         with can.Bus(bridge.paths[0], "slcan", **options) as host:
-            port = CanPort("slcan", bridge.paths[1], **options)
+            port = LibraryPort("slcan", bridge.paths[1], **options)
             with on_can(CanBus(drives("mks-can@1"), speed=port.bitrate), port):
                 host.send(frame(1, READ))
                 assert answers(host) == [(1, REPLY)]
@@ -94,7 +95,7 @@ def test_an_interface_that_does_not_wait_takes_no_whole_core(channel: str, monke
     slept: list[float] = []
     monkeypatch.setattr(VirtualBus, "recv", lambda self, timeout=None: None)
     monkeypatch.setattr(python_can.time, "sleep", slept.append)
-    port = CanPort("virtual", channel)
+    port = LibraryPort("virtual", channel)
     assert port.receive(50_000_000) is None
     assert port.receive(200_000) is None
     assert port.receive(0) is None
@@ -104,7 +105,7 @@ def test_an_interface_that_does_not_wait_takes_no_whole_core(channel: str, monke
 
 def test_what_an_adapter_says_that_cannot_be_read_is_counted_and_told(capsys: pytest.CaptureFixture[str]) -> None:
     with contextlib.closing(PtyPort()) as terminal:
-        port = CanPort("slcan", terminal.path, sleep_after_open=0)
+        port = LibraryPort("slcan", terminal.path, sleep_after_open=0)
         good = b"t0013" + REPLY[:3].hex().encode() + b"\r"
         # No identifier, no text (which python-can would keep, and fail with for good), a payload that breaks off.
         said = [b"tXY83\r", b"\xff\x1b\r", good, b"t001801\r", good]
@@ -129,7 +130,7 @@ def test_serial_over_a_pair_of_terminals() -> None:
     bridge = Bridge()
     try:
         host = can.Bus(bridge.paths[0], "serial")
-        with host, on_can(CanBus(drives("mks-can@1")), CanPort("serial", bridge.paths[1])):
+        with host, on_can(CanBus(drives("mks-can@1")), LibraryPort("serial", bridge.paths[1])):
             host.send(frame(1, READ))
             assert answers(host) == [(1, REPLY)]
     finally:
@@ -171,7 +172,7 @@ def test_udp_multicast_between_processes(multicast: tuple[str, Any]) -> None:
 @pytest.mark.parametrize("hands_back", [True, False])
 def test_own_frames_that_come_back_are_no_requests(channel: str, hands_back: bool) -> None:
     drive = PlainDrive("mks-can", 1)
-    port = CanPort("virtual", channel, receive_own_messages=hands_back)
+    port = LibraryPort("virtual", channel, receive_own_messages=hands_back)
     with on_can(CanBus([drive]), port), can.Bus(channel, "virtual") as host:
         host.send(frame(1, build(MKS, "calibrate", 1)))
         assert [data for _, data in answers(host)] == [build(MKS, "calibrate", 1, {"status": 1}, Role.REPLY)]
@@ -197,6 +198,6 @@ def test_what_is_no_endpoint(text: str) -> None:
 
 def test_an_interface_that_does_not_open_is_told() -> None:
     with pytest.raises(UsageError, match=r"no CAN interface 'vrtual' \(python-can has .*virtual"):
-        CanPort("vrtual", "x")
+        LibraryPort("vrtual", "x")
     with pytest.raises(UsageError, match="cannot open slcan:/dev/no-such-port: "):
-        CanPort("slcan", "/dev/no-such-port", sleep_after_open=0)
+        LibraryPort("slcan", "/dev/no-such-port", sleep_after_open=0)

@@ -11,12 +11,12 @@ import pytest
 from analyzer import dialects
 from benchmarks import honest
 from conformance import claims as registry
+from conformance.bus.python_can import LibraryPort
 from conformance.claim import Outcome
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
 from conformance.motion import motion, resting
 from conformance.safety import stopping
-from conformance.serve.can import CanPort
 from conformance.suite import engine
 from conformance.suite.plan import Plan, every_claim, open_rig
 from conformance.suite.rig_emulated import EmulatedRig
@@ -51,7 +51,7 @@ def served(drive: str) -> Iterator[str]:
         return
     bridge = Bridge()
     try:
-        port = CanPort("slcan", bridge.paths[1], sleep_after_open=0, bitrate=500000)
+        port = LibraryPort("slcan", bridge.paths[1], sleep_after_open=0, bitrate=500000)
         with on_can(CanBus(drives(drive), speed=port.bitrate), port):
             yield f"can:slcan:{bridge.paths[0]},bitrate=500000,sleep_after_open=0"
     finally:

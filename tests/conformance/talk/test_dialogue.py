@@ -71,6 +71,27 @@ def test_a_dialect_that_cannot_be_read_is_no_silent_drive(capsys):
     assert capsys.readouterr().err == "servotap: added failed and is left out: ValueError: no\n"
 
 
+class StoodStill(Line):
+    """A line on which this process stands still while it waits for the first time, until long after every deadline."""
+
+    still = True
+
+    def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
+        if self.still:
+            self.still = False
+            self.bus.run_until(self.bus.now_ns + 2000 * MS)
+            return None
+        return super().receive(timeout_ns)
+
+
+def test_what_came_while_this_process_stood_still_came_in_time():
+    talk = Dialogue(Gate(StoodStill(), Allowance(frozenset(Risk))), [MKS])
+    assert talk.ask(READ, 500 * MS).completion is Completion.DONE
+    # Others that send without end do not keep it from ending.
+    flooded = Dialogue(Gate(StoodStill(*[b"\x55"] * 2000), Allowance(frozenset(Risk))), [MKS])
+    assert took_ms(flooded.ask(READ, 500 * MS)) < 2500
+
+
 def test_listening_ends_with_the_reply_or_with_the_time():
     assert took_ms(dialogue().ask(READ, 500 * MS)) < 50
     silent = dialogue(drive="mks-rs485@7").ask(READ, 500 * MS)

@@ -219,6 +219,13 @@ def test_a_slow_drive_is_waited_for():
     assert find_drive(Gate(line, Allowance()), MKS, 1).found
 
 
+def test_a_late_answer_is_not_taken_for_that_of_the_next_drive():
+    # The first drive answers while the second is asked, and the second is there all the same.
+    found = scan(gate("mks-rs485@1,latency=50..50ms", "mks-rs485@2,latency=20..20ms"), [MKS], addresses=(1, 2, 3))
+    assert sorted(names(found)) == ["mks-rs485@1 38400", "mks-rs485@2 38400"]
+    assert [f.wrong for f in found.found if f.address == 2] == [""]
+
+
 # --- the command ------------------------------------------------------------------------------------------------------
 
 

@@ -81,7 +81,8 @@ def test_a_modbus_program_and_its_drive_are_recorded_with_their_directions(tmp_p
     found = topics(tap.log)
     assert found.count("/left/1/read_position/request") == found.count("/left/1/read_position/reply") == 10
     assert findings(tap.log) == []
-    raw = [v["_direction"] for t, v in messages(tap.log) if t == "/left/raw"]
+    # On a busy machine there are pauses, too.
+    raw = [v["_direction"] for t, v in messages(tap.log) if t == "/left/raw" and not v.get("_silence")]
     assert raw[:2] == ["request", "reply"]
     assert set(raw) == {"request", "reply"}
     setups = [v for t, v in messages(tap.log) if t == "/recording" and v["event"] in ("port", "speed")]
