@@ -34,6 +34,8 @@ from conformance.talk.probe import Probe
 
 #: A motion that shows: degrees, and rpm where it can be told.
 _DEGREES, _RPM = 20, 30
+#: How far a shaft is brought away from zero (deg).
+_OFF_ZERO = 36
 #: How long a motion that is executed has until it is looked for; a shaft that went less than `_STILL` (deg) stays.
 _WATCH_NS, _STILL = 150 * MS, 4 * SAME
 _POWER_OFF, _RELEASED, _READ_BRAKE = 0x00, 0x01, 0x10
@@ -94,8 +96,10 @@ def _another_position(probe: Probe, command: Command) -> Mapping[str, int]:
 
 
 def _away(probe: Probe) -> None:
+    """Bring the shaft away from zero: what makes its place zero then shows."""
     motion.ready_to_move(probe)
-    motion.follow(probe, motion.any_move(probe.dialect), 36)
+    at = motion.position(probe).value
+    motion.follow(probe, motion.any_move(probe.dialect), _OFF_ZERO if at > -_OFF_ZERO / 2 else -_OFF_ZERO)
 
 
 def _turn(probe: Probe) -> None:
@@ -161,7 +165,8 @@ _MOTION = Guarded(motion.ready_to_move, _motion_values, _shaft, _STILL)
 #: What switches, renames or homes, by the name of the command.
 _SWITCHES: Mapping[str, Guarded] = {
     "enable": Guarded(motion.ready_to_move, lambda probe, command: {"enabled": 0}, _is_on),
-    "home": Guarded(motion.ready_to_move, _nothing, _shaft, _STILL, after=_halt),
+    # With what a user has set it may end at once: then it makes zero where the shaft stands.
+    "home": Guarded(_away, _nothing, _shaft, _STILL, after=_halt),
     "motor_off": Guarded(_switch_on, _nothing, _is_on),
     "motor_on": Guarded(partial(motion.switch, on=False), _nothing, _is_on),
     "brake": Guarded(_release, lambda probe, command: {"brake_control": _POWER_OFF}, _brake, after=_release),

@@ -428,6 +428,9 @@ def _expect_speed(probe: Probe, seen: _Seen) -> None:
     around = list(speeds(places))
     if not around or places[0].t_ns > first_ns - _FILTER_NS / 2 or places[-1].t_ns < last_ns:
         return
+    if around[-1][0].t_ns < around[0][1].t_ns:
+        # All of them are over one pause between two looks, in which the speed may have changed.
+        return
     low, high = min(rpm for *_, rpm, _ in around), max(rpm for *_, rpm, _ in around)
     unsure = max(spread for *_, spread in around)
     if high - low > _RPM + _CHANGES * max(abs(low), abs(high)) or unsure > _RPM + _BLIND * abs(high):

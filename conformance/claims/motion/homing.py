@@ -61,23 +61,22 @@ def _of_homing(
 # --- homing -----------------------------------------------------------------------------------------------------------
 
 
-def set_home(probe: Probe, **values: int) -> None:
+def set_home(probe: Probe, **values: int) -> Exchange:
     """Set how the drive homes; what is not given: clockwise, at 60 rpm, a low pin, no end limit, by a switch.
 
-    What a user has set of it is not told by all drives, so that all of it is set.
+    What a user has set of it is not told by all drives, so that all of it is set. Returns the exchange of the first setting.
     """
     wanted = {"home_trigger": 0, "home_direction": _CW, "home_speed": 60, "end_limit": 0, "home_mode": 0, **values}
-    for verb in SETS_HOME:
-        command = probe.dialect.by_verb.get(verb)
-        if command is None:
-            continue
+    done = []
+    for command in (probe.dialect.by_verb[verb] for verb in SETS_HOME if verb in probe.dialect.by_verb):
         named = command.request_forms[0].layout.named
         given: dict[str, Any] = {n: v for n, v in wanted.items() if n in named}
         if "home_current" in named:
             given["home_current"] = 400
         if "return_angle" in named:
             given.setdefault("return_angle", named["return_angle"].default)
-        probe.do(command, given)
+        done.append(probe.do(command, given))
+    return done[0]
 
 
 def find_home(probe: Probe, limit_ns: int = _LIMIT_NS) -> Exchange:

@@ -111,6 +111,9 @@ def _expect_way(probe: Probe, move: Move, signed: bool, refutes: str, *, times: 
     if _takes_place(move.command) and takes_pulses(move.command):
         # The shaft may have stood between two pulses, of which the drive read one.
         within += 180 / motion.units_per_turn(probe.dialect, move.command)
+    if _takes_place(move.command):
+        # Each of several goes from where the shaft was read to be: what that is off by adds up.
+        within += (times - 1) * probe.noise.place
     probe.expect(seen, near=asked, within=within, unit="degrees", refutes=refutes, exchange=move.exchange)
 
 

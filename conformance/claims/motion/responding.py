@@ -18,6 +18,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands, needing
+from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import of_motion, risks_by, risks_of
 from conformance.motion import motion, ramp
 from conformance.motion.motion import MS, QUICK, SECOND_NS
@@ -34,6 +35,8 @@ _RPM, _RAMP, _RAMP_NS = 60, 206, 150 * MS
 #: How long is listened to what must not come: such a move takes 0.2 s, and a reply to it was seen to be 0.7 s late.
 _LISTEN_NS = 750 * MS
 _settings = commands(Verb.SET_RESPOND)
+#: What these claims set.
+_OF_REPLIES = ("respond", "active")
 _MOVES = (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS)
 
 
@@ -52,8 +55,8 @@ _runs_and_moves = _motions(*motion.RUNS_AND_MOVES)
 
 
 def _of_respond(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    settings = ("respond", "active")
-    return of_motion(each=each, refuted_by=refuted_by, settings=settings, at_best=Certainty.LIKELY, **facts)
+    facts = {"settings": _OF_REPLIES, **facts}
+    return of_motion(each=each, refuted_by=refuted_by, at_best=Certainty.LIKELY, **facts)
 
 
 # --- asking with other settings ---------------------------------------------------------------------------------------
@@ -293,11 +296,17 @@ def _inactive_stop(probe: Probe, run: Command, stop: Command) -> None:
 
 
 @_of_respond(
-    "a completion", each=needing(Verb.HOME, _settings), name="{command}/inactive-home", emulated=True, risks=risks_by(Verb.HOME)
+    "a completion",
+    each=needing(Verb.HOME, _settings),
+    name="{command}/inactive-home",
+    emulated=True,
+    risks=risks_by(Verb.HOME, *homing.SETS_HOME),
+    settings=lambda case: (*_OF_REPLIES, *homing.fields(case.dialect)),
 )
 def _inactive_home(probe: Probe) -> None:
     """With active 0 homing is answered when it begins and not when it is done."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    homing.set_home(probe)
     home = probe.command(Verb.HOME)
     _set(probe, 1, 0)
     bench.left_switch(probe, -2000)

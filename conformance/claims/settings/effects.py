@@ -22,6 +22,8 @@ from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion.homing import fields as fields_of_homing
+from conformance.claims.motion.homing import set_home
 from conformance.claims.ranges import edges
 from conformance.claims.settings import kept_effects, setting_effects
 from conformance.claims.settings.kept_effects import Kept
@@ -152,7 +154,7 @@ def _home(*names: str) -> Any:
                 "name": f"{{command}}/{name}",
                 "fields": (name,),
                 "risks": motion.risks(dialect, Risk.MOTION, Risk.UNBOUNDED, Risk.TORQUE, Risk.SETTING),
-                "settings": motion.settings(dialect, *command.request_forms[0].layout.named) if command is not None else (),
+                "settings": motion.settings(dialect, *fields_of_homing(dialect)),
                 "parameters": {},
             }
             yield Case(dialect, command, {"name": name}, facts)
@@ -160,9 +162,8 @@ def _home(*names: str) -> Any:
     return cases
 
 
-def _homing_with(probe: Probe, command: Command, **values: int) -> tuple[setting_effects.Homing, Exchange]:
-    plain = edges.plain(probe, command, command.request_forms[0], end_limit=0, home_speed=90)
-    exchange = probe.do(command, plain | values)
+def _homing_with(probe: Probe, **values: int) -> tuple[setting_effects.Homing, Exchange]:
+    exchange = set_home(probe, **values)
     return setting_effects.homing(probe), exchange
 
 
@@ -171,7 +172,7 @@ def _home_speed(probe: Probe, command: Command) -> None:
     """Homing turns at the speed that was set."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
     for rpm in (90, 300):
-        seen, exchange = _homing_with(probe, command, home_speed=rpm)
+        seen, exchange = _homing_with(probe, home_speed=rpm)
         probe.expect(
             str(seen),
             holds=abs(seen.rpm - rpm) <= max(2.0, rpm * _SPEED_SHARE),
@@ -191,7 +192,7 @@ def _home_at_8(dialect: Dialect) -> Iterator[Case]:
 def _home_speed_at_8(probe: Probe, command: Command) -> None:
     """At 8 subdivisions homing turns at twice the speed that was set, as a run does."""
     motion.ready_to_move(probe, subdivision=8)
-    seen, exchange = _homing_with(probe, command, home_speed=60)
+    seen, exchange = _homing_with(probe, home_speed=60)
     text = f"at 8 subdivisions home_speed 60 is {seen}"
     probe.expect(seen.rpm, near=120, within=120 * _SPEED_SHARE, unit="rpm", refutes=text, exchange=exchange)
 
@@ -205,7 +206,7 @@ def _home_speed_at_8(probe: Probe, command: Command) -> None:
 )
 def _opposite_homing(probe: Probe, command: Command, name: str) -> None:
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    (one, _), (other, exchange) = (_homing_with(probe, command, **{name: value}) for value in (0, 1))
+    (one, _), (other, exchange) = (_homing_with(probe, home_speed=90, **{name: value}) for value in (0, 1))
     probe.expect(
         str(other),
         holds=one.way != other.way,
