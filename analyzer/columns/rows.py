@@ -39,13 +39,15 @@ _MARKS = [b"" if role is Role.UNKNOWN else f',"_direction":"{role}"'.encode() fo
 
 @dataclass(frozen=True, slots=True)
 class Messages:
-    """Messages as they stand in a chunk. `starts`, `ends`: places in `data`; these and the others have one entry each."""
+    """Messages as they stand in a chunk, of which the arrays have one entry each. `ends`: places in `data`.
+
+    `entries`: of shape (messages, 2), times and where they begin in `data`.
+    """
 
     data: Bytes
-    starts: Integers
     ends: Integers
-    channels: Integers
-    log_ns: Integers
+    channels: NDArray[np.uint16]
+    entries: Integers
 
 
 class Rows:
@@ -68,17 +70,19 @@ class Rows:
         for own, pieces in parts:
             lengths[own] = text.width(pieces)
         self._ends = np.cumsum(lengths + HEADER.itemsize)
-        self._starts = self._ends - lengths - HEADER.itemsize
-        self._channels = channels.reshape(-1).take(2 * plain.lane.take(rows) + (np.arange(len(rows)) - self._firsts.take(rows)))
-        self._log_ns = log_ns.take(rows)
+        places = 2 * plain.lane.take(rows) + (np.arange(len(rows)) - self._firsts.take(rows))
+        self._channels = channels.reshape(-1).astype(np.uint16).take(places)
+        self._entries = np.empty((len(rows), 2), dtype=np.int64)
+        logged = self._entries[:, 0] = log_ns.take(rows)
+        np.subtract(self._ends, lengths + HEADER.itemsize, out=self._entries[:, 1])
         headers = np.empty(len(rows), dtype=HEADER)
         headers["opcode"] = _MESSAGE
         headers["length"] = lengths + (HEADER.itemsize - _UNCOUNTED)
         headers["channel"] = self._channels
         headers["sequence"] = (sequences & 0xFFFFFFFF).take(rows)
-        headers["log_ns"] = self._log_ns
+        headers["log_ns"] = logged
         first_ns = plain.block.first_ns
-        headers["publish_ns"] = self._log_ns if first_ns is log_ns else np.maximum(first_ns, 0).take(rows)
+        headers["publish_ns"] = logged if first_ns is log_ns else np.maximum(first_ns, 0).take(rows)
         codes = headers.view(np.uint8).reshape(len(headers), HEADER.itemsize)
         self._data = np.empty(int(self._ends[-1]), dtype=np.uint8)
         for own, pieces in parts:
@@ -87,7 +91,7 @@ class Rows:
     def messages(self, start: int, stop: int) -> Messages:
         """Return the messages of some rows."""
         own = slice(int(self._firsts[start]), int(self._firsts[stop]))
-        return Messages(self._data, self._starts[own], self._ends[own], self._channels[own], self._log_ns[own])
+        return Messages(self._data, self._ends[own], self._channels[own], self._entries[own])
 
 
 def alike(plain: Plain, wanted: Flags | None = None) -> Iterator[tuple[Integers, Lane]]:
