@@ -130,10 +130,10 @@ class Chunk:
 
 
 class Packed(NamedTuple):
-    """A chunk as it stands in a file. `record`: its own; `index`: what stands behind it."""
+    """A chunk as it stands in a file. `record`: its own; `indexed`: what stands behind it."""
 
     record: bytes
-    index: Indexed
+    indexed: Indexed
     messages: int
     first_ns: int
     last_ns: int
@@ -141,8 +141,8 @@ class Packed(NamedTuple):
     packed_size: int
 
 
-def pack(chunk: Chunk, index: Indexed) -> Packed:
-    """Compress a chunk that is complete. `index`: its own."""
+def pack(chunk: Chunk, indexed: Indexed) -> Packed:
+    """Compress a chunk that is complete. `indexed`: its index records."""
     data = b"".join(chunk.parts)
     chunk.parts = []
     compressed = zstandard.ZstdCompressor(level=_LEVEL).compress(data)
@@ -157,7 +157,7 @@ def pack(chunk: Chunk, index: Indexed) -> Packed:
         )
     )
     times = chunk.first_ns, chunk.last_ns
-    return Packed(record, index, chunk.messages, *times, len(data), len(compressed))
+    return Packed(record, indexed, chunk.messages, *times, len(data), len(compressed))
 
 
 class Run(NamedTuple):

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from analyzer.columns.pairs import Plain
 
 #: Rows of blocks that are packed together: fewer cost more for each kind of frame, more need more memory.
-ROWS = 1 << 15
+ROWS = 3 << 14
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 #: channel and place of its message index, for each;
@@ -357,7 +357,7 @@ class McapFile:
         chunks = self._waiting[0].result()
         while chunks:
             packed = chunks[0]
-            start, length, own = self._position, len(packed.record), packed.index
+            start, length, own = self._position, len(packed.record), packed.indexed
             # Packed here: a chunk has an entry for each channel, and the library writes them number by number.
             behind, offsets = start + length, [0] * (2 * len(own.channels))
             offsets[::2], offsets[1::2] = own.channels, [behind + begin for begin in own.begins]

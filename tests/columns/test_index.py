@@ -49,6 +49,7 @@ def alone(channel: int, *times: int) -> Chunk:
 
 def test_messages_alone_and_together_are_indexed_in_their_order():
     one, other = 3, 9
+
     def together() -> Messages:
         channels, entries = np.array([one, other], dtype=np.uint16), np.array([(6, 0), (7, 35)])
         return Messages(np.arange(2 * 35, dtype=np.uint8), np.array([35, 70]), channels, entries)
