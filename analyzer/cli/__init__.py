@@ -20,6 +20,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import NoReturn
 
+from analyzer import own_process
 from analyzer.cli.boundary import bounded
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -152,7 +153,9 @@ def _main(words: list[str]) -> int:
         return 2
     load = partial(import_module, entry[0])
     module = load() if entry[0].startswith(_OWN) else attempt(f"the command {name} ({entry[0]})", load)
-    # Its start had it off.
+    # Its start had it off. The first search would go through all that was loaded, which stays.
+    if own_process.is_own:
+        gc.freeze()
     gc.enable()
     return 2 if module is None else _run(name, module, rest)
 

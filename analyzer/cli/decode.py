@@ -20,7 +20,6 @@ from analyzer.cli.option_types import positive
 from analyzer.cli.output import Output, OutputFolder
 from analyzer.cli.reading import LONG_CAPTURE, OpenCapture, add_reading_arguments, now_text, open_reading, progress
 from analyzer.cli.signals import Interrupt
-from analyzer.diagnosis.diagnose import diagnosis, lines
 from analyzer.diagnosis.watch import Watch
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.pipeline import Pipeline, Sink
@@ -111,9 +110,11 @@ class _Sinks:
         long = source.size is not None and source.size >= LONG_CAPTURE
         source.in_blocks = long and not reading.time_range.wanted
         if source.in_blocks:
-            from analyzer.columns.memory import keep
+            from analyzer.columns import memory, rows  # noqa: F401
 
-            keep()
+            memory.keep()
+            # What columns are made by is loaded now, and stays as all that was loaded before.
+            gc.freeze()
         several = long and jobs > 1 and available()
         if several and source.in_blocks and isinstance(output, Output):
             from analyzer.sinks.workers import MOST, Workers
@@ -194,7 +195,13 @@ class _Done:
 
     def causes(self) -> list[str]:
         """Return what is wrong, where a cause was found."""
-        found = diagnosis(self.watch, self.reading.dialects)
+        scenes = self.watch.scenes(self.reading.dialects)
+        if not scenes:
+            # Nothing has to be explained, so nothing that explains is loaded.
+            return []
+        from analyzer.diagnosis.diagnose import lines, weighed
+
+        found = weighed(scenes)
         return lines(found) if found.causes else []
 
     def report(self, arguments: argparse.Namespace) -> None:

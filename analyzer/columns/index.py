@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterable
 
-from analyzer.columns import text
+import numpy as np
+from numpy.typing import NDArray
+
 from analyzer.columns.codec import Integers
 from analyzer.columns.groups import taken
 
@@ -15,27 +17,31 @@ _ENTRY = 16
 _COUNTED = 6
 
 
-def index_records(channels: Integers, log_ns: Integers, places: Integers) -> tuple[bytes, list[tuple[int, int, int]]]:
-    """Return the records, and of each its channel, where it begins, and how many messages it has; channels rising.
+def index_records(
+    channels: NDArray[np.uint16], entries: Integers, mixed: Iterable[int] = ()
+) -> tuple[bytes, list[int], list[int], list[int]]:
+    """Return the records, and their channels, rising, where they begin, and how many messages they have.
 
-    There is one entry a message, in the order of the messages.
+    `entries`: of shape (messages, 2), times and places in the order of the messages; of the channels `mixed` in any order.
     """
-    order = np.argsort(channels.astype(np.uint16), kind="stable")
-    own = channels.take(order)
-    firsts = np.flatnonzero(np.diff(own, prepend=-1))
-    counts = np.diff(firsts, append=len(own))
-    begins = np.arange(len(firsts)) * _HEAD.itemsize + firsts * _ENTRY
-    data = np.empty(len(firsts) * _HEAD.itemsize + len(own) * _ENTRY, dtype=np.uint8)
-    heads = np.empty(len(firsts), dtype=_HEAD)
+    counts = np.bincount(channels)
+    known = np.flatnonzero(counts)
+    stops = np.cumsum(counts)
+    own = taken(entries.view(np.uint8), np.argsort(channels, kind="stable")).view(np.int64)
+    for channel in mixed:
+        each = own[stops[channel] - counts[channel] : stops[channel]]
+        each[:] = each[each[:, 1].argsort()]
+    sizes = counts[known] * _ENTRY
+    heads = np.empty(len(known), dtype=_HEAD)
     heads["opcode"] = _MESSAGE_INDEX
-    heads["length"] = counts * _ENTRY + _COUNTED
-    heads["channel"] = own[firsts]
-    heads["size"] = counts * _ENTRY
-    text.put(data, begins + _HEAD.itemsize, heads.view(np.uint8).reshape(len(heads), _HEAD.itemsize))
-    entries = np.empty((len(own), 2), dtype=np.int64)
-    entries[:, 0], entries[:, 1] = log_ns, places
-    # Behind as many heads as there are channels up to its own.
-    ends = np.arange(_ENTRY, (len(own) + 1) * _ENTRY, _ENTRY)
-    ends += np.repeat(np.arange(1, len(firsts) + 1) * _HEAD.itemsize, counts)
-    text.put(data, ends, taken(entries.view(np.uint8), order))
-    return data.tobytes(), list(zip(own[firsts].tolist(), begins.tolist(), counts.tolist(), strict=True))
+    heads["length"] = sizes + _COUNTED
+    heads["channel"] = known
+    heads["size"] = sizes
+    codes, ends = own.reshape(-1).view(np.uint8).data, stops[known] * _ENTRY
+    parts: list[bytes | memoryview] = []
+    at = 0
+    for head, end in zip(heads.view(f"V{_HEAD.itemsize}").tolist(), ends.tolist(), strict=True):
+        parts += (head, codes[at:end])
+        at = end
+    begins = ends - sizes + np.arange(len(known)) * _HEAD.itemsize
+    return b"".join(parts), known.tolist(), begins.tolist(), counts[known].tolist()

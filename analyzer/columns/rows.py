@@ -9,7 +9,7 @@ chunk of the log.
 from __future__ import annotations
 
 from binascii import hexlify
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -39,13 +39,15 @@ _MARKS = [b"" if role is Role.UNKNOWN else f',"_direction":"{role}"'.encode() fo
 
 @dataclass(frozen=True, slots=True)
 class Messages:
-    """Messages as they stand in a chunk. `starts`, `ends`: places in `data`; these and the others have one entry each."""
+    """Messages as they stand in a chunk, of which the arrays have one entry each. `ends`: places in `data`.
+
+    `entries`: of shape (messages, 2), times and where they begin in `data`.
+    """
 
     data: Bytes
-    starts: Integers
     ends: Integers
-    channels: Integers
-    log_ns: Integers
+    channels: NDArray[np.uint16]
+    entries: Integers
 
 
 class Rows:
@@ -63,31 +65,42 @@ class Rows:
         self._firsts = np.zeros(count + 1, dtype=np.int64)
         np.cumsum(each, out=self._firsts[1:])
         rows = np.repeat(np.arange(count), each)
-        parts = [(self._firsts.take(own) + place, pieces) for own, place, pieces in _parts(plain, sequences)]
-        lengths = np.empty(len(rows), dtype=np.int64)
+        carried: list[_Part] = []
+        parts = [*_tails(plain, sequences), *_heads(plain, carried)]
+        sizes = np.zeros(count, dtype=np.int64)
         for own, pieces in parts:
-            lengths[own] = text.width(pieces)
+            sizes[own] += text.width(pieces)
+        lengths = sizes.take(rows)
+        for own, pieces in carried:
+            lengths[self._firsts.take(own) + 1] = text.width(pieces)
         self._ends = np.cumsum(lengths + HEADER.itemsize)
-        self._starts = self._ends - lengths - HEADER.itemsize
-        self._channels = channels.reshape(-1).take(2 * plain.lane.take(rows) + (np.arange(len(rows)) - self._firsts.take(rows)))
-        self._log_ns = log_ns.take(rows)
+        places = 2 * plain.lane.take(rows) + (np.arange(len(rows)) - self._firsts.take(rows))
+        self._channels = channels.reshape(-1).astype(np.uint16).take(places)
+        self._entries = np.empty((len(rows), 2), dtype=np.int64)
+        logged = self._entries[:, 0] = log_ns.take(rows)
+        np.subtract(self._ends, lengths + HEADER.itemsize, out=self._entries[:, 1])
         headers = np.empty(len(rows), dtype=HEADER)
         headers["opcode"] = _MESSAGE
         headers["length"] = lengths + (HEADER.itemsize - _UNCOUNTED)
         headers["channel"] = self._channels
         headers["sequence"] = (sequences & 0xFFFFFFFF).take(rows)
-        headers["log_ns"] = self._log_ns
+        headers["log_ns"] = logged
         first_ns = plain.block.first_ns
-        headers["publish_ns"] = self._log_ns if first_ns is log_ns else np.maximum(first_ns, 0).take(rows)
+        headers["publish_ns"] = logged if first_ns is log_ns else np.maximum(first_ns, 0).take(rows)
         codes = headers.view(np.uint8).reshape(len(headers), HEADER.itemsize)
         self._data = np.empty(int(self._ends[-1]), dtype=np.uint8)
+        # From the right to the left: the ends of all messages, then their beginnings, then their headers.
+        ends = self._ends.take(self._firsts[:-1], mode="clip")
         for own, pieces in parts:
-            text.place(self._data, self._ends.take(own), [text.Cell(taken(codes, own), HEADER.itemsize), *pieces])
+            ends[own] = text.place(self._data, ends.take(own), pieces)
+        for own, pieces in carried:
+            text.place(self._data, self._ends.take(self._firsts.take(own) + 1), pieces)
+        text.put(self._data, self._entries[:, 1] + HEADER.itemsize, codes)
 
     def messages(self, start: int, stop: int) -> Messages:
         """Return the messages of some rows."""
         own = slice(int(self._firsts[start]), int(self._firsts[stop]))
-        return Messages(self._data, self._starts[own], self._ends[own], self._channels[own], self._log_ns[own])
+        return Messages(self._data, self._ends[own], self._channels[own], self._entries[own])
 
 
 def alike(plain: Plain, wanted: Flags | None = None) -> Iterator[tuple[Integers, Lane]]:
@@ -110,18 +123,16 @@ def of_lanes(plain: Plain, each: Sequence[Any], other: Any) -> NDArray[Any]:
     return result
 
 
-#: Rows, and the pieces of their messages behind the headers: of their own, 0, or of the states that they carry, 1.
-_Part = tuple[Integers, int, list[text.Piece]]
+#: Rows, and pieces of their messages.
+_Part = tuple[Integers, list[text.Piece]]
 
 
-def _parts(plain: Plain, sequences: Integers) -> Iterator[_Part]:
-    """Yield all messages: the fields of a command and its bytes, and behind these the log's own keys."""
-    asks = of_lanes(plain, [lane.is_request for lane in plain.lanes], False)
+def _heads(plain: Plain, carried: list[_Part]) -> Iterator[_Part]:
+    """Yield the beginnings of all messages: the fields of a command and its bytes. Add the states to `carried`."""
     left = plain.lane >= 0
-    tail_of = {True: _tails(plain, np.flatnonzero(asks), None), False: _tails(plain, np.flatnonzero(left & ~asks), sequences)}
-    for rows, is_request, head in _few(plain):
+    for rows, table in _few(plain):
         left[rows] = False
-        yield rows, 0, [head, *tail_of[is_request](rows)]
+        yield rows, [table]
     for rows, lane in alike(plain, left):
         data = taken(plain.block.data, rows)
         wire = column_codec(lane.form.layout, lane.start).wire(data)
@@ -134,32 +145,33 @@ def _parts(plain: Plain, sequences: Integers) -> Iterator[_Part]:
                 pieces += [f'"{name}_name":"'.encode(), text.names(values, field.choice_names), b'",']
         # A code that has one layout has one length.
         size = int(plain.block.sizes[rows[0]])
-        yield rows, 0, [*pieces, b'"_raw":"', text.hexadecimal(data, size), *tail_of[lane.is_request](rows)]
+        yield rows, [*pieces, b'"_raw":"', text.hexadecimal(data, size)]
         if lane.states:
             parts: list[text.Piece] = []
             for quantity, shares in states(lane, wire).items():
                 parts += [(b"," if parts else b"{") + f'"{quantity}":'.encode(), *text.floats(shares)]
-            yield rows, 1, [*parts, b"}"]
+            carried.append((rows, [*parts, b"}"]))
 
 
-def _tails(plain: Plain, rows: Integers, sequences: Integers | None) -> Callable[[Integers], list[text.Piece]]:
-    """Return a function that gives the ends of the messages of some of these rows, which are the log's own keys.
+def _tails(plain: Plain, sequences: Integers) -> Iterator[_Part]:
+    """Yield the ends of all messages, which are the log's own keys: those of requests, and those of replies.
 
-    `rows`: all requests, or all replies, which tell the numbers of their requests.
+    `sequences`: of each row; replies tell the numbers of their requests.
     """
     block = plain.block
-    pieces: list[text.Piece] = [b'","_checksum_ok":true,"_offset":', text.integers(plain.offsets.take(rows))]
-    if sequences is not None:
-        pieces += _reply(plain, rows, sequences)
-    if isinstance(block, CanBlock):
-        pieces += [b',"_can_id":', text.integers(block.ids.take(rows))]
-        marks = block.directions.take(rows)
-        if marks.any():
-            pieces.append(text.of_table(marks, _MARKS))
-    pieces.append(b"}")
-    places = np.empty(len(plain.lane), dtype=np.int64)
-    places[rows] = np.arange(len(rows))
-    return lambda some: text.take(pieces, places.take(some))
+    asks = of_lanes(plain, [lane.is_request for lane in plain.lanes], False)
+    for rows, is_request in ((np.flatnonzero(asks), True), (np.flatnonzero((plain.lane >= 0) & ~asks), False)):
+        if not len(rows):
+            continue
+        pieces: list[text.Piece] = [b'","_checksum_ok":true,"_offset":', text.integers(plain.offsets.take(rows))]
+        if not is_request:
+            pieces += _reply(plain, rows, sequences)
+        if isinstance(block, CanBlock):
+            pieces += [b',"_can_id":', text.integers(block.ids.take(rows))]
+            marks = block.directions.take(rows)
+            if marks.any():
+                pieces.append(text.of_table(marks, _MARKS))
+        yield rows, [*pieces, b"}"]
 
 
 def _reply(plain: Plain, rows: Integers, sequences: Integers) -> list[text.Piece]:
@@ -171,8 +183,8 @@ def _reply(plain: Plain, rows: Integers, sequences: Integers) -> list[text.Piece
     return [*pieces, b',"_request_sequence":', text.integers(sequences.take(rows) - plain.behind.take(rows))]
 
 
-def _few(plain: Plain) -> Iterator[tuple[Integers, bool, text.Cell]]:
-    """Yield rows of lanes whose frames can have few texts, whether they are requests, and their texts as far as the bytes."""
+def _few(plain: Plain) -> Iterator[tuple[Integers, text.Cell]]:
+    """Yield rows of lanes whose frames can have few texts, and the beginnings of their messages, as far as the bytes."""
     lanes, block = plain.lanes, plain.block
     rows = np.flatnonzero(of_lanes(plain, [lane.stop - lane.start <= 1 and not lane.states for lane in lanes], False))
     if not len(rows):
@@ -191,14 +203,14 @@ def _few(plain: Plain) -> Iterator[tuple[Integers, bool, text.Cell]]:
         lane = lanes[number]
         texts.append(_head(lane.codec, lane.start, lane.stop, block.data[row, : block.sizes[row]].tobytes()))
         # Texts that are about as wide stand in one table.
-        kinds.append(2 * (1 + len(texts[-1]) // text.ROOM) + lane.is_request)
+        kinds.append(1 + len(texts[-1]) // text.ROOM)
     for kind, own in groups(np.array(kinds).take(places) * same):
         if kind:
             chosen = [n for n, each in enumerate(kinds) if each == kind]
             number_of = np.zeros(len(kinds), dtype=np.int64)
             number_of[chosen] = np.arange(len(chosen))
             table = text.of_table(number_of.take(places.take(own)), [texts[n] for n in chosen])
-            yield rows.take(own), bool(kind & 1), table
+            yield rows.take(own), table
 
 
 @lru_cache(maxsize=1 << 14)

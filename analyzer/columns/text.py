@@ -63,8 +63,8 @@ def take(pieces: Sequence[Piece], rows: Integers) -> list[Piece]:
     return [piece if isinstance(piece, bytes) else piece.take(rows) for piece in pieces]
 
 
-def place(out: Bytes, ends: Integers, pieces: Sequence[Piece]) -> None:
-    """Write rows of pieces side by side, so that each row ends where it should.
+def place(out: Bytes, ends: Integers, pieces: Sequence[Piece]) -> Integers:
+    """Write rows of pieces side by side, so that each row ends where it should. Return where each begins.
 
     Left of each row must be room, `ROOM` bytes, that are written afterwards, or all widths must be fixed.
     """
@@ -80,7 +80,10 @@ def place(out: Bytes, ends: Integers, pieces: Sequence[Piece]) -> None:
             ends = ends - (codes.shape[1] - piece.codes.shape[1]) - piece.widths
             fixed = []
     if fixed:
-        put(out, ends, joined(fixed, len(ends)))
+        codes = joined(fixed, len(ends))
+        put(out, ends, codes)
+        ends = ends - codes.shape[1]
+    return ends
 
 
 def put(out: Bytes, ends: Integers, codes: Bytes) -> None:

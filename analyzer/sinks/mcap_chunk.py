@@ -21,6 +21,9 @@ from mcap.records import Chunk as ChunkRecord
 from mcap.records import McapRecord
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from analyzer.columns.codec import Integers
     from analyzer.columns.pairs import Plain
     from analyzer.columns.rows import Messages, Rows
@@ -41,11 +44,20 @@ def record_bytes(record: McapRecord) -> bytes:
     return data
 
 
+class Indexed(NamedTuple):
+    """The index records of a chunk. `channels`: of each record; `begins`: where it begins; `counts`: its messages."""
+
+    data: bytes
+    channels: list[int]
+    begins: list[int]
+    counts: list[int]
+
+
 class Chunk:
     """A chunk under construction.
 
-    `index`: channel -> time and place of each message that came alone; `many`: channels, times and places of those that came
-    together.
+    `index`: channel -> time and place of each message that came alone; `many`: of those that came together the channels, and
+    times and places of shape (messages, 2).
     """
 
     __slots__ = ("first_ns", "index", "last_ns", "many", "messages", "parts", "size")
@@ -57,7 +69,7 @@ class Chunk:
         self.last_ns = 0
         self.messages = 0
         self.index: dict[int, array[int]] = {}
-        self.many: list[tuple[Integers, Integers, Integers]] = []
+        self.many: list[tuple[NDArray[np.uint16], Integers]] = []
 
     def join(self, other: Chunk) -> None:
         """Take all of another chunk behind what is here."""
@@ -77,56 +89,51 @@ class Chunk:
 
         Return where the next chunk goes on.
         """
-        base = int(added.starts[at])
+        base = int(added.entries[at, 1])
         stop = min(len(added.ends), int(added.ends.searchsorted(base + most - self.size)) + 1)
-        end = int(added.ends[stop - 1])
+        end, own = int(added.ends[stop - 1]), added.entries[at:stop]
         if not self.messages:
-            self.first_ns = int(added.log_ns[at])
-        self.many.append((added.channels[at:stop], added.log_ns[at:stop], added.starts[at:stop] + (self.size - base)))
+            self.first_ns = int(own[0, 0])
+        # From here on they stand in this chunk, and nowhere else.
+        own[:, 1] += self.size - base
+        self.many.append((added.channels[at:stop], own))
         self.parts.append(added.data.data[base:end])
         self.size += end - base
-        self.last_ns = int(added.log_ns[stop - 1])
+        self.last_ns = int(own[-1, 0])
         self.messages += stop - at
         return stop
 
-    def indexed(self) -> tuple[bytes, list[tuple[int, int, int]]]:
-        """Return the index records, and of each its channel, where it begins, and how many messages it has."""
+    def indexed(self) -> Indexed:
+        """Return the index records."""
         if self.many:
             return self._indexed_together()
         parts: list[bytes] = []
-        found: list[tuple[int, int, int]] = []
+        begins: list[int] = []
         place = 0
         for channel, logged in self.index.items():
             entries = logged.tobytes()
             parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)), entries)
-            found.append((channel, place, len(logged) // 2))
+            begins.append(place)
             place += INDEX_HEAD.size + len(entries)
-        return b"".join(parts), found
+        return Indexed(b"".join(parts), list(self.index), begins, [len(logged) // 2 for logged in self.index.values()])
 
-    def _indexed_together(self) -> tuple[bytes, list[tuple[int, int, int]]]:
+    def _indexed_together(self) -> Indexed:
         import numpy as np
 
         from analyzer.columns.index import index_records
 
         for channel, logged in self.index.items():
             entries = np.array(logged).astype(np.int64).reshape(-1, 2)
-            self.many.append((np.full(len(entries), channel, dtype=np.int64), entries[:, 0], entries[:, 1]))
-        columns = self.many[0] if len(self.many) == 1 else tuple(map(np.concatenate, zip(*self.many, strict=True)))
-        if self.index:
-            order = columns[-1].argsort(kind="stable")
-            columns = tuple(column[order] for column in columns)
-        return index_records(*columns)
+            self.many.append((np.full(len(entries), channel, dtype=np.uint16), entries))
+        channels, entries = self.many[0] if len(self.many) == 1 else map(np.concatenate, zip(*self.many, strict=True))
+        return Indexed(*index_records(channels, entries, self.index))
 
 
 class Packed(NamedTuple):
-    """A chunk as it stands in a file. `data`: its record and, behind it, the indexes of its messages.
+    """A chunk as it stands in a file. `record`: its own; `indexed`: what stands behind it."""
 
-    `length`: bytes of the record; `indexes`: channel, where behind the record its index begins, and its messages.
-    """
-
-    data: bytes
-    length: int
-    indexes: list[tuple[int, int, int]]
+    record: bytes
+    indexed: Indexed
     messages: int
     first_ns: int
     last_ns: int
@@ -134,8 +141,8 @@ class Packed(NamedTuple):
     packed_size: int
 
 
-def pack(chunk: Chunk) -> Packed:
-    """Compress a chunk that is complete, and index it."""
+def pack(chunk: Chunk, indexed: Indexed) -> Packed:
+    """Compress a chunk that is complete. `indexed`: its index records."""
     data = b"".join(chunk.parts)
     chunk.parts = []
     compressed = zstandard.ZstdCompressor(level=_LEVEL).compress(data)
@@ -149,9 +156,8 @@ def pack(chunk: Chunk) -> Packed:
             uncompressed_size=len(data),
         )
     )
-    records, indexes = chunk.indexed()
     times = chunk.first_ns, chunk.last_ns
-    return Packed(record + records, len(record), indexes, chunk.messages, *times, len(data), len(compressed))
+    return Packed(record, indexed, chunk.messages, *times, len(data), len(compressed))
 
 
 class Run(NamedTuple):
@@ -220,7 +226,7 @@ class Batch:
 
     def packed(self) -> list[Packed]:
         """Return the chunks as they stand in a file."""
-        return [pack(chunk) for chunk in self.chunks()]
+        return [pack(chunk, chunk.indexed()) for chunk in self.chunks()]
 
 
 def _rows(part: Part) -> Rows:

@@ -16,7 +16,6 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import chain
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from mcap.data_stream import ReadDataStream
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     from analyzer.columns.pairs import Plain
 
 #: Rows of blocks that are packed together: fewer cost more for each kind of frame, more need more memory.
-ROWS = 1 << 15
+ROWS = 3 << 14
 #: A chunk index: opcode and length, times of the messages, place and length of the chunk, bytes of offsets;
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 #: channel and place of its message index, for each;
@@ -128,8 +127,9 @@ class _Thread:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="servotap-compress")
 
     def submit(self, batch: Batch) -> Future[list[Packed]]:
-        chunks = batch.chunks()
-        return self._pool.submit(lambda: [pack(chunk) for chunk in chunks])
+        # Indexes are made of columns in many small steps, each of which would wait for the other thread.
+        chunks = [(chunk, chunk.indexed()) for chunk in batch.chunks()]
+        return self._pool.submit(lambda: [pack(*each) for each in chunks])
 
     def shutdown(self, *, at_once: bool = False) -> None:
         self._pool.shutdown(wait=not at_once, cancel_futures=at_once)
@@ -357,24 +357,22 @@ class McapFile:
         chunks = self._waiting[0].result()
         while chunks:
             packed = chunks[0]
-            start = self._position
+            start, length, own = self._position, len(packed.record), packed.indexed
             # Packed here: a chunk has an entry for each channel, and the library writes them number by number.
-            behind = start + packed.length
-            places = struct.pack(
-                f"<{_OFFSET * len(packed.indexes)}",
-                *chain.from_iterable((channel, behind + place) for channel, place, _ in packed.indexes),
-            )
-            fixed = packed.first_ns, packed.last_ns, start, packed.length
+            behind, offsets = start + length, [0] * (2 * len(own.channels))
+            offsets[::2], offsets[1::2] = own.channels, [behind + begin for begin in own.begins]
+            places = struct.pack(f"<{_OFFSET * len(own.channels)}", *offsets)
+            fixed = packed.first_ns, packed.last_ns, start, length
             index = b"".join((
                 _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, _CHUNK_INDEX_REST + len(places), *fixed, len(places)), places,
-                _CHUNK_SIZES.pack(len(packed.data) - packed.length, 4, b"zstd", packed.packed_size, packed.size),
+                _CHUNK_SIZES.pack(len(own.data), 4, b"zstd", packed.packed_size, packed.size),
             ))  # fmt: skip
-            self._put(packed.data)
+            self._put(packed.record + own.data)
             # Only now is it gone from memory: the write may have failed.
             del chunks[0]
             self._chunks += 1
             self._index.add(index)
-            for channel, _, count in packed.indexes:
+            for channel, count in zip(own.channels, own.counts, strict=True):
                 self._counts[channel] += count
             if packed.messages:
                 self._first_ns = self._first_ns if self._messages else packed.first_ns

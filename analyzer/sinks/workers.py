@@ -27,8 +27,8 @@ from analyzer.sinks.mcap_chunk import Batch, Packed
 from analyzer.sinks.object_table import Table
 from analyzer.sinks.shared import Shared
 
-#: More workers would idle: the first process, which keeps the order, has no tasks for them.
-MOST = 3
+#: More workers would idle: the first process, which keeps the order, has no tasks for them. Each takes 50 MiB.
+MOST = 2
 #: Tasks that a worker has at once: one under way, one in its pipe.
 _AT_ONCE = 2
 #: Slots of shared memory: for blocks under way in the pipeline, and more for each worker.
@@ -85,7 +85,7 @@ class Workers:
         #: How the workers that died ended.
         self.died: list[str] = []
         #: Tasks of each kind that may wait.
-        self.ahead = 2 * count * _AT_ONCE
+        self.ahead = count * _AT_ONCE
         self._most = count * _AT_ONCE
         # What is loaded before the workers begin, they share.
         import_module("analyzer.columns.rows")
@@ -121,7 +121,7 @@ class Workers:
         error: Exception | None = None
         more = True
         while True:
-            while more and len(tasks) <= self._most:
+            while more and len(tasks) < self._most:
                 try:
                     own = next(ranges)
                 except StopIteration:

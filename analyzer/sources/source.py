@@ -49,9 +49,9 @@ _HEAD_LIMIT = 1000
 
 SECOND_NS = 1_000_000_000
 #: Bytes that are read together where records become blocks.
-TOGETHER = 1 << 20
+TOGETHER = 3 << 19
 #: Records that are joined to a block at most, their bytes, and the fewest bytes for which that is worth it.
-_RECORDS, JOINED, SHORTEST_BLOCK = 1 << 15, 1 << 20, 512
+_RECORDS, JOINED, SHORTEST_BLOCK = 3 << 14, 1 << 20, 512
 #: 2100-01-01: what lies behind it is noted.
 FAR_NS = 4_102_444_800 * SECOND_NS
 #: The greatest time that every part of the program can hold.

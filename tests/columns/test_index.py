@@ -25,9 +25,11 @@ def read(data: bytes, begin: int) -> MessageIndex:
 def test_records_are_read_by_the_library():
     chance = random.Random(1)
     entries = [(chance.choice((1, 3, 70, 40_000)), 10**18 + n, 40 * n) for n in range(200)]
-    data, indexes = index_records(*np.array(entries, dtype=np.int64).T)
-    assert [channel for channel, _, _ in indexes] == sorted({channel for channel, _, _ in entries})
-    for channel, begin, count in indexes:
+    data, channels, begins, counts = index_records(
+        np.array([channel for channel, _, _ in entries], dtype=np.uint16), np.array([entry[1:] for entry in entries])
+    )
+    assert channels == sorted({channel for channel, _, _ in entries})
+    for channel, begin, count in zip(channels, begins, counts, strict=True):
         found = read(data, begin)
         assert (found.channel_id, found.records) == (channel, [entry[1:] for entry in entries if entry[0] == channel])
         assert count == len(found.records)
@@ -47,15 +49,18 @@ def alone(channel: int, *times: int) -> Chunk:
 
 def test_messages_alone_and_together_are_indexed_in_their_order():
     one, other = 3, 9
-    columns = [[0, 35], [35, 70], [one, other], [6, 7]]
-    together = Messages(np.arange(2 * 35, dtype=np.uint8), *(np.array(column) for column in columns))
+
+    def together() -> Messages:
+        channels, entries = np.array([one, other], dtype=np.uint16), np.array([(6, 0), (7, 35)])
+        return Messages(np.arange(2 * 35, dtype=np.uint8), np.array([35, 70]), channels, entries)
+
     chunk = alone(one, 5)
-    assert chunk.fill(together, 0, 1 << 20) == 2
+    assert chunk.fill(together(), 0, 1 << 20) == 2
     chunk.join(alone(one, 8, 9))
-    data, indexes = chunk.indexed()
-    assert [(channel, count) for channel, _, count in indexes] == [(one, 4), (other, 1)]
-    assert read(data, indexes[0][1]).records == [(5, 0), (6, 33), (8, 103), (9, 136)]
-    assert read(data, indexes[1][1]).records == [(7, 68)]
+    data, channels, begins, counts = chunk.indexed()
+    assert (channels, counts) == ([one, other], [4, 1])
+    assert read(data, begins[0]).records == [(5, 0), (6, 33), (8, 103), (9, 136)]
+    assert read(data, begins[1]).records == [(7, 68)]
     assert (chunk.first_ns, chunk.last_ns, chunk.messages, chunk.size) == (5, 9, 5, 169)
     # The message that fills a chunk is its last.
-    assert [Chunk().fill(together, at, 35) for at in (0, 1)] == [1, 2]
+    assert [Chunk().fill(together(), at, 35) for at in (0, 1)] == [1, 2]
