@@ -85,6 +85,7 @@ RULES = (
     Rule("a Modbus CRC", _RULE, lambda b, i: modbus_crc(b).to_bytes(2, "little")),
     Rule("the CRC without the address", _RULE, lambda b, i: modbus_crc(b[1:]).to_bytes(2, "little")),
     Rule("the CRC without the address, high byte first", _RULE, lambda b, i: modbus_crc(b[1:]).to_bytes(2, "big")),
+    Rule("the CRC of address and function alone", _RULE, lambda b, i: modbus_crc(b[:2]).to_bytes(2, "little")),
     Rule("the sum without head and address", _RULE, lambda b, i: _byte(sum(b[2:]))),
     Rule("the XOR without the head byte", _RULE, lambda b, i: _byte(_xor(b[1:]))),
     Rule("the XOR with the CAN identifier", _RULE, lambda b, i: _byte(_xor(b) ^ i ^ i >> 8)),

@@ -137,6 +137,9 @@ def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
             yield trouble, sent.data
         elif sent.data.startswith(burst.data):
             cut.append((trouble, burst.data))
+        else:
+            # A log may show it byte by byte first, and then whole.
+            continue
         sent = None
     if len(cut) > 1 or any(len(data) >= _ONCE for _, data in cut):
         yield from cut

@@ -219,10 +219,15 @@ def _side(scene: Scene, side: Role, all_garbled: list[_Garbled]) -> Iterator[Sus
     best = max(ways, key=lambda way: way.taken)
     if best.taken < _ENOUGH * sum(len(each.data) for each in garbled):
         best = max((best, *_at_other_speeds(garbled), *_of_replies(garbled)), key=lambda way: way.taken)
-    if best.fits:
+    if best.fits and _is_told(best):
         yield _said(best, [each.trouble for each in all_garbled])
     elif _heard(scene, side) and not _sound(scene, side) and (_same_line_noise(garbled) or _no_reply_at_all(garbled)):
         yield _unknown(garbled)
+
+
+def _is_told(way: _Way) -> bool:
+    """Say whether a way explains different frames, or almost all of what came as one: at some of many speeds a check fits."""
+    return way.cause != "wrong_baud" or way.different > 1 or any(fit.taken >= _ALMOST_ALL * len(fit.data) for fit in way.fits)
 
 
 def _heard(scene: Scene, side: Role) -> bool:
@@ -266,7 +271,7 @@ def _same_line_noise(garbled: Sequence[_Garbled]) -> bool:
         return False
     if _of_few_bytes(b"".join(stretches)):
         return True
-    stretches = [data for data in stretches if len(data) > 1]
+    stretches = [data for data in stretches if len(data) > _ALIKE]
     if len(stretches) < _FEWEST or _framed(stretches):
         return False
     most = Counter(data[0] for data in stretches).most_common(1)[0][1]
