@@ -8,6 +8,7 @@ that the capture shows as sent. The setting that explains most of the bytes is t
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from difflib import SequenceMatcher
@@ -69,6 +70,7 @@ _HIGH_BITS = 8
 _BEGIN_ALIKE, _CHECKED = 0.6, 0.5
 #: Characters of bytes that are text with a head or a tail.
 _READABLE = 0.6
+_WORD = re.compile(rb"[A-Za-z]{4}")
 _PRINTED = frozenset(b"\t\n\r") | frozenset(range(0x20, 0x7F))
 #: Checks that many protocols have.
 _CHECKS: tuple[Callable[[bytes], bool], ...] = (
@@ -286,7 +288,16 @@ def _framed(stretches: Sequence[bytes]) -> bool:
     first, last = {data[:1] for data in distinct}, {data[-1:] for data in distinct}
     text = sum(byte in _PRINTED for data in distinct for byte in data)
     one_frame = len(distinct) > 1 and len(first) == len(last) == 1 and min(map(len, distinct)) > _DIFFERENT
-    return one_frame or text >= _READABLE * sum(map(len, distinct))
+    words = sum(_WORD.search(data) is not None for data in distinct)
+    # Frames of one command, whose values differ: so much of their beginnings no two requests of a host have in common.
+    by_size = [[data for data in distinct if len(data) == size] for size in set(map(len, distinct))]
+    alike = any(len(rows) > 1 and len(set(_common_beginning(rows))) > _DIFFERENT for rows in by_size)
+    return one_frame or alike or words > len(distinct) / 2 or text >= _READABLE * sum(map(len, distinct))
+
+
+def _common_beginning(rows: Sequence[bytes]) -> bytes:
+    """Return the bytes with which all rows begin."""
+    return bytes(column[0] for column in takewhile(lambda column: len(set(column)) == 1, zip(*rows, strict=True)))
 
 
 def _no_reply_at_all(garbled: Sequence[_Garbled]) -> bool:

@@ -44,6 +44,9 @@ HEALTHY = {
     "frames of another maker with zeros": "".join(
         f"[10:00:00.{n}00][D][controller]: received 05.60.{n}0.00.00.00.00.00.00.00.00.{n}6.B0 (13)\n" for n in (4, 8)
     ),
+    "frames of one command of another maker": "".join(
+        f"unknown: 71 6C D1 03 - A3 51 - 21 09 07 04 0C 0A {n:02X} 4{n} 3F\n    --- 1{n} 46\n" for n in (1, 2, 3)
+    ),
     "frames with a head and a tail": "".join(f"RX: 02 FF 30 31 32 3{n} 03\n" for n in range(4)),
     "an adapter for cars": "".join(f">010{n}\n7E80341{n:02X}0D\n\n" for n in range(8)),
     "Modbus TCP that begins with a reply": "RECV: 0x0 0x18 0x0 0x0 0x0 0x5 0x1 0x3 0x2 0x0 0x1\n"
@@ -127,3 +130,8 @@ def test_where_bytes_begin_in_a_sentence(line, data):
 def test_one_byte_a_read_is_a_split_where_words_ask_about_it(ask, causes, tmp_path, capsys):
     log = "".join(f"<Buffer {byte:02x}>\n" for byte in bytes.fromhex("01 04 02 00 11 79 3C"))
     assert verdict(f"{ask}\nport.write(Buffer.from('0104003200019005','hex'))\n{log}", tmp_path, capsys)[1] == causes
+
+
+def test_frames_of_another_maker_are_named_and_are_no_echo_of_each_other(tmp_path, capsys):
+    log = "send A5 40 90 08 00 00 00 00 00 00 00 00 7D\nrecv A5 01 90 08 02 0A 00 00 75 30 02 F4 E5\n"
+    assert verdict(log, tmp_path, capsys)[1] == ["unsupported_dialect"]
