@@ -40,6 +40,8 @@ _NODES = range(1, 0x80)
 #: The last byte of what switches a motor of the MIT protocol: on, off, zero.
 _MIT = (0xFC, 0xFD, 0xFE)
 _LEAST = 2
+#: Errors in a row that no bus outlasts whose nodes understand each other.
+_MANY = 8
 _LONGEST, _FD_SIZES = 8, (12, 16, 20, 24, 32, 48, 64)
 #: The last identifier of 11 bits.
 _STANDARD = 0x7FF
@@ -166,8 +168,8 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
         )  # fmt: skip
     if garbled and not heard and not on_sending and not errors.recovering:
         yield _suspicion(
-            "can_wrong_bitrate", Confidence.LIKELY if errors.off else sure, [*_of(all_errors, errors.garbled), *unanswered],
-            errors.garbled, heard,
+            "can_wrong_bitrate", sure if _strained(errors) else Confidence.LIKELY,
+            [*_of(all_errors, errors.garbled), *unanswered], errors.garbled, heard,
             "No frame gets through, and stuff, form or bit errors come: the nodes run at different bit rates.",
             "Set the adapter to the drive's bit rate (500 kbit/s is the default), with the same sample point",
         )  # fmt: skip
@@ -209,6 +211,13 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
             cause, Confidence.LIKELY if heard else Confidence.POSSIBLE, all_errors, errors.bare, heard, say,
             f"{_ALONE}; `candump -e any,0:0,#FFFFFFFF` shows what kind of errors they are",
         )  # fmt: skip
+
+
+def _strained(errors: _Errors) -> bool:
+    """Say whether an adapter shows that errors go on: many come, or a counter stands high. It counts each at another speed."""
+    counters = (n for p in errors.garbled for n in p.data[_SENT_COUNTER : _RECEIVED_COUNTER + 1])
+    many = len(errors.garbled) >= _MANY or errors.deaf or errors.stuck
+    return not errors.off and (bool(many) or any(n >= _WARNING for n in counters))
 
 
 _ALONE = "Look at the drive's power, CAN_H and CAN_L (not swapped), 120 Ohm at both ends, and the drive's bit rate"

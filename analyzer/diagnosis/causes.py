@@ -286,7 +286,8 @@ CAUSES = {
         Cause(
             "firmware_quirk",
             "The drive does what its manual does not say.",
-            "A second reply to the same command, or a byte count that is not that of the bytes.",
+            "A second reply to the same command, a byte count that is not that of the bytes, or an exception without its code; "
+            "the check fits.",
             "Firmware differs from the manual, and from version to version.",
             "Note the version; let the program tolerate it.",
             "> FA 01 82 05 82    < FB 01 82 01 7F    < FB 01 82 01 7F",

@@ -85,6 +85,7 @@ RULES = (
     Rule("a Modbus CRC", _RULE, lambda b, i: modbus_crc(b).to_bytes(2, "little")),
     Rule("the CRC without the address", _RULE, lambda b, i: modbus_crc(b[1:]).to_bytes(2, "little")),
     Rule("the CRC without the address, high byte first", _RULE, lambda b, i: modbus_crc(b[1:]).to_bytes(2, "big")),
+    Rule("the CRC of address and function alone", _RULE, lambda b, i: modbus_crc(b[:2]).to_bytes(2, "little")),
     Rule("the sum without head and address", _RULE, lambda b, i: _byte(sum(b[2:]))),
     Rule("the XOR without the head byte", _RULE, lambda b, i: _byte(_xor(b[1:]))),
     Rule("the XOR with the CAN identifier", _RULE, lambda b, i: _byte(_xor(b) ^ i ^ i >> 8)),
@@ -396,8 +397,13 @@ def _of_two(reading: Reading, data: bytes, right: bytes) -> Iterator[Rule]:
 
 
 def _plain(frame: bytes) -> bool:
-    """Say whether a frame is a Modbus read of registers, as programs ask for them or as they are answered, or an exception."""
+    """Say whether a frame is a Modbus read of registers, as programs ask for them or as they are answered, or an exception.
+
+    Or it switches a coil, which is done by two values alone.
+    """
     if len(frame) == _READ_SIZE and frame[1] in _READS and 0 < int.from_bytes(frame[4:6], "big") <= _MOST_REGISTERS:
+        return True
+    if len(frame) == _READ_SIZE and frame[1] == _SWITCHES and frame[4:6] in _SWITCHED and 0 < frame[0] <= _LAST_UNIT:
         return True
     return len(frame) > _EXCEPTION - 1 and (
         (frame[1] in _READS and frame[2] == len(frame) - 5 and frame[2] % 2 == 0)
@@ -411,6 +417,8 @@ def _is_write(frame: bytes) -> bool:
 
 
 _WRITE_ONE, _LAST_UNIT = 0x06, 247
+#: The function that switches a coil, and its values.
+_SWITCHES, _SWITCHED = 0x05, (b"\xff\0", b"\0\0")
 #: The size of an exception, and the greatest code of one.
 _EXCEPTION, _LAST_CODE = 5, 0x0B
 _READ_SIZE = 8

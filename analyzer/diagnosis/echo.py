@@ -83,7 +83,7 @@ def _changed(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
     sent = {burst.stop: burst for burst in scene.bursts if burst.direction is Role.REQUEST} if scene.directed else {}
     for trouble in scene.damaged:
         stretch = trouble.stretch
-        if stretch is None or stretch.can_id is not None or stretch.direction is not Role.REPLY:
+        if stretch is None or stretch.can_id is not None or stretch.direction is not Role.REPLY or trouble in scene.explained:
             continue
         own = sent.get(stretch.offset)
         if own is None or len(own.data) != len(stretch.data) or len(own.data) < _ONCE or _may_be_reply(scene, stretch):
@@ -137,6 +137,9 @@ def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
             yield trouble, sent.data
         elif sent.data.startswith(burst.data):
             cut.append((trouble, burst.data))
+        else:
+            # A log may show it byte by byte first, and then whole.
+            continue
         sent = None
     if len(cut) > 1 or any(len(data) >= _ONCE for _, data in cut):
         yield from cut

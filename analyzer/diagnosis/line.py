@@ -8,6 +8,7 @@ that the capture shows as sent. The setting that explains most of the bytes is t
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from difflib import SequenceMatcher
@@ -69,6 +70,7 @@ _HIGH_BITS = 8
 _BEGIN_ALIKE, _CHECKED = 0.6, 0.5
 #: Characters of bytes that are text with a head or a tail.
 _READABLE = 0.6
+_WORD = re.compile(rb"[A-Za-z]{4}")
 _PRINTED = frozenset(b"\t\n\r") | frozenset(range(0x20, 0x7F))
 #: Checks that many protocols have.
 _CHECKS: tuple[Callable[[bytes], bool], ...] = (
@@ -219,10 +221,15 @@ def _side(scene: Scene, side: Role, all_garbled: list[_Garbled]) -> Iterator[Sus
     best = max(ways, key=lambda way: way.taken)
     if best.taken < _ENOUGH * sum(len(each.data) for each in garbled):
         best = max((best, *_at_other_speeds(garbled), *_of_replies(garbled)), key=lambda way: way.taken)
-    if best.fits:
+    if best.fits and _is_told(best):
         yield _said(best, [each.trouble for each in all_garbled])
     elif _heard(scene, side) and not _sound(scene, side) and (_same_line_noise(garbled) or _no_reply_at_all(garbled)):
         yield _unknown(garbled)
+
+
+def _is_told(way: _Way) -> bool:
+    """Say whether a way explains different frames, or almost all of what came as one: at some of many speeds a check fits."""
+    return way.cause != "wrong_baud" or way.different > 1 or any(fit.taken >= _ALMOST_ALL * len(fit.data) for fit in way.fits)
 
 
 def _heard(scene: Scene, side: Role) -> bool:
@@ -266,7 +273,7 @@ def _same_line_noise(garbled: Sequence[_Garbled]) -> bool:
         return False
     if _of_few_bytes(b"".join(stretches)):
         return True
-    stretches = [data for data in stretches if len(data) > 1]
+    stretches = [data for data in stretches if len(data) > _ALIKE]
     if len(stretches) < _FEWEST or _framed(stretches):
         return False
     most = Counter(data[0] for data in stretches).most_common(1)[0][1]
@@ -281,7 +288,16 @@ def _framed(stretches: Sequence[bytes]) -> bool:
     first, last = {data[:1] for data in distinct}, {data[-1:] for data in distinct}
     text = sum(byte in _PRINTED for data in distinct for byte in data)
     one_frame = len(distinct) > 1 and len(first) == len(last) == 1 and min(map(len, distinct)) > _DIFFERENT
-    return one_frame or text >= _READABLE * sum(map(len, distinct))
+    words = sum(_WORD.search(data) is not None for data in distinct)
+    # Frames of one command, whose values differ: so much of their beginnings no two requests of a host have in common.
+    by_size = [[data for data in distinct if len(data) == size] for size in set(map(len, distinct))]
+    alike = any(len(rows) > 1 and len(set(_common_beginning(rows))) > _DIFFERENT for rows in by_size)
+    return one_frame or alike or words > len(distinct) / 2 or text >= _READABLE * sum(map(len, distinct))
+
+
+def _common_beginning(rows: Sequence[bytes]) -> bytes:
+    """Return the bytes with which all rows begin."""
+    return bytes(column[0] for column in takewhile(lambda column: len(set(column)) == 1, zip(*rows, strict=True)))
 
 
 def _no_reply_at_all(garbled: Sequence[_Garbled]) -> bool:

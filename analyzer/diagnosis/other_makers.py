@@ -103,6 +103,10 @@ def _jbd(data: bytes) -> bool:
     return whole and (sum(data[2:-3]) + int.from_bytes(data[-3:-1], "big")) & 0xFFFF == 0
 
 
+def _jk(data: bytes) -> bool:
+    return len(data) > 10 and data[:2] == b"NW" and int.from_bytes(data[2:4], "big") == len(data) - 2
+
+
 def _daly(data: bytes) -> bool:
     """Say whether bytes are frames of thirteen, as a host reads several at once."""
     rows = [data[at : at + 13] for at in range(0, len(data), 13)]
@@ -156,6 +160,7 @@ MAKES = (
     Make("a Trinamic module (TMCL, nine bytes)", _tmcl, 4, "Use its own library: " + _UART),
     Make("a battery (7E ... 0D)", _battery, 2, _PROTOCOL),
     Make("a battery of JBD (DD ... 77)", _jbd, 1, _PROTOCOL),
+    Make("a battery of JK (4E 57)", _jk, 1, _PROTOCOL),
     Make("a battery of Daly (A5, thirteen bytes)", _daly, 1, _PROTOCOL),
     Make("an electricity meter (68 ... 68 ... 16)", _meter, 1, _PROTOCOL),
     Make("a meter on M-Bus (10 ... 16, 68 ... 16)", _m_bus, 1, _PROTOCOL),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+import re
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from itertools import pairwise
 
 from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import Exchange, Placed, Turn, awaited, chains, placed
-from analyzer.diagnosis.scene import Confidence, Read, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import Confidence, Piece, Read, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link import READS
 from analyzer.values import counted
 
@@ -31,6 +32,7 @@ _PARTS = 3
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect when the host writes and reads."""
     yield from _across(scene)
+    yield from _in_parts(scene)
     if not chains(scene):
         return
     for part in (_late, _misaligned, _split, _split_replies, _too_fast):
@@ -110,18 +112,22 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
     if first is None or shifted < least or shifted < _SHIFTED_SHARE * reads:
         return
     turn, shift = first
-    if crosses and not crosses[0].shift and not _whole_before(scene, crosses[0].read):
+    begins = bool(crosses) and not crosses[0].shift and not _whole_before(scene, crosses[0].read)
+    # Who reads so many bytes each time is out of step from the first on; who reads what is there gets more or fewer.
+    counts = begins and shifted > _SHIFTED and len({len(t.data) for c in chains(scene) for e in c[1:] for t in e.received}) == 1
+    if begins:
         yield Suspicion(
-            "reply_cut", Confidence.CERTAIN, troubles or [Trouble("damaged", turn.offset)],
+            "reply_cut", Confidence.POSSIBLE if counts else Confidence.CERTAIN, troubles or [Trouble("damaged", turn.offset)],
             "The host reads too early: a part of each reply is left, and opens its next read.",
             f"{shown(crosses[0].read.data)} at byte {crosses[0].read.offset} is the beginning of a reply, and "
             f"{shown(turn.data)} begins with the end of one; {counted(shifted, 'time')}",
             "Read until the length of the reply is there or a timeout has passed; clear the input before each request",
             tuple(Shown(t.offset, shown(t.stretch.data)) for t in troubles if t.stretch is not None),
         )  # fmt: skip
+    if begins and not counts:
         return
     yield Suspicion(
-        "read_misaligned", Confidence.CERTAIN if crossing else Confidence.LIKELY,
+        "read_misaligned", Confidence.CERTAIN if crossing and not begins else Confidence.LIKELY,
         troubles or [Trouble("damaged", turn.offset)],
         "The host's reads are out of step: each begins with the end of the reply before, and misses the end of its own.",
         f"{shown(turn.data)} at byte {turn.offset} is out of step by {counted(shift, 'byte')}; {counted(shifted, 'time')}",
@@ -250,6 +256,55 @@ def _split_replies(scene: Scene) -> Iterator[Suspicion]:
         "Join what is read until the length of the reply is there: its byte count tells it",
         tuple(Shown(a.offset, shown(a.data), shown(a.data + b.data)) for a, b in found),
     )  # fmt: skip
+
+
+def _in_parts(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect frames that are received in several reads, where a log shows that of most of them, or words ask about it."""
+    asked = any(_ASKS_OF_PARTS.search(words) for words in scene.words)
+    waits = any(_WAITS.search(words) for words in scene.words)
+    if not asked and (scene.troubles or not scene.directed):
+        return
+    at, whole = 0, 0
+    found: list[tuple[Piece, list[Read]]] = []
+    for piece in scene.pieces:
+        while at < len(scene.reads) and scene.reads[at].stop <= piece.offset:
+            at += 1
+        behind = bisect_left(scene.reads, piece.stop, lo=at, key=lambda read: read.offset)
+        parts = list(scene.reads[at:behind])
+        received = all(
+            read.direction is not Role.REQUEST if asked else read.firm and read.direction is Role.REPLY for read in parts
+        )
+        if not (piece.sound and parts and received and parts[0].offset == piece.offset and parts[-1].stop == piece.stop):
+            continue
+        # A log of bytes shows each alone; that a host reads them so, only words tell.
+        if len(parts) > 1 and (asked or min(read.stop - read.offset for read in parts[:-1]) > 1):
+            found.append((piece, parts))
+        else:
+            whole += 1
+    if len(found) < (1 if asked or waits else _SHIFTED) or len(found) <= whole:
+        return
+    piece, parts = found[0]
+    data = [piece.data[read.offset - piece.offset : read.stop - piece.offset] for read in parts]
+    yield Suspicion(
+        "split_frame", Confidence.LIKELY if asked and not scene.troubles else Confidence.POSSIBLE,
+        [Trouble("damaged", p.offset) for p, _ in found],
+        "Frames are read in parts: each is whole once its parts are joined.",
+        f"{' + '.join(map(shown, data[:_PARTS]))}{' + ...' if len(data) > _PARTS else ''} at byte {piece.offset} is one frame; "
+        f"{counted(len(found), 'time')}",
+        "Nothing is wrong on the wire: join what is read until the length of the frame is there (a byte count tells it), or "
+        "until the line was silent",
+        tuple(Shown(p.offset, shown(p.data)) for p, _ in found),
+    )  # fmt: skip
+
+
+#: Words of a library that has got a part of a frame.
+_WAITS = re.compile(r"\bframe\b[^\n]{0,20} not ready\b", re.IGNORECASE)
+#: Words of people who get a frame in parts.
+_ASKS_OF_PARTS = re.compile(
+    r"\b(?:split\w*|chunk(?:s|ed)|fragment\w*|pieces|in parts|partial(?:ly)?|byte by byte|not all at once"
+    r"|(?:several|multiple|different|two|\d+) (?:different )?(?:buffers|reads|events|messages|packets|callbacks|times))\b",
+    re.IGNORECASE,
+)
 
 
 def _parts(scene: Scene, turns: list[Turn]) -> int:

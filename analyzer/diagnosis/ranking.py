@@ -29,8 +29,9 @@ class Ranked:
 def ranked(suspicions: Iterable[Suspicion], troubles: Sequence[Trouble]) -> list[Ranked]:
     """Return the causes that are told, the likeliest first.
 
-    What a certain cause explains needs no other; what is only possible is told beside its equals. What explains nothing of the
-    trouble comes last, however sure it is.
+    What a certain cause explains needs no other. What is likely or possible is told beside others that explain the same, for
+    these are what else it can be; but a symptom is not told beside a likely cause of it. What explains nothing of the trouble
+    comes last, however sure it is.
     """
     total = len(troubles)
     weighed = sorted(
@@ -46,14 +47,17 @@ def ranked(suspicions: Iterable[Suspicion], troubles: Sequence[Trouble]) -> list
     )
     told: list[Ranked] = []
     explained: set[Trouble] = set()
+    likely: set[Trouble] = set()
     for each in weighed:
         own = set(each.suspicion.troubles)
-        new = own - explained
+        new = own - (likely if each.suspicion.cause in _SYMPTOMS else explained)
         if any(t.suspicion.cause == each.suspicion.cause for t in told):
             continue
         if told and total and len(new) < max(1, _LEAST_NEW * total):
             continue
         told.append(each)
-        if each.suspicion.confidence is not Confidence.POSSIBLE:
+        if each.suspicion.confidence is Confidence.CERTAIN:
             explained |= own
+        if each.suspicion.confidence is not Confidence.POSSIBLE:
+            likely |= own
     return told[:MOST]

@@ -171,11 +171,16 @@ def reports(words: str) -> Iterator[tuple[Report, str, int]]:
 
 #: Pieces that are no chance, and the bytes of the shortest reply.
 _PARTS, _SMALLEST = 3, 5
+#: All but one in so many.
+_MOST_OF = 3
 
 
-def _differ(compared: list[Checks]) -> bool:
-    """Say whether pieces begin otherwise each, as the parts of one reply do."""
-    return len({each.data[:2] for each in compared}) > len(compared) // 2
+def _are_pieces(compared: list[Checks]) -> bool:
+    """Say whether most have the size of the shortest reply, and begin otherwise each, as the parts of one reply do."""
+    smallest = sum(len(each.data) == _SMALLEST for each in compared)
+    return (
+        _MOST_OF * smallest >= len(compared) * (_MOST_OF - 1) and len({each.data[:2] for each in compared}) > len(compared) // 2
+    )
 
 
 def _of_checks(words: str, compared: list[Checks]) -> tuple[Report, str, int]:
@@ -189,7 +194,7 @@ def _of_checks(words: str, compared: list[Checks]) -> tuple[Report, str, int]:
     elif compared and all(each.half for each in compared):
         cause, what = "reply_cut", "a byte of each CRC is missing: the reply was not read to its end"
         todo = "Read until the length of the reply is there or a timeout has passed"
-    elif len(compared) >= _PARTS and {len(each.data) for each in compared} == {_SMALLEST} and _differ(compared):
+    elif len(compared) >= _PARTS and _are_pieces(compared):
         cause, what = "split_frame", f"each {_SMALLEST} bytes that come are taken for a reply: it is cut into pieces"
         todo = (
             "Let the host read on until a pause shows the end: a larger buffer, a later interrupt (rx_full_threshold, "

@@ -37,6 +37,8 @@ _COUNTS = {**dict.fromkeys((0x0F, 0x10), (6,)), 0x11: (2,), 0x0C: (2,), 0x17: (2
 _UNCOUNTED = {**dict.fromkeys((0x0F, 0x10), 8), **dict.fromkeys((0x0C, 0x11), 4)}
 #: What answers a write, a request of nothing but its function, the shortest frame and the longest, and the last address.
 _ANSWER, _BARE, _SHORTEST, _LONGEST, _LAST_UNIT = 8, 4, 5, 256, 247
+#: The exception of a register that is not there.
+_NO_REGISTER = 0x02
 #: First registers of each kind in the numbering of old controllers.
 _NUMBERED = (10001, 30001, 40001)
 
@@ -219,7 +221,7 @@ def _promised(scene: Scene) -> Iterator[Suspicion]:
 
 def _miscounted(scene: Scene) -> Iterator[Suspicion]:
     """Suspect Modbus frames whose count of bytes is not that of the bytes: the CRC fits, or a reply has another shape."""
-    found: list[tuple[Trouble, bytes, str]] = []
+    found: dict[str, list[tuple[Trouble, bytes, str]]] = {"wrong_length": [], "firmware_quirk": []}
     for burst in scene.bursts:
         data = burst.data
         if burst.can_id is not None or not (burst.opens and burst.ends) or not _BARE <= len(data) <= _LONGEST:
@@ -230,20 +232,30 @@ def _miscounted(scene: Scene) -> Iterator[Suspicion]:
             # Its drive may have taken it as it is.
             trouble = Trouble("wrong_length", burst.offset, burst)
         if trouble is not None and (said := _other_count(scene, burst)):
-            found.append((trouble, data, said))
-    if not found:
-        return
-    first, data, said = found[0]
-    # Without a CRC that fits it may be damaged.
-    checked = [row for row in found if modbus_crc(row[1]) == 0]
-    one = Confidence.CERTAIN if len(checked) > 1 else Confidence.LIKELY if checked else Confidence.POSSIBLE
-    yield Suspicion(
-        "wrong_length", one, [t for t, _, _ in found],
-        f"A Modbus frame has not the length that it tells: {said}.",
-        f"{shown(data)} at byte {first.offset}; {counted(len(found), 'time')}",
-        "Let the sender count its data in bytes, put that count where the function has it, and compute the CRC over all of it",
-        tuple(Shown(t.offset, shown(data)) for t, data, _ in found),
-    )  # fmt: skip
+            found["firmware_quirk" if _of_device(scene, burst) else "wrong_length"].append((trouble, data, said))
+    for cause, rows in found.items():
+        if not rows:
+            continue
+        first, data, said = rows[0]
+        # Without a CRC that fits it may be damaged.
+        checked = [row for row in rows if modbus_crc(row[1]) == 0]
+        one = Confidence.CERTAIN if len(checked) > 1 else Confidence.LIKELY if checked else Confidence.POSSIBLE
+        yield Suspicion(
+            cause, one, [t for t, _, _ in rows],
+            f"A Modbus {'reply' if cause == 'firmware_quirk' else 'frame'} has not the length that it tells: {said}.",
+            f"{shown(data)} at byte {first.offset}; {counted(len(rows), 'time')}",
+            "Let the sender count its data in bytes, put that count where the function has it, and compute the CRC over all "
+            "of it",
+            tuple(Shown(t.offset, shown(data)) for t, data, _ in rows),
+        )  # fmt: skip
+
+
+def _of_device(scene: Scene, burst: Stretch) -> bool:
+    """Say whether bytes answer a request and their CRC fits: then their device has made them so."""
+    asked = scene.asked_before(burst.offset)
+    head = bytes((burst.data[0], burst.data[1] & 0x7F))
+    answers = asked is not None and asked.stop == burst.offset and asked.data[:2] == head
+    return modbus_crc(burst.data) == 0 and burst.direction is not Role.REQUEST and (burst.direction is Role.REPLY or answers)
 
 
 def _other_quantity(scene: Scene) -> Iterator[Suspicion]:
@@ -291,6 +303,9 @@ def _other_count(scene: Scene, burst: Stretch) -> str:
         # The log of a device: what it sends are replies.
         return ""
     if modbus_crc(data) == 0 and function in READS and burst.direction is Role.REQUEST and len(data) < _ANSWER:
+        if data[2] == len(data) - _SHORTEST:
+            # It is a whole reply, whoever sent it.
+            return ""
         return f"a request to read has {_ANSWER} bytes, and this {len(data)}"
     if modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0 and data[0] <= _LAST_UNIT:
         places = _COUNTS.get(function)
@@ -338,6 +353,8 @@ def _why(scene: Scene, piece: Piece, refusal: Piece | None) -> _Why | None:
         if command is not None and reads:
             right = dialect.link.build(command, command.request_forms[0], message.address, b"", Role.REQUEST)
         text = next((v.text for v in message.violations if v.rule == "wrong_length"), "")
+        if reads and refusal is not None and refusal.message and refusal.message.values.get("exception") == _NO_REGISTER:
+            return _Why("wrong_register", f"The device has no value of so many registers there: {text}.", right)
         return _Why("wrong_length", f"A request of code {head.code or 0:02X} has not the length of the manual: {text}.", right)
     if "unknown_command" in piece.rules:
         if head.function is None:

@@ -315,7 +315,6 @@ class Scene:
         return (
             whole is not None and whole.sound and whole.can is None and whole.message is not None
             and whole.data[: -len(whole.message.frame.dialect.link.checks(whole.data)[-1].expected)] == stretch.data
-            and stretch.direction in (self.direction(whole.offset), Role.UNKNOWN)
         )  # fmt: skip
 
     def _followed(self) -> frozenset[int]:

@@ -268,11 +268,15 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     alike = [(each, frame) for each in spoiled if (frame := _meant(each, told) or _alike(each, known)) is not None]
     if len(alike) < _ALIKE * len(spoiled):
         return
+    # Of what was sent itself all bytes are known.
+    yield from _high_bits([(each, frame) for each, frame in alike if each.asked is not None and each.asked.data == frame])
     first, frame = alike[0]
     troubles, frames = _of(spoiled)
     places = (
-        "one frame is damaged" if len(spoiled) == 1 else f"{len(spoiled)} frames are damaged, here and there,"
-    ) + " and the others get through"
+        "one frame is damaged"
+        if len(spoiled) == 1
+        else f"{len(spoiled)} frames are damaged, here and there, and the others get through"
+    )
     yield Suspicion(
         "noise", Confidence.LIKELY if len(spoiled) >= _NOISE else Confidence.POSSIBLE, troubles,
         f"Noise on the line: {places}.",
@@ -280,6 +284,31 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
         f"{counted(len(spoiled), 'time')}, {counted(len(sound), 'frame')} near them sound",
         "Check the ground between host and drives, the termination (120 Ohm at both ends only) and the bias; lay the bus away "
         "from motor cables, shield it, and repeat what fails",
+        frames,
+    )  # fmt: skip
+
+
+def _high_bits(alike: list[tuple[_Spoiled, bytes]]) -> Iterator[Suspicion]:
+    """Suspect the number of data bits where each byte above a limit came changed, and none below it."""
+    pairs = [(sent, came) for each, frame in alike for sent, came in zip(frame, each.stretch.data, strict=False)]
+    changed = {sent for sent, came in pairs if sent != came}
+    kept = {sent for sent, came in pairs if sent == came}
+    # Noise hits a byte of a frame; one of each kind it hits by chance.
+    each_time = all(
+        len(frame) == len(each.stretch.data)
+        and sum(sent != came for sent, came in zip(frame, each.stretch.data, strict=True)) >= _REPLIES
+        for each, frame in alike
+    )
+    if not each_time or len(changed) < _REPLIES or len(kept) < _REPLIES or min(changed).bit_length() <= max(kept).bit_length():
+        return
+    bits = max(kept).bit_length()
+    troubles, frames = _of([each for each, _ in alike])
+    yield Suspicion(
+        "wrong_parity", Confidence.LIKELY if len(changed) > _FEW else Confidence.POSSIBLE, troubles,
+        f"Bytes up to {max(kept):02X} come as they were sent, and all above it come changed: a node has fewer data bits, or "
+        "reads at another speed.",
+        f"{frames[0].data} at byte {frames[0].offset} for {shown(alike[0][1])}",
+        f"Set both sides to 8 data bits, no parity, 1 stop bit (8N1): {bits} bits get through; then compare their speeds",
         frames,
     )  # fmt: skip
 

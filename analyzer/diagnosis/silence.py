@@ -109,9 +109,10 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -
             frames,
         )  # fmt: skip
         return
-    if (len(asked.troubles) > 1 and not scene.listed) or (len(scene.pieces) == 1 and _missed(scene)):
+    again = len(asked.troubles) > 1 and not _is_quoted(scene)
+    if (again and not scene.listed) or (_is_one(scene) and _missed(scene)):
         yield Suspicion(
-            "no_reply", Confidence.LIKELY if len(asked.troubles) > 1 else Confidence.POSSIBLE, asked.troubles,
+            "no_reply", Confidence.LIKELY if again else Confidence.POSSIBLE, asked.troubles,
             f"The requests to address {who} are right, and no drive answers.",
             evidence,
             _order(dialect, ours=any(t.piece is not None and _is_listed(t.piece) for t in asked.troubles)),
@@ -119,11 +120,22 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -
         )  # fmt: skip
 
 
+def _is_quoted(scene: Scene) -> bool:
+    """Say whether one frame stands twice among words, without a time: a text, or a program that prints it as text too."""
+    return bool(scene.words) and not scene.timed and len(scene.pieces) <= _AGAIN and _is_one(scene)
+
+
+def _is_one(scene: Scene) -> bool:
+    """Say whether all that is there is one frame."""
+    return len({piece.data for piece in scene.pieces}) == 1
+
+
 #: Words of people who miss a reply.
 _MISSED = re.compile(
-    r"\b(?:no|not|nothing|never|nobody|none|cannot|without|zero|\w+n't)\b[^.!?\n]{0,60}?\b(?:re(?:spon|pl|act|ceiv|ad|turn|sult)\w*|"
+    r"\b(?:no|not|never|nobody|none|cannot|without|zero|\w+n't)\b[^.!?\n]{0,60}?\b(?:re(?:spon|pl|act|ceiv|ad|turn|sult)\w*|"
     r"answer\w*|mov\w+|work\w*|communicat\w*|connect\w*|get\w*|data|happen\w*|turn\w*|back|luck|success)|"
-    r"nothing|time[ds]?[ -]?out|fail|unanswered|\bsilen(?:ce|t(?! interval))|stuck|unable|"
+    r"nothing(?! (?:changes|changed|else|special|wrong))|time[ds]?[ -]?out|fail|unanswered|\bsilen(?:ce|t(?! interval))|"
+    r"stuck|unable|"
     r"nicht|kein|\bpas\b|[不没沒无無]|нет|\bне\b",
     re.IGNORECASE,
 )

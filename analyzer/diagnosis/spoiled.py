@@ -62,7 +62,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if stretch is None or stretch.can_id is not None:
             continue
         found = _with_start(scene, stretch, heads)
-        if found is not None:
+        if found is not None and not _leaves_out(scene, stretch, found[0][: len(found[0]) - len(stretch.data)]):
             lost.append(_Edge(trouble, b"", *found))
     missing = {edge.trouble for edge in lost}
     for trouble, at, stray, frame in _around(scene):
@@ -174,6 +174,15 @@ def _with_start(scene: Scene, stretch: Stretch, heads: Iterable[bytes]) -> tuple
             if modbus_crc(whole) == 0 and (reading := scene.reader.best(whole, role=role)) is not None:
                 return whole, reading.message.role
     return None
+
+
+def _leaves_out(scene: Scene, stretch: Stretch, head: bytes) -> bool:
+    """Say whether a log leaves the beginnings of frames out: what stands before lacks the same, and its check, too."""
+    before = next((b for b in scene.bursts if b.stop == stretch.offset), None)
+    if before is None or before.can_id is not None or before.checked:
+        return False
+    readings = (scene.reader.best(d.link.completed(head + before.data)) for d in scene.reader.dialects)
+    return any(reading is not None and reading.message.role is Role.REQUEST for reading in readings)
 
 
 # --- glitches -----------------------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from analyzer.catalogue import Role
 from analyzer.diagnosis.reports import MISFIT, Checks, checks, reports
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link import READS, modbus_crc
@@ -105,11 +106,15 @@ def _reported(scene: Scene, words: str) -> Iterator[Suspicion]:
     left = [t for t in scene.troubles if t not in scene.explained] if by_bytes else []
     replied = any(p.is_reply and p.sound for p in scene.pieces)
     silent = not replied or scene.damaged or any(t.rule in _SILENCE for t in scene.troubles)
+    came_damaged = [
+        t for t in scene.damaged
+        if not scene.directed or (t.stretch is not None and t.stretch.direction is not Role.UNKNOWN)
+    ]  # fmt: skip
     for report, text, times in found:
         # Where each request has its reply, the program has lost it, and no drive is silent.
         if report.cause == "no_reply" and not silent:
             continue
-        if report.cause in _OF_LINE and not scene.damaged and (replied or _misread(scene, checks(words))):
+        if report.cause in _OF_LINE and not came_damaged and (replied or _misread(scene, checks(words))):
             continue
         yield Suspicion(
             report.cause, Confidence.POSSIBLE if by_bytes else Confidence.LIKELY, left or scene.troubles,

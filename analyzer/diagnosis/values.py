@@ -75,8 +75,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             continue
         if piece.rules & {"bad_checksum", "wrong_length", "unknown_command"} or message.command.slots is not None:
             continue
-        # Of registers that the manual does not list nothing is known.
-        if message.command in message.frame.dialect.fallbacks.values():
+        # Of registers that the manual does not list nothing is known, nor of those of any other device.
+        if message.command in message.frame.dialect.fallbacks.values() or not message.frame.dialect.of_drives:
             continue
         sent.append((piece, message))
         key = _key(message)

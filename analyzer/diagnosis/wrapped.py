@@ -193,7 +193,7 @@ def _of_header(scene: Scene) -> Iterator[Suspicion]:
 #: Requests back that a late reply can be of.
 _BACK = 8
 #: Words of a program that speaks Modbus TCP itself.
-_SPEAKS_TCP = re.compile(r"\bmodbus[-_ ]?tcp|\btransaction[_ ]?id|\bmbap\b|\btcp-(?:client|response)", re.IGNORECASE)
+_SPEAKS_TCP = re.compile(r"\bmodbus\w*?[-_ ]?tcp|\btransaction[_ ]?id|\bmbap\b|\btcp-(?:client|response)", re.IGNORECASE)
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:

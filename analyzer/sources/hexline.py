@@ -24,6 +24,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
+from analyzer.link import modbus_crc
 from analyzer.sources import written
 from analyzer.sources.lines import remembered
 from analyzer.sources.marks import ACTIONS, LETTERS, SIGNS, SPEAKERS, WORDS, role_of
@@ -235,8 +236,12 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
     if "0x" in text[-4:].lower() and (indexed := _INDEXED.fullmatch(text)) is not None:
         return _of_one(indexed)
     if decimal:
-        data = written.decimal(text)
-        return HexLine(Shape.TRAFFIC, data, radix=Radix.DECIMAL) if data else _as_it_stood(_peeled(text, decimal), line)
+        numbers = _numbers(text)
+        return (
+            HexLine(Shape.TRAFFIC, numbers.data, radix=numbers.radix)
+            if numbers is not None and numbers.data
+            else _as_it_stood(_peeled(text, decimal), line)
+        )
     if led:
         return _as_it_stood(_peeled(text, led=True), line)
     # Plain bytes need no pattern.
@@ -293,6 +298,21 @@ def _peeled(text: str, decimal: bool = False, led: bool = False) -> HexLine:
         data = spelled["digits"].encode()
         return HexLine(Shape.TRAFFIC, data, role=Role.REQUEST, worded=True, note=spelled["rest"].strip(" ;"))
     return _Peeler(text, decimal, led).line()
+
+
+def _numbers(text: str) -> Written | None:
+    """Return the bytes of decimal numbers. Where their CRC fits only if they are hexadecimal, they are that."""
+    data = written.decimal(text)
+    if data is None:
+        return None
+    pairs = written.read(text) if _PAIRS.fullmatch(text) is not None else None
+    if pairs is not None and modbus_crc(pairs.data) == 0 and modbus_crc(data):
+        return pairs
+    return Written(data, Radix.DECIMAL)
+
+
+#: Two digits a byte, of as many bytes as the shortest frame with a CRC has.
+_PAIRS = re.compile(r"\s*[0-9A-Fa-f]{2}(?:[\s,]+[0-9A-Fa-f]{2}){4,}\s*")
 
 
 def _of_one(byte: re.Match[str]) -> HexLine:
@@ -374,8 +394,8 @@ class _Peeler:
         return HexLine(shape, text=rest if broken else text, **taken)  # type: ignore[arg-type]
 
     def _bytes(self, text: str) -> Written | None:
-        if self.decimal and (data := written.decimal(text)) is not None:
-            return Written(data, Radix.DECIMAL)
+        if self.decimal and (numbers := _numbers(text)) is not None:
+            return numbers
         if not self.decimal and self.number is None and (lead := self.lead.match(text)) is not None:
             self.number, self.led = int(lead[1]), True
             text = text[lead.end() :]

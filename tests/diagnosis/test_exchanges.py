@@ -8,6 +8,7 @@ import pytest
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Role
+from analyzer.diagnosis.scene import Confidence
 from analyzer.encoder import build
 from analyzer.link.modbus import modbus_crc
 from analyzer.records import Chunk
@@ -110,9 +111,16 @@ def test_a_host_that_reads_too_early(drive):
     size = len(rows[1][1])
     stream = b"".join(data for mark, data in rows if mark == "<")
     cuts = [0, *range(size - 3, len(stream), size)]
+    # Whoever reads so many bytes each time is out of step; whoever reads what is there gets more or fewer.
+    assert told_of(rows, stream, cuts) == ["read_misaligned", "reply_cut"]
+    uneven = [cut + number % 2 for number, cut in enumerate(cuts)]
+    assert told_of(rows, stream, [0, *uneven[1:]]) == ["reply_cut"]
+
+
+def told_of(rows, stream, cuts):
     reads = [stream[a:b] for a, b in pairwise(cuts)]
-    early = [row for (_, sent), read in zip(rows[::2], reads, strict=False) for row in ((">", sent), ("<", read))]
-    assert first(*early) == "reply_cut"
+    out = [row for (_, sent), read in zip(rows[::2], reads, strict=False) for row in ((">", sent), ("<", read))]
+    return [each.cause for each in told(*out)]
 
 
 @pytest.mark.parametrize("at", [1, 2, 5])
@@ -334,7 +342,9 @@ def test_bare_requests_that_are_not_answered_lack_their_check():
 
 @pytest.mark.parametrize("frame", ["01 11 05 0A FF 00", "01 11 02 0A FF 00"])
 def test_a_count_that_is_not_that_of_the_bytes(frame):
-    assert first((">", rtu("01 11")), ("<", rtu(frame))) == "wrong_length"
+    asked = rtu("01 11")
+    assert first((">", asked), ("<", rtu(frame))) == "firmware_quirk"
+    assert first((">", rtu(frame))) == "wrong_length"
 
 
 def test_a_general_address_of_meters_is_not_certainly_wrong():
@@ -355,3 +365,19 @@ def test_one_large_number_may_be_no_negative_one(positions, cause):
     ]
     found = told(*((">", frame) for frame in sent))
     assert [each.cause for each in found if each.cause == "unit_or_sign"] == ([cause] if cause else [])
+
+
+def test_replies_in_two_reads_are_named_where_a_log_shows_most_of_them_so():
+    turns = [(rtu(f"01 04 00 3{n} 00 01"), rtu(f"01 04 02 00 1{n}")) for n in (2, 4, 5)]
+    apart = [row for asked, whole in turns for row in ((">", asked), ("<", whole[:3]), ("<", whole[3:]))]
+    together = [row for asked, whole in turns for row in ((">", asked), ("<", whole))]
+    (found,) = told(*apart)
+    assert (found.cause, found.confidence) == ("split_frame", Confidence.POSSIBLE)
+    assert not told(*apart[:3], *together)
+
+
+def test_data_bits_that_are_missing():
+    # What a receiver of five bits makes of it: all below 20 is right.
+    sent, came = rtu("01 03 00 00 00 0A"), bytes.fromhex("01 03 00 00 00 0A 05 1E")
+    assert [each.cause for each in told((">", sent), ("<", came))] == ["wrong_parity", "noise"]
+    assert "wrong_parity" not in {each.cause for each in told((">", sent), ("<", came[:4] + b"\x08" + came[5:]))}

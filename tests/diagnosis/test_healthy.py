@@ -30,6 +30,23 @@ HEALTHY = {
     "a reply in two reads, the first of three bytes": "[10:00:00][D][uart_debug:114]: >>> 01:03:00:00:00:04:44:09\n"
     "[10:00:00][D][uart_debug:114]: <<< 01:03:08\n"
     "[10:00:00][D][uart_debug:114]: <<< 00:01:00:02:00:03:00:04:0D:14",
+    "a sensor whose registers are round the other way": "SEND: 05 03 0A 00 00 03 07 97\n"
+    "GET: 05 03 06 41 42 43 31 32 33 75 95\nSEND: 05 03 08 00 00 02 C7 EF\n"
+    "GET: 05 03 04 01 04 02 02 7F 6F\nSEND: 05 03 21 00 00 01 8F B2\nGET: 05 03 02 14 00 46 84",
+    "a server whose reply stands before its check": "Response:01 03 04 00 01 00 02\nSent: 01 03 04 00 01 00 02 2A 32",
+    "a request that a server prints twice": "Parsing frame: 07 04 00 10 00 01 30 69\n"
+    "<Frame (request): 07 04 00 10 00 01 30 69>\nIf I switch it off, nothing changes and I get the same.",
+    "decimal and hexadecimal lines": "It should be:\n02 03 02 00 05 3C 47\nand it is:\n02 03 00 05 00 01 148 56",
+    "a server for Modbus TCP": "ModbusServerTCP.h: Response:\n00 01 00 00 00 07 01 03 04 02 03 04 05\n"
+    "00 02 00 00 00 07 01 03 04 02 03 04 05",
+    "a library that compares the wrong bytes": "RX:02 05 00 03 FF 00 7C 09\nbuf <Buffer 02 05 00 03 00 01>\n"
+    "Error: crc mismatch",
+    "frames of another maker with zeros": "".join(
+        f"[10:00:00.{n}00][D][controller]: received 05.60.{n}0.00.00.00.00.00.00.00.00.{n}6.B0 (13)\n" for n in (4, 8)
+    ),
+    "frames of one command of another maker": "".join(
+        f"unknown: 71 6C D1 03 - A3 51 - 21 09 07 04 0C 0A {n:02X} 4{n} 3F\n    --- 1{n} 46\n" for n in (1, 2, 3)
+    ),
     "frames with a head and a tail": "".join(f"RX: 02 FF 30 31 32 3{n} 03\n" for n in range(4)),
     "an adapter for cars": "".join(f">010{n}\n7E80341{n:02X}0D\n\n" for n in range(8)),
     "Modbus TCP that begins with a reply": "RECV: 0x0 0x18 0x0 0x0 0x0 0x5 0x1 0x3 0x2 0x0 0x1\n"
@@ -107,3 +124,14 @@ def test_a_log_of_a_server_is_read_from_the_other_side(tmp_path, capsys):
 )
 def test_where_bytes_begin_in_a_sentence(line, data):
     assert [each.data.hex(" ") for each in quotations(line)] == [data][: bool(data)]
+
+
+@pytest.mark.parametrize(("ask", "causes"), [("Why do I get it in 3 buffers?", ["split_frame"]), ("It works well.", [])])
+def test_one_byte_a_read_is_a_split_where_words_ask_about_it(ask, causes, tmp_path, capsys):
+    log = "".join(f"<Buffer {byte:02x}>\n" for byte in bytes.fromhex("01 04 02 00 11 79 3C"))
+    assert verdict(f"{ask}\nport.write(Buffer.from('0104003200019005','hex'))\n{log}", tmp_path, capsys)[1] == causes
+
+
+def test_frames_of_another_maker_are_named_and_are_no_echo_of_each_other(tmp_path, capsys):
+    log = "send A5 40 90 08 00 00 00 00 00 00 00 00 7D\nrecv A5 01 90 08 02 0A 00 00 75 30 02 F4 E5\n"
+    assert verdict(log, tmp_path, capsys)[1] == ["unsupported_dialect"]

@@ -58,6 +58,7 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
         ("SEND: 0x11 0x3 0x0 0x10 0x0 0x2 0xc7 0x5e\nRECV: 0xff 0xfd 0xff 0xbf", "noise"),
         ("[11][03][00][10][00][02][C7][5E]\nWaiting for a confirmation...\n<00><00><00><00><00><00>\n", "wrong_baud"),
         ("sent: 11 01 00 10 00 01 FE 9F\nreceived: 11 01 00 00 **00 01**", "wrong_length"),
+        ("A message like `0x2 0x5 0x0 0x3 0xff 0x0 0x0 0x0` is not taken by the server.", "wrong_checksum"),
         # A count of six for three bytes of data.
         ("req: `11 10 0010 0003 06 010203 A87F`\nres: nothing", "wrong_length"),
         ('I write "e1 3a" (the sum is added) and get "01 07" or "01 e1"', "unsupported_dialect"),
@@ -290,11 +291,12 @@ def test_a_device_that_logs_its_own_replies_is_not_accused():
     asked, replied = bytes.fromhex(checked("11 04 00 10 00 01")), bytes.fromhex(checked("11 04 02 12 34"))
     log = "Waiting for an indication...\n" + in_brackets(asked, "<>") + in_brackets(replied, "[]")
     assert not diagnosed(log * 3).causes
-    # The same bytes without a request before them are one that is too short.
-    assert diagnosed(f"Tx: {replied.hex(' ')}\n").causes[0].suspicion.cause == "wrong_length"
+    # A whole reply is no request that is too short, also where no request is shown.
+    assert not diagnosed(f"Tx: {replied.hex(' ')}\n").causes
+    assert diagnosed(f"Tx: {checked('11 04 00 12 34')}\n").causes[0].suspicion.cause == "wrong_length"
 
 
-@pytest.mark.parametrize(("reply", "cause"), [("11 83", "wrong_length"), ("11 83 02", "wrong_register")])
+@pytest.mark.parametrize(("reply", "cause"), [("11 83", "firmware_quirk"), ("11 83 02", "wrong_register")])
 def test_an_exception_without_its_code(reply, cause):
     log = f"Tx: {checked('11 03 00 10 00 01')}\nRx: {checked(reply)}\n"
     assert diagnosed(log).causes[0].suspicion.cause == cause

@@ -73,6 +73,12 @@ def value(frame: str, words: str) -> str:
             ),
             "split_frame",
         ),
+        (
+            "[12:00:01][W][modbus:155]: Modbus CRC Check failed! 1A12!=3C1F 68.17.3B.43.69.E2.C5.40 (8)\n"
+            "[12:00:01][W][modbus:155]: Modbus CRC Check failed! 2A12!=3C2F 21.F9.52.3F.7C (5)\n"
+            "[12:00:01][W][modbus:155]: Modbus CRC Check failed! 3A12!=3C3F 31.F9.52.3F.7C (5)\n",
+            "split_frame",
+        ),
         ("notes on the arm\n  cansend can0 001#3132\n", None),
         (AGAIN, "no_reply"),
         # A library that takes a sound frame for a shorter one compares bytes of its middle; other bytes are damaged.
