@@ -272,7 +272,8 @@ _SETTINGS = (
             "What a group is sent is not answered.",
             "addressing/group/silent",
             "addressing/group/read",
-            "addressing/group/setting/silent",
+            "addressing/group/set_*",
+            "addressing/group/outcomes",
         ),
     ),
     # 5.3 Home
@@ -380,8 +381,12 @@ _SETTINGS = (
     said(
         "5.7/settings",
         "A slot holds any ordinary command, without head and checksum.",
-        "addressing/package/setting*",
+        "addressing/package/enable",
+        "addressing/package/home",
+        "addressing/package/set_*",
+        "addressing/package/as-sent",
         "read-back/settings/restart-package",
+        "read-back/save_speed/package",
     ),
     said("5.7/length", "A package has 52 bytes.", "addressing/package/length", "addressing/package/broken_off"),
     said(
@@ -408,7 +413,7 @@ _FRAMES = (
         "Address 0 reaches every drive.",
         "addressing/broadcast/*_*/*",
         "addressing/broadcast/executed",
-        "addressing/broadcast/setting/executed",
+        "addressing/broadcast/set_*",
         "read-back/settings/restart-broadcast",
     ),
     said(
@@ -520,19 +525,27 @@ _MOTION = (
         "motion/enable/off-holds-all",
         "motion/home/disabled",
     ),
-    said("6.3/stops", "F7 stops the motor at once.", "motion/emergency_stop/ends-*", "motion/home/stopped"),
+    said(
+        "6.3/stops",
+        "F7 stops the motor at once.",
+        "motion/emergency_stop/ends-*",
+        "motion/home/stopped",
+        "motion/calibrate/halted",
+    ),
     said("6.3/status", "It is answered by 1, or by 0 when that fails.", "motion/emergency_stop/replies"),
     said(
         "6.4/broadcast",
         "By address 0 all motors execute the same.",
         "addressing/broadcast/*_*/*",
         "addressing/broadcast/executed",
+        "read-back/save_speed/broadcast",
     ),
     said(
         "6.4/group",
         "By group addresses the motors of each group execute the same.",
         "addressing/group/*_*/*",
         "addressing/group/executed",
+        "read-back/save_speed/group",
     ),
     said("6.4/package", "By a package each motor executes its own.", "addressing/package/own_slot"),
     # 6.5 Speed

@@ -11,7 +11,6 @@ A dialect has the one with the least risk:
     write_user_id     CAN: a number that the drive keeps, read back
     set_position      LK: the present position gets another name, read back
     move              a small, slow move by the encoder, seen in its count
-    set_zero          the present position becomes zero: a second one next to the move, without motion
 
 Rules kept here:
 - A change always changes what is read: what it asks for is not what is there.
@@ -25,7 +24,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from analyzer.catalogue import Command, Dialect, Risk, Verb
+from analyzer.catalogue import Command, Dialect, Verb
 from conformance.claim import Inconclusive, Refuted
 from conformance.motion import motion
 
@@ -153,9 +152,7 @@ class _Move(Observable):
         self.settings = motion.settings(dialect)
 
     def change(self, probe: Probe, times: int = 1) -> Change:
-        return self._step(self.read(probe), times)
-
-    def _step(self, before: int, times: int) -> Change:
+        before = self.read(probe)
         values = {"speed": _SPEED, "acceleration": _ACCELERATION, "position": STEP * times}
         command = self._dialect.by_verb[Verb.MOVE_RELATIVE_AXIS]
         return Change(command, values, before, before + STEP * times)
@@ -164,29 +161,9 @@ class _Move(Observable):
         return abs(got - change.after) * 4 < STEP
 
 
-class _Zero(_Move):
-    """The position is made zero, from somewhere else."""
-
-    def change(self, probe: Probe, times: int = 1) -> Change:
-        here = self.read(probe)
-        if abs(here) < STEP:
-            away = self._step(here, 2)
-            probe.do(away.command, away.values)
-            self.settle(probe)
-        return Change(self.command, {}, self.read(probe), 0)
-
-
 def _can_step(dialect: Dialect) -> bool:
     verbs = dialect.by_verb
     return Verb.MOVE_RELATIVE_AXIS in verbs and Verb.READ_POSITION in verbs and motion.can_move(dialect)
-
-
-def observable_setting(dialect: Dialect) -> Observable | None:
-    """Return an observable that is no motion itself, where that of the dialect is one; None where there is none."""
-    zero = dialect.by_verb.get(Verb.SET_ZERO)
-    if zero is None or Risk.WEAR in zero.all_risks or not isinstance(observable(dialect), _Move):
-        return None
-    return _Zero(dialect, zero, Verb.READ_POSITION, "position")
 
 
 def observable(dialect: Dialect) -> Observable | None:

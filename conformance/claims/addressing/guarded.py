@@ -157,6 +157,16 @@ def _own_ports(probe: Probe) -> object:
     return probe.do(Verb.WRITE_IO, {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0})
 
 
+def _pulse_mode(probe: Probe, command: Command) -> Mapping[str, int]:
+    modes = motion.field_of(command, "work_mode").choice_names
+    return {"work_mode": next(value for value, name in modes.items() if name not in motion.bus_modes(probe.dialect))}
+
+
+def _moves_by_bus(probe: Probe) -> float:
+    """Say whether the motor can be enabled, as in a bus mode alone."""
+    return float(not motion.refused(probe, probe.ask(Verb.ENABLE, {"enabled": 1})))
+
+
 def _halt(probe: Probe) -> object:
     return probe.ask(Verb.EMERGENCY_STOP)
 
@@ -186,6 +196,11 @@ _MORE: Mapping[str, tuple[Guarded, Mapping[str, Any]]] = {
     "release_protection": (Guarded(protect, _nothing, _protected), {"emulated": True, "settings": ("protection",)}),
     "clear_errors": (Guarded(_set_flag, _nothing, _has_flag, after=_clear_flag), {"emulated": True}),
     "clear_turns": (Guarded(_count_turns, _nothing, _shaft, _STILL), {}),
+}
+#: What else several drives are told at once.
+_TO_MANY: Mapping[str, tuple[Guarded, Mapping[str, Any]]] = {
+    **{name: _MORE[name] for name in ("calibrate", "write_io", "release_protection")},
+    "set_work_mode": (Guarded(motion.ready_to_move, _pulse_mode, _moves_by_bus, after=motion.ready_to_move), {}),
 }
 _MOTIONS = (*MOVES, MotionKind.RUN, MotionKind.TORQUE)
 
@@ -223,22 +238,23 @@ def risks(case: Case) -> frozenset[Risk]:
 
 
 def switches(dialect: Dialect) -> Iterator[Case]:
-    """Yield what switches, homes and sets the zero of the drives that hear several addresses."""
-    return (case for case in _all_guarded(dialect) if dialect.broadcast is not None and case["guarded"] is not _MOTION)
+    """Yield what switches, homes, sets the zero or writes a port of the drives that hear several addresses."""
+    if dialect.broadcast is not None:
+        yield from (case for case in _all_guarded(dialect) if case["guarded"] is not _MOTION)
+        yield from _of_table(dialect, _TO_MANY)
 
 
-def _more_guarded(dialect: Dialect) -> Iterator[Case]:
-    """Yield what stops, clears or begins anew, on buses whose frames tell their length."""
-    if motion.can_move(dialect) and dialect.link.tells_length:
-        for name, (guarded, facts) in _MORE.items():
-            if name in dialect.by_name:
-                settings = motion.settings(dialect, *facts.get("settings", ()))
-                yield Case(dialect, dialect.by_name[name], {"guarded": guarded}, {**facts, "settings": settings})
+def _of_table(dialect: Dialect, table: Mapping[str, tuple[Guarded, Mapping[str, Any]]]) -> Iterator[Case]:
+    for name, (guarded, facts) in table.items():
+        if name in dialect.by_name and motion.can_move(dialect):
+            settings = motion.settings(dialect, *facts.get("settings", ()))
+            yield Case(dialect, dialect.by_name[name], {"guarded": guarded}, {**facts, "settings": settings})
 
 
 def _every_guarded(dialect: Dialect) -> Iterator[Case]:
+    """Yield them with what stops, clears or begins anew, on buses whose frames tell their length."""
     yield from _all_guarded(dialect)
-    yield from _more_guarded(dialect)
+    yield from _of_table(dialect, _MORE if dialect.link.tells_length else {})
 
 
 def _repeatable(dialect: Dialect) -> Iterator[Case]:

@@ -1,18 +1,19 @@
-"""Addresses of several drives: all of them (broadcast), and a group. Executed, never answered.
+"""Ways to several drives: all of them (broadcast), a group, and what is no motion in a package. Executed, never answered.
 
-FA 00 F4 ..    every drive moves, none answers
-FA 50 F4 ..    every drive of the group 50h moves, none answers; each still answers its own address
+FA 00 F4 ..          every drive moves, none answers
+FA 50 F4 ..          every drive of the group 50h moves, none answers; each still answers its own address
+FC 00 .. 01 F3 00 .. drive 1 is disabled, and does not answer; motions in a package stand in `addressing.package`
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Verb
 from conformance.claim import Theme
-from conformance.claims.addressing import guarded
+from conformance.claims.addressing import guarded, package
 from conformance.claims.control_reads import ask_first, expect_silence, is_answered, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.known_reads import every_read
@@ -60,9 +61,16 @@ def read_of(probe: Probe, address: int) -> Exchange:
 # --- addresses of several drives --------------------------------------------------------------------------------------
 
 
+def _addressed(probe: Probe, command: Command, values: Mapping[str, int], to: int) -> Item | bytes:
+    return probe.build(command, values, address=to).item()
+
+
 @dataclass(frozen=True)
 class _Many:
-    """An address of several drives. `join`: makes the drive hear it and returns it; the rest is what a claim declares."""
+    """A way to several drives. `join`: makes the drive hear it and returns its address; `frame`: a command that goes so.
+
+    The rest is what a claim declares.
+    """
 
     name: str
     what: str
@@ -71,6 +79,7 @@ class _Many:
     settings: tuple[str, ...] = ()
     rests_on: tuple[Doubt, ...] = ()
     setting: Verb | None = None
+    frame: Callable[[Probe, Command, Mapping[str, int], int], Item | bytes] = _addressed
 
     def risks(self, dialect: Dialect) -> frozenset[Risk]:
         return frozenset() if self.setting is None else dialect.by_verb[self.setting].all_risks
@@ -122,6 +131,15 @@ _GROUPS = _Many(
 )
 
 
+_PACKAGES = _Many(
+    "package",
+    "a slot of a package",
+    lambda probe: probe.address,
+    lambda case: package.of(case.dialect)[0].section,
+    frame=lambda probe, command, values, to: package.in_second_slot(probe, command, values),
+)
+
+
 _HIGH_GROUPS = replace(_GROUPS, name="group/high", what="a high group address", join=_join_high)
 
 
@@ -130,6 +148,12 @@ def _addresses(dialect: Dialect) -> Iterator[_Many]:
         yield _BROADCAST
     if Verb.SET_GROUP_ADDRESS in dialect.by_verb:
         yield _GROUPS
+
+
+def _ways(dialect: Dialect) -> Iterator[_Many]:
+    yield from _addresses(dialect)
+    if package.of(dialect):
+        yield _PACKAGES
 
 
 def _of(many: _Many) -> Cases:
@@ -214,23 +238,19 @@ def _own_address(probe: Probe, many: _Many) -> None:
 
 
 def _changes(dialect: Dialect) -> Iterator[Case]:
-    """Yield each address of several drives with the effect of a motion and of a setting."""
-    for many in _addresses(dialect):
-        for name, shown in (
-            (many.name, effects.observable(dialect)),
-            (f"{many.name}/setting", effects.observable_setting(dialect)),
-        ):
-            if shown is not None:
-                yield Case(dialect, given={"many": many, "what": many.what, "kind": name, "shown": shown})
+    """Yield each address of several drives with a command whose effect can be seen."""
+    shown = effects.observable(dialect)
+    for many in _addresses(dialect) if shown is not None else ():
+        yield Case(dialect, given={"many": many, "what": many.what, "shown": shown})
 
 
 def _changes_and_high_groups(dialect: Dialect) -> Iterator[Case]:
     yield from _changes(dialect)
     for case in _group_changes(dialect):
-        yield Case(dialect, given={**case.given, "many": _HIGH_GROUPS, "what": _HIGH_GROUPS.what, "kind": _HIGH_GROUPS.name})
+        yield Case(dialect, given={**case.given, "many": _HIGH_GROUPS, "what": _HIGH_GROUPS.what})
 
 
-@_addressing("no effect of it", _changes_and_high_groups, name="{kind}/executed")
+@_addressing("no effect of it", _changes_and_high_groups, name="{many}/executed")
 def _executed(probe: Probe, many: _Many, shown: Observable) -> None:
     """A command by {what} is executed."""
     shown.prepare(probe)
@@ -250,7 +270,7 @@ def _executed(probe: Probe, many: _Many, shown: Observable) -> None:
     )
 
 
-@_addressing("any answer", _changes, name="{kind}/silent")
+@_addressing("any answer", _changes, name="{many}/silent")
 def _silent(probe: Probe, many: _Many, shown: Observable) -> None:
     """A command by {what} is not answered, neither when it begins nor when it is done."""
     shown.prepare(probe)
@@ -315,9 +335,10 @@ def _expect_stays(probe: Probe, run: Command, addresses: list[int]) -> None:
 
 
 def _ramped(dialect: Dialect) -> Iterator[Case]:
-    """Yield each address of several drives with a run and a move whose ramp is known."""
-    chosen = dialect.motions(MotionKind.RUN, *MOVES)[:2] if dialect.ramp is not None else ()
-    for many in _addresses(dialect) if chosen else ():
+    """Yield each way to several drives with a run and a move whose ramp is known; in a package each move."""
+    every = dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ()
+    for many in _ways(dialect) if every else ():
+        chosen = every if many is _PACKAGES else every[:2]
         risks = many.risks(dialect) | motion.risks(dialect, *(risk for command in chosen for risk in command.all_risks))
         facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
         yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
@@ -332,11 +353,11 @@ def _as_sent(probe: Probe, many: _Many, chosen: tuple[Command, ...]) -> None:
         runs = motion.of(command).kind is MotionKind.RUN
         how: dict[str, Any] = {"rpm": -motion.CALM if runs else motion.CALM, "acceleration": _RAMP}
         values = motion.values_of(probe.dialect, command, -_WAY, start=motion.place(probe, command), **how)
-        _expect_on_ramp(probe, probe.build(command, values, address=to).item(), 0, f"{command.name} by {many.what}")
+        _expect_on_ramp(probe, many.frame(probe, command, values, to), 0, f"{command.name} by {many.what}")
         if runs:
             probe.wait(STEP_NS)
             stop = probe.dialect.stops_of(command)[0]
-            ended = probe.build(stop, {"acceleration": _RAMP}, address=to).item()
+            ended = many.frame(probe, stop, {"acceleration": _RAMP}, to)
             _expect_on_ramp(probe, ended, motion.CALM, f"{stop.name} by {many.what}")
         motion.stand_still(probe)
 
@@ -347,7 +368,7 @@ _RAMP, _WAY, _ON_RAMP_NS = 156, 144, 110_000_000
 _BESIDE = 15
 
 
-def _expect_on_ramp(probe: Probe, item: Item, first: int, what: str) -> None:
+def _expect_on_ramp(probe: Probe, item: Item | bytes, first: int, what: str) -> None:
     sent = probe.send(item, timeout_ns=_ON_RAMP_NS)
     seen = motion.speed(probe)
     gone = min(motion.CALM, (seen.t_ns - sent.sent_ns) / ramp.step_ns(_RAMP))
@@ -357,7 +378,7 @@ def _expect_on_ramp(probe: Probe, item: Item, first: int, what: str) -> None:
 
 
 def _group_changes(dialect: Dialect) -> Iterator[Case]:
-    return (case for case in _changes(dialect) if case["kind"] == _GROUPS.name)
+    return (case for case in _changes(dialect) if case["many"] is _GROUPS)
 
 
 def _near_groups(probe: Probe, group: int) -> list[int]:
@@ -388,11 +409,12 @@ def _other_group(probe: Probe, many: _Many, shown: Observable) -> None:
 
 
 def _switches(dialect: Dialect) -> Iterator[Case]:
-    """Yield each address of several drives with what switches, homes and sets the zero."""
-    for many in _addresses(dialect):
+    """Yield each way to several drives with what switches, homes, sets the zero and writes ports."""
+    for many in _ways(dialect):
         for case in guarded.switches(dialect):
             risks = many.risks(dialect) | guarded.risks(case)
-            facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
+            settings = case.facts.get("settings", motion.settings(dialect))
+            facts = {**case.facts, "risks": risks, "settings": (*settings, *many.settings)}
             given = {"many": many, "what": many.what, "switch": case.command, "shown": case["guarded"]}
             yield Case(dialect, given=given, facts=facts)
 
@@ -404,7 +426,7 @@ def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded.Guarded
     to = many.join(probe)
     values = shown.values(probe, switch)
     before = shown.see(probe)
-    sent = probe.send(probe.build(switch, values, address=to).item(), timeout_ns=STEP_NS)
+    sent = probe.send(many.frame(probe, switch, values, to), timeout_ns=STEP_NS)
     after = shown.see(probe)
     guarded.leave(probe, shown)
     text = f"{switch.name} by {many.what} is not executed"

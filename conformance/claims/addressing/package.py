@@ -7,7 +7,7 @@ What a slot makes the drive do is a small move, whose length tells which slot wa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -17,7 +17,7 @@ from conformance.claims.control_reads import ask_first, expect_silence, judge_ne
 from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_reads import every_read
 from conformance.motion import effects, motion
-from conformance.motion.effects import STEP, STEP_NS
+from conformance.motion.effects import STEP
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
@@ -32,20 +32,20 @@ _ONE, _OTHER = 1, 3
 _STEPS_NS = 160_000_000
 #: A value that enabling does not have.
 _NO_CHOICE = 2
-#: How long the effect of a slot is waited for.
-_EFFECT_NS = 150_000_000
-#: How long a motion or a stop is listened to: its ramp takes 24 ms.
-_TURNS_NS = 100_000_000
-#: An acceleration as sent, and its time for one rpm.
-_SLOW_RAMP, _RAMP_STEP_NS = 56, 10_000_000
+#: How long a motion and a stop are listened to: their ramps take 104 ms, and a shaft that stopped settles.
+_TURNS_NS, _STANDS_NS = 130_000_000, 200_000_000
+#: A speed of two bytes, whose low byte alone is slow.
+_RPM = 260
+
+
+def of(dialect: Dialect) -> list[Command]:
+    """Return the command whose data is a package, where its effect can be seen; none where there is none."""
+    shown = Verb.MOVE_RELATIVE_AXIS in dialect.by_verb and motion.can_move(dialect)
+    return [command for command in dialect.commands if command.slots is not None] if shown else []
 
 
 def _packages(dialect: Dialect) -> Iterator[Case]:
-    """Yield the command whose data is a package, where its effect can be seen."""
-    if Verb.MOVE_RELATIVE_AXIS in dialect.by_verb and motion.can_move(dialect):
-        for command in dialect.commands:
-            if command.slots is not None:
-                yield Case(dialect, command)
+    return (Case(dialect, command) for command in of(dialect))
 
 
 def _of_packages(
@@ -273,128 +273,40 @@ def _executed(probe: Probe, command: Command, slots: Slots, steps: int) -> None:
     _expect_move(probe, frame, steps, probe.claim.statement)
 
 
-@_of_packages("no effect", name="setting")
-def _setting(probe: Probe, command: Command) -> None:
-    """A command that is no motion is executed in a slot of a package too."""
-    shown = effects.observable_setting(probe.dialect)
-    if shown is None:
-        raise Inconclusive("there is no setting whose effect can be read")
-    shown.prepare(probe)
-    change = shown.change(probe)
-    frame = _frame(probe, command, [EMPTY, {"address": probe.address, "command": change.command.name, **change.values}])
-    sent = probe.send(frame, timeout_ns=STEP_NS)
-    probe.expect(
-        f"{shown.read(probe)} is read",
-        holds=shown.done(probe, change),
-        expected=f"{change.after} after {hex_of(frame)}",
-        refutes=f"{change.command.name} in a slot of a package is not executed",
-        exchange=sent,
-    )
-
-
-def in_second_slot(probe: Probe, package: Command, name: str, values: dict[str, int]) -> Exchange:
-    """Send a command to the drive in the second slot of a package and wait for its effect."""
-    frame = _frame(probe, package, [EMPTY, {"address": probe.address, "command": name, **values}])
-    return probe.send(frame, timeout_ns=_EFFECT_NS)
-
-
-def _switching(dialect: Dialect) -> Iterator[Case]:
-    for case in _packages(dialect):
-        yield Case(dialect, case.command, facts={"risks": motion.risks(dialect, *dialect.by_verb[Verb.ENABLE].all_risks)})
-
-
-@_of_packages("a motor that is as it was", name="enable", each=_switching)
-def _enables(probe: Probe, command: Command) -> None:
-    """Disabling and enabling in a slot of a package switch the motor."""
-    motion.ready_to_move(probe)
-    for enabled in (0, 1):
-        sent = in_second_slot(probe, command, probe.command(Verb.ENABLE).name, {"enabled": enabled})
-        text = f"enable {enabled} in a slot of a package does not switch the motor"
-        seen = probe.read(Verb.READ_ENABLED, "enabled")
-        if seen != enabled:
-            motion.switch(probe, True)
-        probe.expect(seen, equal=enabled, refutes=text, exchange=sent)
-
-
-@_of_packages("pulses of the size that they had", name="set_subdivision")
-def _sets_subdivision(probe: Probe, command: Command) -> None:
-    """A setting of the flash is executed in a slot of a package: another subdivision changes the pulses."""
-    move, finer = probe.command(Verb.MOVE_RELATIVE_PULSES), 2 * motion.SUBDIVISION
-    motion.prepare(probe, move)
-    sent = in_second_slot(probe, command, probe.command(Verb.SET_SUBDIVISION).name, {"subdivision": finer})
-    probe.wait(probe.rig.write_gap_ns)
-    went = motion.follow(probe, move, 90, acceleration=motion.QUICK)
-    text = "a subdivision in a slot of a package is not set"
-    probe.expect(abs(went.degrees), near=45, unit="degrees", refutes=text, exchange=sent)
-
-
-@_of_packages("a mode that is as it was", name="set_work_mode", each=_switching)
-def _sets_mode(probe: Probe, command: Command) -> None:
-    """Another work mode in a slot of a package is taken: in a pulse mode the motor cannot be enabled."""
-    motion.ready_to_move(probe)
-    choose = probe.command(Verb.SET_WORK_MODE)
-    pulses = next(
-        n for n in motion.field_of(choose, "work_mode").choice_names.values() if n not in motion.bus_modes(probe.dialect)
-    )
-    sent = in_second_slot(probe, command, choose.name, {"work_mode": motion.choice(choose, "work_mode", pulses)})
-    probe.wait(probe.rig.write_gap_ns)
-    asked = probe.ask(Verb.ENABLE, {"enabled": 1})
-    refused = motion.refused(probe, asked)
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1])
-    text = "a work mode in a slot of a package is not set"
-    probe.expect("an enabled motor", holds=refused, expected="a refusal", refutes=text, exchange=sent)
-
-
-def _runs(dialect: Dialect) -> Iterator[Case]:
-    for case in _packages(dialect):
-        runs = dialect.motions(MotionKind.RUN, *motion.MOVES)
-        risks = motion.risks(dialect, *(risk for run in runs for risk in run.all_risks))
-        yield Case(dialect, case.command, facts={"risks": risks})
-
-
-@_of_packages("a speed that comes at once, or never", name="ramp", each=_runs)
-def _by_its_ramp(probe: Probe, command: Command) -> None:
-    """Each motion in a slot of a package has its acceleration."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    for run in probe.dialect.motions(MotionKind.RUN, *motion.MOVES):
-        start = motion.place(probe, run)
-        # 10 ms for one rpm.
-        values = motion.values_of(probe.dialect, run, 5 * 360, rpm=120, acceleration=_SLOW_RAMP, start=start)
-        sent = in_second_slot(probe, command, run.name, values)
-        look = motion.speed(probe)
-        elapsed_ns, seen = look.t_ns - sent.sent_ns, abs(look.value)
-        motion.stop(probe, motion.QUICK)
-        motion.wait_standing(probe)
-        law = min(120.0, elapsed_ns / _RAMP_STEP_NS)
-        text = f"{run.name} in a slot of a package does not speed up by its ramp"
-        within = 30 + look.spread_ns / _RAMP_STEP_NS
-        probe.expect(seen, near=law, within=within, unit="rpm", refutes=text, exchange=sent)
+def in_second_slot(probe: Probe, command: Command, values: Mapping[str, int]) -> bytes:
+    """Return a package with a command to the drive in its second slot."""
+    (package,) = of(probe.dialect)
+    return _frame(probe, package, [EMPTY, {"address": probe.address, "command": command.name, **values}])
 
 
 def _motions(dialect: Dialect) -> Iterator[Case]:
-    """Yield the package with each motion, its own stop and a slot for both."""
+    """Yield the package with each motion, its stops and a slot for all of them."""
     for case in _packages(dialect):
         assert case.command is not None
         assert case.command.slots is not None
         for number, run in enumerate(dialect.motions(MotionKind.RUN, *motion.MOVES)):
             slot = 1 + number % case.command.slots.count
-            given = {"run": run, "stop": dialect.stops_of(run)[0], "before": slot - 1}
+            given = {"run": run, "stops": dialect.stops_of(run), "before": slot - 1}
             yield Case(dialect, case.command, given, {"risks": motion.risks(dialect, *run.all_risks)})
 
 
 @_of_packages("a shaft that stands, or one that turns on", name="{run}", each=_motions)
-def _turns_and_stops(probe: Probe, command: Command, run: Command, stop: Command, before: int) -> None:
-    """{run} in a slot of a package turns the shaft either way, and {stop} in it lets it stand."""
+def _turns_and_stops(probe: Probe, command: Command, run: Command, stops: Sequence[Command], before: int) -> None:
+    """{run} in a slot of a package turns the shaft either way, and each of its stops in it lets it stand."""
     motion.prepare(probe, run)
-    ways = [_run_and_stop(probe, command, run, stop, before, way) for way in (1, -1)]
-    one, other = ways
+    one, other = (_run_and_stop(probe, command, run, stop, before, way) for stop, way in zip(_two(stops), (1, -1), strict=True))
     text = f"{run.name} in a slot of a package turns the shaft one way for both directions"
     got = f"{one:+g} and {other:+g} rpm"
     probe.expect(got, holds=one * other < 0, expected="one way, then the other", refutes=text)
 
 
+def _two(stops: Sequence[Command]) -> tuple[Command, Command]:
+    """Return the first of some stops and the last, which may be one."""
+    return stops[0], stops[-1]
+
+
 def _rpm(run: Command, way: int) -> float:
-    return way * motion.CALM if motion.of(run).kind is MotionKind.RUN else motion.CALM
+    return way * _RPM if motion.of(run).kind is MotionKind.RUN else _RPM
 
 
 def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, before: int, way: int) -> float:
@@ -402,9 +314,10 @@ def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, b
     start = motion.place(probe, run)
     values = motion.values_of(probe.dialect, run, way * 10 * 360, rpm=_rpm(run, way), start=start)
     seen = []
-    for order, data in ((run, values), (stop, {"acceleration": motion.QUICK})):
+    ending = {"acceleration": motion.QUICK} if motion.of(stop).acceleration else {}
+    for order, data, time_ns in ((run, values, _TURNS_NS), (stop, ending, _STANDS_NS)):
         slot = {"address": probe.address, "command": order.name, **data}
-        sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]), timeout_ns=_TURNS_NS)
+        sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]), timeout_ns=time_ns)
         seen.append((motion.turning(probe).value, sent))
     (rpm, begun), (rest, ended) = seen
     turning, left = abs(rpm), abs(rest)
@@ -418,6 +331,11 @@ def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, b
 
 
 # --- what is answered -------------------------------------------------------------------------------------------------
+
+
+def _switching(dialect: Dialect) -> Iterator[Case]:
+    for case in _packages(dialect):
+        yield Case(dialect, case.command, facts={"risks": motion.risks(dialect, *dialect.by_verb[Verb.ENABLE].all_risks)})
 
 
 @_of_packages("any answer", name="silent", each=_switching)

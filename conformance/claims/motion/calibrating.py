@@ -9,18 +9,21 @@ Rules kept here:
 
 from __future__ import annotations
 
-from analyzer.catalogue import Command, Verb
+from analyzer.catalogue import Certainty, Command, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import of_motion, that_tell_their_end
+from conformance.claims.motion.stops import expect_standing
 from conformance.motion import motion
 from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.probe import Probe, Until
 
 _LIMIT_NS = 60 * SECOND_NS
 _CALIBRATING, _STOPPED = 6, 1
+#: Degrees after which a shaft turns; how long one that was halted has to settle.
+_BEGUN, _HALTS_NS = 5, 100 * MS
 _AT_ONCE = "calibration-answers-1"
 _calibrations = commands(Verb.CALIBRATE)
 
@@ -88,3 +91,20 @@ def _held(probe: Probe, command: Command) -> None:
     """A calibration whose shaft is held is answered by 0 and then by 2."""
     bench.hold(probe)
     _expect_replies(probe, command, [0, 2])
+
+
+@of_motion(
+    each=_calibrations, refuted_by="a shaft that goes on", name="{command}/halted", by_name=True, at_best=Certainty.LIKELY
+)
+def _halted(probe: Probe, command: Command) -> None:
+    """An emergency stop ends a calibration: the shaft stands."""
+    motion.ready_to_move(probe)
+    began = motion.position(probe)
+    probe.ask(command)
+    # No manual says when it begins to turn.
+    motion.wait_until(probe, lambda: abs(motion.position(probe).value - began.value) > _BEGUN, limit_ns=10 * SECOND_NS)
+    if abs(motion.position(probe).value - began.value) <= _BEGUN:
+        raise Inconclusive("the calibration does not turn the shaft")
+    exchange = probe.ask(Verb.EMERGENCY_STOP)
+    probe.wait(_HALTS_NS)
+    expect_standing(probe, exchange, "an emergency stop does not end a calibration")

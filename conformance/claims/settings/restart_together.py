@@ -4,6 +4,7 @@
     settings/restart-broadcast    to all drives
     settings/restart-group        to its group
     settings/restart-package      in a slot of a package
+    save_speed/broadcast, ...     a run that is kept and forgotten so, and a restart that is asked for so
 
 Rules kept here:
 - What the drive is told by one of the latter is not answered, so that only what is there after a restart tells.
@@ -15,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from analyzer.catalogue import Dialect, Risk, Verb
+from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
 from conformance.claims.addressing import many, package
 from conformance.claims.declare import Case
 from conformance.claims.resilience.settings import expect_effects
@@ -25,7 +26,7 @@ from conformance.motion import motion
 from conformance.motion.effects import Change
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
-from conformance.talk.restarts import restart
+from conformance.talk.restarts import need_axis_lock, restart, wait_for_answer
 
 #: How long a setting that is not answered is given.
 _SILENT_NS = 60 * motion.MS
@@ -37,10 +38,14 @@ class _Way:
 
     kind: str
     how: str
-    send: Callable[[Probe, Setting, Mapping[str, int]], Exchange]
+    send: Callable[[Probe, Command, Mapping[str, int]], Exchange]
     heard: Callable[[Dialect], bool] = lambda dialect: True
     ready: Callable[[Probe], object] = lambda probe: None
     settings: tuple[str, ...] = ()
+
+    def risks(self, dialect: Dialect) -> frozenset[Risk]:
+        """Return what `ready` risks."""
+        return dialect.by_verb[Verb.SET_GROUP_ADDRESS].all_risks if self.ready is many.join else frozenset()
 
     def chosen(self, dialect: Dialect) -> list[Setting]:
         """Return the settings of a dialect that are sent so."""
@@ -49,30 +54,29 @@ class _Way:
         return every if self.send is _to_itself else list(soon)
 
 
-def _to_itself(probe: Probe, setting: Setting, values: Mapping[str, int]) -> Exchange:
-    return probe.do(setting.command, values)
+def _to_itself(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
+    return probe.do(command, values)
 
 
-def _to_all(probe: Probe, setting: Setting, values: Mapping[str, int]) -> Exchange:
+def _to_all(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
     assert probe.dialect.broadcast is not None  # `heard` asks for it
-    return _to(probe, probe.dialect.broadcast, setting, values)
+    return _to(probe, probe.dialect.broadcast, command, values)
 
 
-def _to_group(probe: Probe, setting: Setting, values: Mapping[str, int]) -> Exchange:
-    return _to(probe, many.group_of(probe.dialect, probe.address), setting, values)
+def _to_group(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
+    return _to(probe, many.group_of(probe.dialect, probe.address), command, values)
 
 
-def _to(probe: Probe, address: int, setting: Setting, values: Mapping[str, int]) -> Exchange:
-    return many.send_to(probe, address, Change(setting.command, dict(values), 0, 0), _SILENT_NS)
+def _to(probe: Probe, address: int, command: Command, values: Mapping[str, int]) -> Exchange:
+    return many.send_to(probe, address, Change(command, dict(values), 0, 0), _SILENT_NS)
 
 
-def _in_slot(probe: Probe, setting: Setting, values: Mapping[str, int]) -> Exchange:
-    command = next(c for c in probe.dialect.commands if c.slots is not None)
-    return package.in_second_slot(probe, command, setting.command.name, dict(values))
+def _in_slot(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
+    return probe.send(package.in_second_slot(probe, command, values), timeout_ns=_SILENT_NS)
 
 
-#: What shows by a move and a run; what shows where it can be read.
-_SHOWN, _READ = {Verb.SET_SUBDIVISION, Verb.SET_RESPOND}, {Verb.SET_WORK_MODE, Verb.SET_CURRENT}
+#: What shows by a move, a run and homing; what shows where it can be read.
+_SHOWN, _READ = {Verb.SET_SUBDIVISION, Verb.SET_RESPOND, Verb.SET_HOME}, {Verb.SET_WORK_MODE, Verb.SET_CURRENT}
 _WAYS = (
     _Way("restart", "to the drive", _to_itself),
     _Way("restart-broadcast", "to all drives", _to_all, lambda dialect: dialect.broadcast is not None),
@@ -84,12 +88,7 @@ _WAYS = (
         many.join,
         ("group_address",),
     ),
-    _Way(
-        "restart-package",
-        "in a slot of a package",
-        _in_slot,
-        lambda dialect: any(command.slots is not None for command in dialect.commands),
-    ),
+    _Way("restart-package", "in a slot of a package", _in_slot, lambda dialect: bool(package.of(dialect))),
 )
 
 
@@ -101,7 +100,7 @@ def _all_together(dialect: Dialect) -> Iterator[Case]:
             continue
         chosen = way.chosen(dialect)
         risks, names = needs(chosen)
-        joining = dialect.by_verb[Verb.SET_GROUP_ADDRESS].all_risks if way.ready is many.join else ()
+        joining = way.risks(dialect)
         facts = {
             "section": dialect.by_verb[Verb.RESTART].section,
             "risks": motion.risks(dialect, Risk.UNBOUNDED, *risks, *dialect.by_verb[Verb.RESTART].all_risks, *joining),
@@ -122,7 +121,7 @@ def _all_kept(probe: Probe, chosen: list[Setting], way: _Way) -> None:
     # What some modes refuse is set before the mode.
     for each in sorted(chosen, key=lambda each: each.command.verb is Verb.SET_WORK_MODE):
         values = each.other(each.read(probe)) if isinstance(each, ReadableSetting) else each.values[0]
-        exchange = way.send(probe, each, values)
+        exchange = way.send(probe, each.command, values)
         held[each.name] = values
     restart(probe)
     for each in chosen:
@@ -132,3 +131,56 @@ def _all_kept(probe: Probe, chosen: list[Setting], way: _Way) -> None:
             wanted = {n: held[each.name][n] for n in got if n in held[each.name]}
             probe.expect({n: got[n] for n in wanted}, equal=wanted, refutes=text, exchange=exchange, key=f"{each.name} lost")
     expect_effects(probe, chosen, held, f"{way.how} before a restart")
+
+
+#: The speed of a run that is kept, the other way of another one; how long a shaft has to get there.
+_RPM, _SETS_OFF_NS = 30, 150 * motion.MS
+_KEEP, _FORGET = {"save_state": 0xC8}, {"save_state": 0xCA}
+
+
+def _saved(dialect: Dialect) -> Iterator[Case]:
+    command = dialect.by_verb.get(Verb.SAVE_SPEED)
+    if command is None or not motion.can_move(dialect):
+        return
+    for way in _WAYS[1:]:
+        if way.heard(dialect):
+            risks = command.all_risks | dialect.by_verb[Verb.RESTART].all_risks | way.risks(dialect)
+            facts = {
+                "fields": ("save_state",),
+                "risks": motion.risks(dialect, Risk.UNBOUNDED, *risks - {Risk.UNKNOWN}),
+                "settings": (*motion.settings(dialect), *way.settings),
+                "alone": True,
+                "parameters": {},
+            }
+            given = {"way": way, "kind": way.kind.removeprefix("restart-"), "how": way.how}
+            yield Case(dialect, command, given, facts)
+
+
+@of_read_back(each=_saved, name="{command}/{kind}", refuted_by="another run, or none", rests_on=(Doubt.VALUES,))
+def _kept_run(probe: Probe, command: Command, way: _Way) -> None:
+    """A run that is kept, sent {how}, goes on after a restart, sent so, in place of a newer one; forgotten so, it does not."""
+    need_axis_lock(probe)
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    way.ready(probe)
+    motion.run_at(probe, _RPM)
+    way.send(probe, command, _KEEP)
+    motion.run_at(probe, -_RPM)
+    kept = _after_restart(probe, way)
+    forgotten = 0.0
+    if kept > _RPM / 2:
+        way.send(probe, command, _FORGET)
+        forgotten = _after_restart(probe, way)
+    probe.ask(command, _FORGET)
+    motion.stand_still(probe)
+    got = f"{kept:+g} rpm, and {forgotten:+g} rpm once it was forgotten"
+    text = f"{command.name} and restart {way.how} do not keep and forget a run"
+    holds = kept > _RPM / 2 and abs(forgotten) <= 1
+    probe.expect(got, holds=holds, expected=f"{_RPM:+g} rpm, and then a shaft that stands", refutes=text)
+
+
+def _after_restart(probe: Probe, way: _Way) -> float:
+    """Restart a drive whose shaft turns, and return how fast it turns then."""
+    way.send(probe, probe.command(Verb.RESTART), {})
+    wait_for_answer(probe)
+    probe.wait(_SETS_OFF_NS)
+    return motion.speed(probe).value

@@ -147,6 +147,16 @@ HEARING: Rows = {
         Row("answers-broadcast-reads", "reads by broadcast are answered", answering(mks_frames.read_of_all)),
         Row("broadcast-stops-ignored", "a stop by broadcast is not executed", deaf_to(mks_frames.stop_of_all)),
         Row("ignores-broadcast", "broadcasts are not executed", deaf_to(mks_frames.to_all)),
+        Row(
+            "broadcast-run-not-kept",
+            "FF by broadcast is not executed",
+            deaf_to(mks_frames.of(mks_frames.to_all, Verb.SAVE_SPEED)),
+        ),
+        Row(
+            "broadcast-mode-ignored",
+            "82 by broadcast is not executed",
+            deaf_to(mks_frames.of(mks_frames.to_all, Verb.SET_WORK_MODE)),
+        ),
     ),
     "group": (
         Row("answers-group", "requests to the group address are answered", answering(mks_frames.to_group), TELLING),
@@ -155,6 +165,24 @@ HEARING: Rows = {
             "stops to the group address are not executed",
             deaf_to(lambda d, m: mks_frames.to_group(d, m) and mks_frames.stops(m)),
             TELLING,
+        ),
+        Row(
+            "group-restart-ignored",
+            "41 to the group address is not executed",
+            deaf_to(mks_frames.of(mks_frames.to_group, Verb.RESTART)),
+            TELLING,
+        ),
+        Row(
+            "group-ports-ignored",
+            "36 to the group address is not executed",
+            deaf_to(mks_frames.of(mks_frames.to_group, Verb.WRITE_IO)),
+            CAN,
+        ),
+        Row(
+            "group-homing-ignored",
+            "90 to the group address is not executed",
+            deaf_to(mks_frames.of(mks_frames.to_group, Verb.SET_HOME)),
+            NATIVE,
         ),
         Row("ignores-group", "requests to the group address are not executed", deaf_to(mks_frames.to_group), TELLING),
         Row(
@@ -193,6 +221,9 @@ HEARING: Rows = {
             "a stop of a run at a speed, or of a move, is not executed in a package",
             slots(lambda own, all_, w: [s for s in w if s.command is None or s.command.verb not in STOPS]),
         ),
+        Row("package-without-emergency-stop", "F7 is not executed in a package", mks_frames.without(Verb.EMERGENCY_STOP)),
+        Row("package-without-homing", "91 is not executed in a package", mks_frames.without(Verb.HOME)),
+        Row("package-without-run-kept", "FF is not executed in a package", mks_frames.without(Verb.SAVE_SPEED)),
         Row(
             "package-motion-only",
             "a slot that is no motion is not executed",

@@ -649,6 +649,10 @@ def _let_go_ccw(drive: MksCore) -> None:
         drive.grip()
 
 
+def _calibrates(drive: MksCore) -> bool:
+    return drive.doing(Activity.CALIBRATE)
+
+
 def _is_off(drive: MksCore) -> bool:
     return not drive.enabled
 
@@ -986,6 +990,16 @@ DOING: Rows = {
             _in_packages(lambda values: values | {"acceleration": 0}, Verb.RUN_SPEED),
         ),
         Row(
+            "package-stop-at-once",
+            "a stop of a run in a package has no ramp",
+            _in_packages(lambda values: values | {"acceleration": 0}, Verb.STOP_SPEED),
+        ),
+        Row(
+            "package-speed-byte",
+            "a move by counts in a package has the low byte of its speed",
+            _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.MOVE_RELATIVE_AXIS),
+        ),
+        Row(
             "package-never-disables",
             "F3 in a package always enables",
             _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE),
@@ -1000,6 +1014,11 @@ DOING: Rows = {
         Row("right-limit-passed", "FD passes the right end limit", tuned(_without_right_limit)),
     ),
     "set": (
+        Row(
+            "calibration-goes-on",
+            "F7 says success while the motor calibrates, and does not end it",
+            undone_when(_calibrates, Verb.EMERGENCY_STOP),
+        ),
         Row("zero-refused-while-off", "92 is refused while the motor is off", refused_when(_is_off, Verb.SET_ZERO)),
         Row(
             "setting-undone-while-off",

@@ -113,6 +113,11 @@ def same_low_byte(drive: MksCore, message: Message) -> bool:
     return (message.address ^ drive.address) & 0xFF == 0
 
 
+def of(whom: Whom, verb: Verb) -> Whom:
+    """Return what says whether a frame so addressed is of one command."""
+    return lambda drive, message: whom(drive, message) and message.command is not None and message.command.verb is verb
+
+
 def hearing(whom: Whom) -> Change:
     """Take frames of these addresses too."""
 
@@ -203,6 +208,11 @@ def startle(hooks: Hooks) -> None:
 def slots(choose: Callable[[int, list[Slot], list[Slot]], list[Slot]]) -> Change:
     """Choose which slots of a package are executed: `choose(address, slots, those of the manual)`."""
     return Change(lambda hooks: hooks.slots.append(lambda drive, every, wanted: choose(drive.address, every, wanted)), NATIVE)
+
+
+def without(verb: Verb) -> Change:
+    """Leave out the slots of a command."""
+    return slots(lambda own, every, wanted: [s for s in wanted if s.command is None or s.command.verb is not verb])
 
 
 def mine(address: int, every: list[Slot]) -> list[Slot]:

@@ -51,18 +51,3 @@ def test_a_drive_that_executes_nothing_proves_nothing():
     effect = effects.observable(probe.dialect)
     with pytest.raises(Inconclusive):
         effect.control(probe)
-
-
-def test_a_setting_is_observed_beside_a_move_alone():
-    found = {drive: effects.observable_setting(probe_of(drive).dialect) for drive in DRIVES}
-    assert {drive: effect.command.name for drive, effect in found.items() if effect} == {
-        "mks-rs485@1": "set_zero",
-        "mks-modbus@1": "set_zero",
-    }
-    probe = probe_of("mks-rs485@1")
-    zero = found["mks-rs485@1"]
-    zero.prepare(probe)
-    change = zero.change(probe)
-    assert abs(change.before) >= effects.STEP
-    probe.do(change.command, change.values)
-    assert zero.done(probe, change)
