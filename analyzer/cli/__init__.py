@@ -20,8 +20,8 @@ from importlib import import_module
 from types import ModuleType
 from typing import NoReturn
 
-from analyzer import own_process
 from analyzer.cli.boundary import bounded
+from analyzer.system import own_process
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "record": ("analyzer.cli.record", "record serial ports and CAN buses into one crash-safe, decoded MCAP log"),

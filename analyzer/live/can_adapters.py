@@ -11,8 +11,8 @@ import subprocess
 import sys
 from typing import Any
 
-from analyzer import own_process
-from analyzer.own_process import without
+from analyzer.system import own_process
+from analyzer.system.own_process import without
 
 #: Seconds for all interfaces together.
 TIMEOUT_S = 4.0

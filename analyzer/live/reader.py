@@ -23,7 +23,6 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
-from analyzer import own_process
 from analyzer.errors import ServotapError
 from analyzer.live import config
 from analyzer.live.config import PortConfig
@@ -34,6 +33,7 @@ from analyzer.live.reader_port import LEASH, Lost, Opened, Port, Stop, Unopened
 from analyzer.live.reader_store import StatusLine, Store
 from analyzer.live.reader_stream import take_over
 from analyzer.live.spool import RecordKind, SpoolWriter, last_record
+from analyzer.system import own_process
 
 FIRST_RETRY_S = 0.1
 LAST_RETRY_S = 2.0

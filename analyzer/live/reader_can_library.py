@@ -16,7 +16,7 @@ from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import BadCount, LibraryPort, Lost, Opened, Stop, Unopened, listen
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import MOST_BYTES, CanFlag
-from analyzer.own_process import without
+from analyzer.system.own_process import without
 
 #: Failures to receive in a row after which the interface is taken to be gone.
 FAILURES = 20

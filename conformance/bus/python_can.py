@@ -20,8 +20,8 @@ from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.reader_can_library import flags_of
 from analyzer.live.reader_can_socket import dissect_kernel, with_room
-from analyzer.own_process import without
 from analyzer.records import CanFrame
+from analyzer.system.own_process import without
 from analyzer.values import quote
 from conformance.bus.can_port import CanPort
 from conformance.bus.can_socket import ROOM, Frames
