@@ -28,6 +28,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from enum import IntEnum
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Form, Replies, Risk, Subject, Trait, Vector, Verb, always, when
@@ -165,12 +166,9 @@ _DIVISION_LEVEL = u8("division_level", choices=mks.Level, default=mks.Level.LOW,
 _DIVISION_PERIOD = u32("division_period", unit="pulses", default=0, printed="divPeriod", note="below 100: no output")
 _USER_ID = u32("user_id", printed="ID")
 
-_STATUS = mks.status()
-_RUN_STATUS = mks.status(mks.RunStatus)
 _RISK_AXIS_LOCK = (always(Risk.SETTING), when("axis_lock", 0, None, Risk.TORQUE))
 #: The power-on trigger of homing has no byte of its own in the manual; it may be one of these. So may the current.
 _RISK_NO_LIMIT_HOME = (always(Risk.SETTING, Risk.TORQUE, Risk.POWER_ON),)
-_HALT = "above 1000 rpm a stop without a ramp is discouraged"
 _SPEED = "at another subdivision than 16, 32 or 64 the shaft turns at speed x 16 / subdivision"
 
 
@@ -180,49 +178,14 @@ def _position_body(unit: str, printed: str) -> tuple[Field, ...]:
     return (mks.speed16(), mks.acceleration(), position)
 
 
-def _read(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
-    """Declare a command without data that is answered with `fields`."""
-    facts: dict[str, Any] = {"risk": mks.READ_RISK, "request": Layout(), "reply": Layout(*fields)} | options
-    return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts)
-
-
-def _do(verb: Verb, code: int, section: str, summary: str, *fields: Field, status: Field = _STATUS, **options: Any) -> Command:
-    """Declare a command with `fields` as data that is answered with a status."""
-    facts: dict[str, Any] = {
-        "risk": mks.SETTING_RISK,
-        "replies": mks.SET,
-        "request": Layout(*fields),
-        "reply": Layout(status),
-        "motion": mks.MOTIONS.get(verb),
-    }
-    return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts | options)
-
-
 def _set(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
     """Declare a setting whose stored value the parameter read returns."""
-    return _do(verb, code, section, summary, *fields, readable=True, **options)
+    return mks.do(verb, code, section, summary, *fields, readable=True, **options)
 
 
-def _run(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
-    """Declare a motion, which needs a bus mode and whose replies `respond` off silences."""
-    facts: dict[str, Any] = {
-        "risk": mks.MOTION_RISK,
-        "status": _RUN_STATUS,
-        "replies": mks.MOVE,
-        "modes": BUS_MODES,
-        "silenced": True,
-        "notes": (_SPEED,),
-    }
-    return _do(verb, code, section, summary, *fields, **facts | options)
-
-
-def _stop(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
-    """Declare a stop: a run of zeros, whose replies only an open stop tells from those of its run."""
-    reply = (Form(Layout(mks.status(mks.StopStatus)), needs_request=True),)
-    facts: dict[str, Any] = {"reply": reply, "replies": mks.STOP, "notes": (_HALT,)}
-    return _run(verb, code, section, summary, *fields, **facts | options)
-
-
+_read, _do = mks.read, mks.do
+_run = partial(mks.run, modes=BUS_MODES, notes=(_SPEED,))
+_stop = partial(mks.stop, modes=BUS_MODES)
 _sent, _answered = mks.sent, mks.answered
 
 
@@ -450,7 +413,7 @@ _MOTION = (
     ),
     _do(
         Verb.EMERGENCY_STOP, 0xF7, "4.3", "Stop at once.", risk=mks.MOTION_RISK, modes=BUS_MODES,
-        notes=(_HALT,),
+        notes=(mks.HALT,),
         vectors=(_bare("01 F7", "4.3"),),
     ),
     # 4.4 Speed. From here on each stop stands before its run: the first form that matches wins.

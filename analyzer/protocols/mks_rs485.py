@@ -21,57 +21,21 @@ Not printed in the manual, so not known here:
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
-from analyzer.catalogue import Command, Dialect, Form, Risk, RiskRule, Role, Slots, Subject, Trait, Vector, Verb
-from analyzer.layout import Effect, Field, Layout, reserved, rest, u8
+from analyzer.catalogue import Command, Dialect, Risk, RiskRule, Role, Slots, Subject, Trait, Vector, Verb
+from analyzer.layout import Effect, Layout, reserved, rest, u8
 from analyzer.link import HeadLink, Package, sum8
 from analyzer.protocols import mks_shared as mks
 from analyzer.protocols.mks_rs485_errata import ERRATA
 
-_STATUS = mks.status()
-_RUN_STATUS = mks.status(mks.RunStatus)
-_HALT = "above 1000 rpm a stop without a ramp is discouraged"
 _SPEED = "the drive limits the speed to that of its work mode: 400, 1500 or 3000 rpm"
 _LIMIT = "with the end limit on, the shaft is let go when homing meets the left switch"
 
 
-def _read(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
-    """Declare a command without data that is answered with `fields`."""
-    facts: dict[str, Any] = {"risk": mks.READ_RISK, "request": Layout(), "reply": Layout(*fields)} | options
-    return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts)
-
-
-def _do(verb: Verb, code: int, section: str, summary: str, *fields: Field, status: Field = _STATUS, **options: Any) -> Command:
-    """Declare a command with `fields` as data that is answered with a status; `printed` is its name on the display."""
-    facts: dict[str, Any] = {
-        "risk": mks.SETTING_RISK,
-        "replies": mks.SET,
-        "request": Layout(*fields),
-        "reply": Layout(status),
-        "motion": mks.MOTIONS.get(verb),
-    }
-    return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts | options)
-
-
-def _run(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
-    """Declare a move, which needs a serial work mode and whose replies `respond` off silences."""
-    facts: dict[str, Any] = {
-        "risk": mks.MOTION_RISK,
-        "status": _RUN_STATUS,
-        "replies": mks.MOVE,
-        "modes": mks.SERIAL_MODES,
-        "silenced": True,
-        "notes": (_SPEED,),
-    }
-    return _do(verb, code, section, summary, *fields, **facts | options)
-
-
-def _stop(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
-    """Declare a stop: a run of zeros, whose replies only an open stop tells from those of its run."""
-    reply = (Form(Layout(mks.status(mks.StopStatus)), needs_request=True),)
-    facts: dict[str, Any] = {"reply": reply, "replies": mks.STOP, "notes": (_HALT,)}
-    return _run(verb, code, section, summary, *fields, **facts | options)
+_read, _do = mks.read, mks.do
+_run = partial(mks.run, modes=mks.SERIAL_MODES, notes=(_SPEED,))
+_stop = partial(mks.stop, modes=mks.SERIAL_MODES)
 
 
 def _bare(printed: str, section: str = "") -> Vector:
@@ -267,7 +231,7 @@ _MOTION = (
     ),
     _do(
         Verb.EMERGENCY_STOP, 0xF7, "6.3", "Stop at once.", risk=mks.MOTION_RISK, modes=mks.SERIAL_MODES,
-        notes=(_HALT,),
+        notes=(mks.HALT,),
         vectors=(_bare("FA 01 F7", "6.3"),),
     ),
     # 6.5 Speed. From here on each stop stands before its run: the first form that matches wins.

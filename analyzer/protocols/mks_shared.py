@@ -23,7 +23,22 @@ from enum import IntEnum
 from fractions import Fraction
 from typing import Any
 
-from analyzer.catalogue import Motion, MotionKind, Ramp, Replies, Risk, RiskRule, Role, Subdivision, Vector, Verb, always, when
+from analyzer.catalogue import (
+    Command,
+    Form,
+    Motion,
+    MotionKind,
+    Ramp,
+    Replies,
+    Risk,
+    RiskRule,
+    Role,
+    Subdivision,
+    Vector,
+    Verb,
+    always,
+    when,
+)
 from analyzer.layout import Effect, Field, Layout, ModelLimits, StatePart, bits, i16, reserved, sint, u8, u16, u32, uint
 
 #: Encoder counts of one turn of the shaft.
@@ -477,3 +492,42 @@ SAVE_RISK: Rules = (
     when("save_state", 0xC9, None, *_ANY_SAVE),
     when("save_state", 0xCB, 0xFF, *_ANY_SAVE),
 )
+
+# ---- Commands of the links that carry a code
+
+_STATUS, _RUN_STATUS = status(), status(RunStatus)
+HALT = "above 1000 rpm a stop without a ramp is discouraged"
+
+
+def read(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
+    """Declare a command without data that is answered with `fields`."""
+    facts: dict[str, Any] = {"risk": READ_RISK, "request": Layout(), "reply": Layout(*fields)}
+    return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts | options)
+
+
+def do(verb: Verb, code: int, section: str, summary: str, *fields: Field, status: Field = _STATUS, **options: Any) -> Command:
+    """Declare a command with `fields` as data that is answered with a status; `printed` is its name on the display."""
+    facts: dict[str, Any] = {
+        "risk": SETTING_RISK,
+        "replies": SET,
+        "request": Layout(*fields),
+        "reply": Layout(status),
+        "motion": MOTIONS.get(verb),
+    }
+    return Command(name=verb.value, verb=verb, code=code, section=section, summary=summary, **facts | options)
+
+
+def run(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
+    """Declare a motion, whose replies `respond` off silences; `modes` are those in which the bus runs the motor."""
+    facts: dict[str, Any] = {"risk": MOTION_RISK, "status": _RUN_STATUS, "replies": MOVE, "silenced": True}
+    return do(verb, code, section, summary, *fields, **facts | options)
+
+
+def stop(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
+    """Declare a stop: a run of zeros, whose replies only an open stop tells from those of its run."""
+    facts: dict[str, Any] = {
+        "reply": (Form(Layout(status(StopStatus)), needs_request=True),),
+        "replies": STOP,
+        "notes": (HALT,),
+    }
+    return run(verb, code, section, summary, *fields, **facts | options)
