@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Command, Dialect, Risk, Subject, Verb
@@ -108,6 +108,17 @@ def judge_alone(probe: Probe, damaged: int, of: int) -> None:
     read = plain_read(probe.dialect)
     if not all(is_answered(probe.ask(read, quiet_ns=0)) for _ in range(_SURELY * of // max(1, damaged))):
         raise Inconclusive(f"replies to {read.name} are damaged too, which another claim judges")
+
+
+def expect_checked(probe: Probe, bad: Sequence[Exchange], of: Sequence[Exchange], refutes: str) -> None:
+    """Refute where the replies to some of many requests do not check. Raises Inconclusive where none of them does."""
+    for exchange in bad[:1]:
+        if len(bad) == len(of):
+            assert exchange.command is not None  # it was asked for
+            raise Inconclusive(f"no reply to {exchange.command.name} can be read, which another claim judges")
+        got, expected = received_text(exchange), "replies whose checks fit"
+        key = "replies in a row are garbled"
+        probe.expect(got, holds=False, expected=expected, refutes=refutes, exchange=exchange, key=key)
 
 
 def ask_alone(probe: Probe) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance.claim import Inconclusive, Theme
-from conformance.claims.control_reads import PAUSE_NS, garblers, is_answered, judge_alone, received_text
+from conformance.claims.control_reads import PAUSE_NS, expect_checked, garblers, is_answered, judge_alone
 from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_quirks import may_meet
 from conformance.motion import motion
@@ -147,17 +147,7 @@ def _moves_check(probe: Probe, command: Command) -> None:
     if bad and len(bad) <= _OFF_SUM_MOST and all(_is_off(probe.dialect, e) for e in bad):
         probe.meets(OFF_SUM)
         return
-    if len(bad) == _MOVES:
-        raise Inconclusive(f"no reply to {command.name} can be read, which another claim judges")
-    for exchange in bad[:1]:
-        probe.expect(
-            received_text(exchange),
-            holds=False,
-            expected="replies whose checks fit",
-            refutes=f"{len(bad)} of the replies to {_MOVES} moves are garbled",
-            exchange=exchange,
-            key="replies to moves are garbled",
-        )
+    expect_checked(probe, bad, exchanges, f"{len(bad)} of the replies to {_MOVES} moves are garbled")
 
 
 def _is_off(dialect: Dialect, exchange: Exchange) -> bool:
