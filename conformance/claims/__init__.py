@@ -72,6 +72,7 @@ MODULES = (
     "motion.standing_reads",
     "crossed.motions",
     "crossed.newer",
+    "crossed.homing",
     "motion.slowing",
     "crossed.stops",
     "crossed.behind_ends",

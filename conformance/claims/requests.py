@@ -25,7 +25,7 @@ from conformance.claim import Inconclusive
 from conformance.model.limits import with_bits
 from conformance.motion import motion
 from conformance.talk import samples
-from conformance.talk.exchange import Exchange
+from conformance.talk.exchange import Completion, Exchange
 from conformance.talk.probe import Until
 from conformance.talk.restarts import wait_for_answer
 
@@ -118,8 +118,8 @@ def put_to_rest(probe: Probe, command: Command) -> None:
 
 def _rest(probe: Probe) -> None:
     """Stop by a ramp. The end of the stop is told by a reply of its own, which a read at once would run into."""
-    motion.stop(probe)
-    if motion.tells_end(probe.dialect):
+    stopped = motion.stop(probe)
+    if motion.tells_end(probe.dialect) and stopped.completion is Completion.RUNNING:
         probe.listen(200 * motion.MS, Until.REPLY)
     motion.wait_standing(probe)
 

@@ -61,8 +61,8 @@ _RPM, _TURNS, _ACCELERATIONS = (
     (0, 56, 200, 230, 248, 255),
 )
 _AT_ONCE_MOST, _LEAST_OVER, _RAMP_NS, _MOVE_NS = 140, 60, 140 * motion.MS, 250 * motion.MS
-#: The same of drives without a law of ramps.
-_FREE_RPM, _FREE_TURNS = (15, 40, 90, 160), (0.025, 0.11, 0.25, 0.6, 1.4)
+#: The same of drives without a law of ramps: a speed, and turns that take 0.6 s at most by it.
+_FREE_PACES = [(r, t) for r in (15, 40, 90, 160) for t in (0.025, 0.11, 0.25, 0.6, 1.4) if t * 100 <= r]
 #: How far a move goes that is not waited for, and how fast.
 _LONG, _LONG_RPM = 540, 90
 #: A homing search that no switch ends is this fast at most.
@@ -242,8 +242,8 @@ class _Route:
         """Return a motion by amounts that do not take long. `over`: it begins while the shaft turns, and slows it down."""
         chance, runs = self.chance, motion.of(command).kind is MotionKind.RUN
         if self.dialect.ramp is None:
-            rpm = chance.choice(_FREE_RPM)
-            degrees = round(360 * chance.choice(_FREE_TURNS))
+            rpm, turns = chance.choice(_FREE_PACES)
+            degrees = round(360 * turns)
             return Step(command.name, {"rpm": way * rpm} if runs else {"degrees": way * degrees, "rpm": rpm})
         while True:
             rpm, acceleration = chance.choice(_RPM), chance.choice(_ACCELERATIONS)

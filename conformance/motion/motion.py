@@ -33,6 +33,7 @@ from conformance.claim import Inconclusive
 from conformance.gate.gate import Refused
 from conformance.motion import ramp
 from conformance.talk.exchange import Answer, Exchange
+from conformance.talk.noise import TOLD_LATE_NS
 from conformance.talk.probe import Until
 
 if TYPE_CHECKING:
@@ -68,8 +69,12 @@ _GRACE_NS = 3 * SECOND_NS
 _SET_OFF_NS = 500 * MS
 #: Between two looks at a shaft that may still turn; one that does not tremble shows each count.
 _LOOK_NS, _FAST_LOOK_NS, _QUIET_LOOK_NS = 50 * MS, 150 * MS, 25 * MS
+#: What a look at the speed takes at most of that time.
+_SPEED_NS = 10 * MS
 #: How long a shaft may take to come to rest.
 _REST_NS = 30 * SECOND_NS
+#: And one whose motion is over, by its time.
+_SOON_NS = SECOND_NS // 2
 #: After this time a shaft with an unchanged speed is not on a ramp, and the wait for the ramp's end stops.
 NO_RAMP_NS, AS_FAST = 3 * SECOND_NS, 0.95
 #: How often a measurement is taken again whose reply cannot be read.
@@ -571,11 +576,12 @@ def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS, stopped: bool = Fal
     begun_ns = probe.gate.now_ns()
     until_ns, no_ramp_ns = begun_ns + limit_ns, begun_ns + NO_RAMP_NS
     before, rpm, first = position(probe), 0.0, 0.0
-    least_ns = _LOOK_NS if probe.noise.live else _QUIET_LOOK_NS
+    # The look at the speed is a part of the time between two at the position; what is told unasked comes in the other part.
+    least_ns = (_LOOK_NS if probe.noise.live else _QUIET_LOOK_NS) - min(_SPEED_NS, probe.gate.now_ns() - begun_ns)
     while True:
         # A fast shaft takes as long as its ramp, which may be steep: there is little to see before.
         probe.wait(max(least_ns, min(int(rpm * ramp.step_ns(QUICK)), _FAST_LOOK_NS, limit_ns)))
-        now, rpm = position(probe), abs(speed(probe).value)
+        rpm, now = abs(speed(probe).value), position(probe)
         if abs(now.value - before.value) <= same(probe) and rpm < 1 + probe.noise.rpm:
             probe.rig.stands_at(now.value)
             return now
@@ -594,6 +600,29 @@ def stand_still(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
     """
     stop(probe)
     return wait_standing(probe, limit_ns=limit_ns, stopped=True)
+
+
+def come_to_rest(probe: Probe, exchange: Exchange, least_ns: int, most_ns: int) -> Sample:
+    """Wait until a motion of at least and at most so long, from its request on, is over; return where the shaft stands.
+
+    Nothing is asked before its end is told, where it is: a request could run into that. A shaft that goes on is stopped.
+    """
+    command = exchange.command
+    assert command is not None  # it was asked for
+    until_ns, since = exchange.sent_ns + most_ns + TOLD_LATE_NS, len(probe.traffic)
+    if of(command).tells_end:
+        final = command.replies.final
+        while not final.intersection(statuses([exchange, *probe.traffic[since:]], command)) and probe.gate.now_ns() < until_ns:
+            probe.listen(until_ns - probe.gate.now_ns(), Until.REPLY)
+    probe.wait(exchange.sent_ns + least_ns - probe.gate.now_ns())
+    while abs(speed(probe).value) >= CALM / 2:
+        if probe.gate.now_ns() >= until_ns:
+            return stand_still(probe)
+        probe.wait(_QUIET_LOOK_NS)
+    try:
+        return wait_standing(probe, limit_ns=max(0, until_ns - probe.gate.now_ns()) + _SOON_NS)
+    except Inconclusive:
+        return stand_still(probe)
 
 
 # --- a move and its end -----------------------------------------------------------------------------------------------
@@ -645,10 +674,17 @@ def follow(
     exchange = ask(probe, command, degrees, until=Until.DONE if tells else Until.REPLY, **how)
     if refused(probe, exchange) and not (tells and len(exchange.answers) > 1):
         raise Inconclusive(f"{command.name} was refused")
-    if not tells:
-        law = probe.dialect.ramp
-        probe.wait(_SET_OFF_NS if law is None else int(ramp.move_ns(asked / 360, rpm, acceleration)))
+    if not tells and probe.dialect.ramp is None:
+        _wait_set_off(probe, start, asked)
+    elif not tells:
+        probe.wait(int(ramp.move_ns(asked / 360, rpm, acceleration)))
     return Move(command, exchange, asked, start, wait_standing(probe))
+
+
+def _wait_set_off(probe: Probe, start: Sample, degrees: float) -> None:
+    """Wait until a shaft is on its way: a degree from where it stood, or half of what it was asked for."""
+    least = min(1.0, abs(degrees) / 2) + same(probe)
+    wait_until(probe, lambda: abs(position(probe).value - start.value) > least, limit_ns=_SET_OFF_NS)
 
 
 def replies(exchanges: Iterable[Exchange], command: Command) -> list[Answer]:

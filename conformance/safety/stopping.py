@@ -238,7 +238,7 @@ def prove_standing(
             asked_ns = now_ns
             for command in again:
                 ask(probe, command)
-        probe.wait(_PROOF_NS)
+        probe.wait(now_ns + _PROOF_NS - probe.gate.now_ns())
     return failure
 
 

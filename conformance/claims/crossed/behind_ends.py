@@ -105,11 +105,9 @@ def _try(probe: Probe, row: Row, rest: Sample) -> Tried:
     start = motion.wait_standing(probe)
     exchange = motion.ask(probe, move, _WAY, rpm=_RPM, acceleration=QUICK, quiet_ns=0)
     refused = motion.refused(probe, exchange)
-    # What is told at its end is not asked into.
-    probe.wait(exchange.sent_ns + int(ramp.move_ns(_WAY / 360, _RPM, QUICK)) + _LATE_NS - probe.gate.now_ns())
-    if abs(motion.speed(probe).value) > CALM / 2:
-        motion.stop(probe)
-    return Tried(row, exchange, refused, start.value - rest.value, start, motion.wait_standing(probe))
+    law_ns = int(ramp.move_ns(_WAY / 360, _RPM, QUICK))
+    end = motion.come_to_rest(probe, exchange, law_ns, law_ns + _LATE_NS)
+    return Tried(row, exchange, refused, start.value - rest.value, start, end)
 
 
 def _cases(dialect: Dialect) -> Iterator[Case]:

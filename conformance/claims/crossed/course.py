@@ -16,7 +16,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain, cycle
@@ -24,6 +24,8 @@ from typing import Any, NamedTuple
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
+from conformance.claims.crossed import looks
+from conformance.claims.crossed.looks import Look, place
 from conformance.claims.declare import Case
 from conformance.gate.gate import Refused
 from conformance.model import covering
@@ -184,16 +186,6 @@ def _about_ns(row: Row, *, runs: bool) -> float:
 
 
 @dataclass(frozen=True)
-class Look:
-    """One read. `values`: what it told, None where it was not answered, twice. It held at a moment of the span."""
-
-    read: Command
-    values: Mapping[str, int] | None
-    span: Span
-    exchange: Exchange
-
-
-@dataclass(frozen=True)
 class Tried:
     """A row that was tried. `begun`, `stopped`: the commands; `told`, `told_of_stop`: their statuses, in order.
 
@@ -262,12 +254,6 @@ class Tried:
         return after - before
 
 
-def place(look: Look) -> int:
-    """Return the position of a look, in counts."""
-    assert look.values is not None  # it was told
-    return look.values["position"]
-
-
 def sense(command: Command, rows: tuple[Tried, ...]) -> int:
     """Return 1 where a positive way raises the position, else -1: by the first row where that is not the manual's word."""
     if motion.of(command).kind in MOVES and not motion.takes_pulses(command):
@@ -290,13 +276,8 @@ def sound(rows: tuple[Tried, ...]) -> list[Tried]:
 
 def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
     """Carry out the rows of a command, those aside that were carried out already, and return what was seen."""
-    try:
-        first = {tried.row: tried for tried in first_of(probe, command)}
-    except (Inconclusive, Refused):
-        # It was another motion perhaps.
-        first = {}
-    rows = [row for row in table(probe.dialect) if row.command == command.name and row not in first]
-    return (*first.values(), *_carried_out(probe, rows)) if rows else tuple(first.values())
+    first, rows = looks.divided(probe, command, first_of, table(probe.dialect))
+    return (*first, *_carried_out(probe, rows)) if rows else first
 
 
 def first_of(probe: Probe, command: Command) -> tuple[Tried, ...]:
@@ -323,10 +304,10 @@ def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
                 sent = motion.finest(probe) if row.subdivision == _SUBDIVISIONS[-1] else row.subdivision
                 motion.ready_to_move(probe, row.mode, subdivision=sent)
                 # A shaft that stood still stands; it is looked at anew.
-                rest = _rest(probe) if _stands(rest) else ()
+                rest = looks.at_rest(probe, reads_of(probe.dialect)) if _stands(rest) else ()
             if not _stands(rest):
                 motion.stand_still(probe)
-                rest = _rest(probe)
+                rest = looks.at_rest(probe, reads_of(probe.dialect))
             found.append(_try(probe, probe.command(row.command), row, reads, rest))
             rest = found[-1].after
         except Refused as error:
@@ -354,7 +335,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
     during: list[Look] = []
     stopped = stopping = None
     if runs and not refused:
-        during += _on_the_way(probe, reads, _ends(begun, lasts_ns, slack_ns) + _STEADY_NS)
+        during += looks.on_the_way(probe, reads, _LOOK_NS, _ends(begun, lasts_ns, slack_ns) + _STEADY_NS)
         stopped = last = probe.ask(probe.dialect.stops_of(command)[0], {"acceleration": row.acceleration}, quiet_ns=0)
         stopping = course.run(on.legs[-1].last, 0, row.acceleration)
         lasts_ns, refused = stopping.steady_ns, _refused(probe, stopped)
@@ -362,16 +343,15 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
         asked = last.command
         assert asked is not None  # it was asked for
         if motion.of(asked).tells_end:
-            during += _on_the_way(
-                probe, reads, last.sent_ns + int(lasts_ns - slack_ns) - _UNASKED_NS - 2 * probe.noise.latency_ns
-            )
+            until_ns = last.sent_ns + int(lasts_ns - slack_ns) - _UNASKED_NS - 2 * probe.noise.latency_ns
+            during += looks.on_the_way(probe, reads, _LOOK_NS, until_ns)
             if 2 not in motion.statuses(probe.traffic[since:], asked):
                 left_ns = _ends(last, lasts_ns, slack_ns) - probe.gate.now_ns()
                 probe.listen(max(0, left_ns) + TOLD_LATE_NS + _SETTLES_NS, Until.REPLY)
         else:
-            during += _on_the_way(probe, reads, _ends(last, lasts_ns, slack_ns))
+            during += looks.on_the_way(probe, reads, _LOOK_NS, _ends(last, lasts_ns, slack_ns))
         probe.wait(_SETTLES_NS)
-    after = _rest(probe)
+    after = looks.at_rest(probe, reads_of(probe.dialect))
     told = tuple(motion.statuses(probe.traffic[since:], command)) if command.replies.status else ()
     damaged = any(exchange.damaged for exchange in probe.traffic[since:])
     told, of_stop = (told[:1], told[1:]) if stopped is not None else (told, ())
@@ -405,30 +385,6 @@ def _course(dialect: Dialect, command: Command, row: Row, begun: Exchange) -> tu
         return course.run(row.start * row.way * CALM, row.way * rpm, row.acceleration), slack_ns
     turn = motion.units_per_turn(dialect, command, row.subdivision)
     return course.move(round(row.way * row.turns * turn) / turn, rpm, row.acceleration), slack_ns
-
-
-def _on_the_way(probe: Probe, reads: Iterator[Command], until_ns: int) -> Iterator[Look]:
-    while probe.gate.now_ns() < until_ns:
-        begun_ns = probe.gate.now_ns()
-        yield look(probe, next(reads))
-        probe.wait(min(begun_ns + _LOOK_NS, until_ns) - probe.gate.now_ns())
-
-
-def _rest(probe: Probe) -> tuple[Look, ...]:
-    """Look at a shaft that rests, at its position first and last."""
-    position = probe.command(Verb.READ_POSITION)
-    return tuple(look(probe, read) for read in (position, *reads_of(probe.dialect), position))
-
-
-def look(probe: Probe, read: Command) -> Look:
-    """Ask a read, and once more where it is not answered, and return what it told."""
-    exchange = probe.ask(read, quiet_ns=0)
-    if not exchange.is_read:
-        exchange = probe.ask(read, quiet_ns=0)
-    answer = exchange.reply
-    if answer is None or not exchange.is_read:
-        return Look(read, None, (exchange.sent_ns, probe.gate.now_ns()), exchange)
-    return Look(read, answer.values, (exchange.sent_ns, max(exchange.sent_ns, answer.first_ns)), exchange)
 
 
 def _stands(looks: tuple[Look, ...]) -> bool:

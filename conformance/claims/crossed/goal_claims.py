@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Aspect, Inconclusive
-from conformance.claims.crossed.course import Look
 from conformance.claims.crossed.goals import (
     FORCES,
     OFF,
@@ -39,6 +38,7 @@ from conformance.claims.crossed.goals import (
     samples,
     speeds,
 )
+from conformance.claims.crossed.looks import Look
 from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.motion import motion

@@ -24,8 +24,8 @@ from itertools import cycle, pairwise
 from typing import NamedTuple
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
-from conformance.claim import Inconclusive
-from conformance.claims.crossed.course import Look, look, place
+from conformance.claims.crossed import looks
+from conformance.claims.crossed.looks import Look, look, place
 from conformance.claims.declare import Case
 from conformance.gate.gate import Refused
 from conformance.model import covering, lk_parameters
@@ -256,15 +256,10 @@ def samples(probe: Probe, looks: tuple[Look, ...]) -> list[Sample]:
 
 def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
     """Carry out the rows of a command, those aside that were carried out already, and return what was seen."""
-    try:
-        first = {tried.row: tried for tried in first_of(probe, command)}
-    except (Inconclusive, Refused):
-        # It was another motion perhaps.
-        first = {}
-    rows = [row for row in table(probe.dialect) if row.command == command.name and row not in first]
+    first, rows = looks.divided(probe, command, first_of, table(probe.dialect))
     # Behind what does not stop no row can begin.
-    stood = all(tried.stood for tried in first.values())
-    return (*first.values(), *(_carried_out(probe, rows) if rows and stood else ()))
+    stood = all(tried.stood for tried in first)
+    return (*first, *_carried_out(probe, rows)) if rows and stood else first
 
 
 def first_of(probe: Probe, command: Command) -> tuple[Tried, ...]:
@@ -367,10 +362,7 @@ def _edge(probe: Probe, send: Callable[[], Exchange]) -> Edge:
 
 
 def _on_the_way(probe: Probe, reads: Iterator[Command], lasts_ns: int) -> Iterator[Look]:
-    until_ns = probe.gate.now_ns() + lasts_ns
-    while (begun_ns := probe.gate.now_ns()) < until_ns:
-        yield look(probe, next(reads))
-        probe.wait(min(begun_ns + _LOOK_NS, until_ns) - probe.gate.now_ns())
+    return looks.on_the_way(probe, reads, _LOOK_NS, probe.gate.now_ns() + lasts_ns)
 
 
 def _until_standing(probe: Probe, reads: Iterator[Command]) -> tuple[list[Look], bool]:
@@ -387,9 +379,7 @@ def _until_standing(probe: Probe, reads: Iterator[Command]) -> tuple[list[Look],
 
 
 def _rest(probe: Probe) -> tuple[Look, ...]:
-    """Look at a shaft that rests, at its position first and last."""
-    position = probe.command(Verb.READ_POSITION)
-    return tuple(look(probe, read) for read in (position, *reads_of(probe.dialect), position))
+    return looks.at_rest(probe, reads_of(probe.dialect))
 
 
 def speeds(places: list[Sample], apart_ns: int = 50 * MS) -> Iterator[tuple[Sample, Sample, float, float]]:

@@ -13,9 +13,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Certainty, Command, MotionKind
-from conformance.claims.crossed.course import Tried, cases, crossed, first_of, moved, place, sense, sound
+from conformance.claims.crossed.course import Tried, cases, crossed, first_of, moved, sense, sound
+from conformance.claims.crossed.looks import place
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion.motion_claim import of_motion, that_tell_their_end
+from conformance.claims.motion.motion_claim import expect_between, of_motion, that_tell_their_end
 from conformance.claims.motion.ramps import LATE, TOO_LATE_NS
 from conformance.motion import motion
 from conformance.motion.motion import Sample
@@ -94,18 +95,8 @@ def _ends_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
         )
         within += _OPEN_DEGREES if "open" in tried.row.mode else 0.0
         low, high = sorted(way * 360 * turns for turns in _end(tried))
-        went = tried.went * COUNT
         text = f"{command.name} goes elsewhere in one condition"
-        probe.expect(
-            went,
-            at_least=low - within,
-            at_most=high + within,
-            unit="degrees",
-            expected=f"{low:.6g} to {high:.6g} degrees: {tried.row}",
-            refutes=text,
-            exchange=tried.begun,
-            key=text,
-        )
+        expect_between(probe, tried.went * COUNT, (low, high), within, tried.row, text, tried.begun)
 
 
 def _end(tried: Tried) -> tuple[float, float]:

@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, Verb
 from conformance.claim import Aspect
-from conformance.claims.crossed.course import Look, Tried, crossed, first_of, motions_of, place, reads_of, sense, sound
+from conformance.claims.crossed.course import Tried, crossed, first_of, motions_of, reads_of, sense, sound
+from conformance.claims.crossed.looks import Look, place
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import known
 from conformance.claims.motion.motion_claim import of_motion

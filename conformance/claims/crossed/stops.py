@@ -22,7 +22,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.crossed.course import motions_of
 from conformance.claims.declare import Case
-from conformance.claims.motion.motion_claim import of_motion
+from conformance.claims.motion.motion_claim import expect_between, expect_row_taken, of_motion
 from conformance.gate.gate import Refused
 from conformance.model import covering
 from conformance.motion import motion, ramp
@@ -222,16 +222,7 @@ def _expect_stopped(probe: Probe, command: Command, run: Command, wanted: Callab
         raise Inconclusive(f"no row of {run.name} turned the shaft")
     for each in (each for each in tried if each.sense):
         text = f"{command.name} does not stop {run.name} as it should in one condition"
-        told = " and ".join(map(str, each.told))
-        damaged = not each.stop.is_read
-        probe.expect(
-            f"a refusal or no answer ({told})",
-            holds=not each.refused or damaged,
-            expected=f"a stop: {each.row}",
-            refutes=text,
-            exchange=each.stop,
-            key=text,
-        )
+        expect_row_taken(probe, each.stop, each.row, text)
         if each.refused:
             continue
         probe.expect(
@@ -242,18 +233,9 @@ def _expect_stopped(probe: Probe, command: Command, run: Command, wanted: Callab
             exchange=each.stop,
             key=text,
         )
-        low, high = each.between
         within = _BESIDE + motion.miss(probe) + probe.noise.swing
-        probe.expect(
-            (each.end.value - each.before.value) * each.sense,
-            at_least=low - within,
-            at_most=high + within,
-            unit="degrees",
-            expected=f"{low - within:.4g} to {high + within:.4g} degrees behind the stop: {each.row}",
-            refutes=text,
-            exchange=each.stop,
-            key=text,
-        )
+        went = (each.end.value - each.before.value) * each.sense
+        expect_between(probe, went, each.between, within, f"behind the stop, {each.row}", text, each.stop)
 
 
 @_of_stops(each=_by_ramp, name="{command}/crossed-stops", refuted_by="a shaft that goes on, or stops by another ramp")

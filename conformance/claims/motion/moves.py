@@ -34,7 +34,7 @@ from conformance.claims.motion.motion_claim import (
 )
 from conformance.claims.motion.stops import endless
 from conformance.motion import motion
-from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS, Move, takes_pulses
+from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Move, takes_pulses
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -194,9 +194,9 @@ def _widest(probe: Probe, command: Command) -> None:
     ends = {0: field.high} if has_direction(command) else {0: field.high, 1: field.low}
     for side, value in ends.items():
         before = motion.position(probe)
-        exchange = motion.ask(probe, command, 36, acceleration=QUICK, more={field.name: value})
+        exchange = motion.ask(probe, command, 36, rpm=2 * CALM, acceleration=QUICK, more={field.name: value})
         expect_taken(probe, exchange, f"{command.name} by {value} is refused")
-        probe.wait(SECOND_NS * 7 // 10)
+        probe.wait(400 * MS)
         went = (motion.stand_still(probe).value - before.value) * math.copysign(1, short.degrees) * (-1) ** side
         text = f"{command.name} with {field.name} {value} does not begin that way"
         probe.expect(went, at_least=180, unit="degrees", refutes=text, exchange=exchange)
@@ -371,7 +371,7 @@ def _after_new_position(probe: Probe, command: Command) -> None:
 @of_motion(each=_in_turn, refuted_by="one way for both directions")
 def _two_ways(probe: Probe, command: Command) -> None:
     """{command} goes to one angle by both ways: together they are a turn."""
-    cw, ccw, exchange = _both_ways(probe, command)
+    cw, ccw, exchange = probe.recorded(both_ways, command)
     probe.expect(
         f"{cw:+.1f} and {ccw:+.1f} degrees",
         holds=cw * ccw < 0 and abs(abs(cw) + abs(ccw) - 360) <= 2 * motion.miss(probe),
@@ -384,7 +384,7 @@ def _two_ways(probe: Probe, command: Command) -> None:
 @of_motion(each=_in_turn, refuted_by="the other way", at_best=Certainty.LIKELY)
 def _clockwise(probe: Probe, command: Command) -> None:
     """{command} with direction 0 turns clockwise, which raises the position."""
-    cw, ccw, exchange = _both_ways(probe, command)
+    cw, ccw, exchange = probe.recorded(both_ways, command)
     probe.expect(
         f"{cw:+.1f} and {ccw:+.1f} degrees",
         holds=max(abs(cw - 120), abs(ccw + 240)) <= motion.miss(probe),
@@ -408,7 +408,7 @@ def _across_zero(probe: Probe, command: Command) -> None:
         _expect_way(probe, move, True, f"{command.name} goes another way across zero")
 
 
-def _both_ways(probe: Probe, command: Command) -> tuple[float, float, Exchange]:
+def both_ways(probe: Probe, command: Command) -> tuple[float, float, Exchange]:
     """Go to one angle clockwise, back to where that began, and to it again the other way; return both ways (degrees)."""
     motion.ready_to_move(probe)
     start = motion.place(probe, command)

@@ -34,8 +34,8 @@ from conformance.talk.probe import Probe
 
 #: The older move: 270 degrees at 30 rpm last a second and a half; the newer one comes after 0.3 of one.
 _DEGREES, _RPM, _WHEN_NS = 270, 30, 300 * MS
-#: When a shaft that takes over has its speed.
-_SPEED_NS = 200 * MS
+#: When a shaft that takes over has its speed, and when one without a law of ramps may stand.
+_SPEED_NS, _RESTS_NS = 200 * MS, 500 * MS
 #: The move that the MKS manual lets be updated.
 _UPDATED = Verb.MOVE_ABSOLUTE_AXIS
 _moves = motions(*MOVES, where=takes_counts)
@@ -222,11 +222,11 @@ def _certain_of_speed_0(case: Case) -> Certainty:
 def _speed_0(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
     motion.run_at(probe, CALM, QUICK)
-    probe.wait(200 * MS)
+    probe.wait(_SPEED_NS)
     # A run with direction 0 as well would be the stop of this command.
     direction = {"direction": 1} if motion.of(command).kind is MotionKind.RUN and has_direction(command) else {}
     exchange = motion.ask(probe, command, 90, rpm=0, acceleration=QUICK, more=direction)
-    probe.wait(500 * MS)
+    probe.wait(_SPEED_NS if probe.dialect.ramp is not None else _RESTS_NS)
     expect_standing(probe, exchange, f"{command.name} with speed 0 does not stop the shaft")
 
 

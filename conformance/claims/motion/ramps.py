@@ -33,6 +33,8 @@ _SLOW_RAMP, LATE = "ramp-4-percent-slow", "slow-replies-in-motion"
 TOO_LATE_NS = 40 * MS
 #: Accelerations as sent, and the speed to which each is tried.
 _RAMPS = ((1, 60), (56, 120), (200, 300), (236, 300), (252, 3000))
+#: By then a ramp is over, in its own time: it is judged more closely than that.
+_LONGER = 1.2
 #: Between two looks at a steady speed.
 _STEADY_NS = 500 * MS
 #: Degrees in a ns at one rpm.
@@ -130,7 +132,7 @@ def _ramps_through(probe: Probe, speeds: tuple[int, ...], acceleration: int) -> 
     found = []
     for rpm in pairwise(speeds):
         exchange = _change(probe, rpm[1], acceleration)
-        probe.wait(int(1.5 * ramp.ramp_ns(*rpm, acceleration)) + 50 * MS)
+        probe.wait(int(_LONGER * ramp.ramp_ns(*rpm, acceleration)) + 50 * MS)
         after = _steady(probe, rpm[1])
         found.append(_Ramp(rpm, acceleration, before, exchange, after))
         before = after
@@ -153,7 +155,7 @@ def _time_of_ramp(probe: Probe, seen: _Ramp) -> tuple[float, float] | None:
     begun_ns, begun_spread = time_of(exchange)
     if too_late(probe, start.spread_ns, begun_spread, end.spread_ns):
         return None
-    text = "the shaft does not have its new speed after one and a half times the time of the ramp"
+    text = f"the shaft does not have its new speed after {_LONGER} times the time of the ramp"
     within = 1 + last * 0.03 + after.spread
     probe.expect(after.rpm, near=last, within=within, unit="rpm", refutes=text, exchange=exchange, key="ramp")
     change = after.rpm - before.rpm

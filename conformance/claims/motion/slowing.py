@@ -18,7 +18,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.crossed.course import motions_of
 from conformance.claims.declare import Case
-from conformance.claims.motion.motion_claim import of_motion
+from conformance.claims.motion.motion_claim import expect_between, expect_row_taken, of_motion
 from conformance.gate.gate import Refused
 from conformance.model import covering
 from conformance.motion import motion, ramp
@@ -138,13 +138,13 @@ def _try(probe: Probe, row: Row, start: Sample) -> Tried:
         end = motion.stand_still(probe)
     else:
         probe.wait(exchange.sent_ns + 2 * _LAG_NS - probe.gate.now_ns())
-        soon = motion.position(probe) if newer is not command else before
         if newer is command:
-            far = _WAY + _NEWER + 12
-            probe.wait(exchange.sent_ns + int(far / 6 / CALM * (1 + CLOCK_SHARE) * SECOND_NS) - probe.gate.now_ns())
+            most_ns = (_WAY + _NEWER + 12) / 6 / CALM * (1 + CLOCK_SHARE) * SECOND_NS
+            soon, end = before, motion.come_to_rest(probe, exchange, int(_NEWER / 6 / CALM * SECOND_NS), int(most_ns))
         else:
+            soon = motion.position(probe)
             probe.wait(_LOOK_NS)
-        end = motion.wait_standing(probe)
+            end = motion.wait_standing(probe)
     if row.comes == _OFF:
         motion.switch(probe, True)
     return Tried(row, exchange, refused, start, before, soon, end, rpm)
@@ -190,32 +190,19 @@ def _while_slowing(probe: Probe, command: Command, older: str, comes: tuple[str,
     text = f"{command.name} is not carried out while a motion slows down"
     for tried in (tried for tried in every if tried.sense):
         exchange = tried.newer
-        taken = not tried.refused or not exchange.is_read
-        probe.expect(
-            "a refusal or no answer", holds=taken, expected=f"motion: {tried.row}", refutes=text, exchange=exchange, key=text
-        )
+        expect_row_taken(probe, exchange, tried.row, text)
         if tried.refused:
             continue
         within = motion.miss(probe) + probe.noise.swing + 1
         if tried.rpm is not None:
             wanted = float(tried.sense * CALM * (1 if tried.row.comes == _ON else -1))
-            got, unit, low, high = tried.rpm.value, "rpm", wanted, wanted
             within = 2 + CALM * 2 * CLOCK_SHARE + tried.rpm.noise
+            expect_between(probe, tried.rpm.value, (wanted, wanted), within, tried.row, text, exchange, "rpm")
         elif tried.row.comes in (_ON, _ROUND):
-            got, unit, (low, high) = tried.end.value, "degrees", _ends(probe, tried)
+            expect_between(probe, tried.end.value, _ends(probe, tried), within, tried.row, text, exchange)
         else:
             # What it would have gone on is more than a shaft settles.
-            got, unit, low, high = tried.end.value - tried.soon.value, "degrees", 0.0, 0.0
-        probe.expect(
-            got,
-            at_least=low - within,
-            at_most=high + within,
-            unit=unit,
-            expected=f"{low - within:.5g} to {high + within:.5g} {unit}: {tried.row}",
-            refutes=text,
-            exchange=exchange,
-            key=text,
-        )
+            expect_between(probe, tried.end.value - tried.soon.value, (0.0, 0.0), within, tried.row, text, exchange)
 
 
 def _ends(probe: Probe, tried: Tried) -> tuple[float, float]:

@@ -27,10 +27,10 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.gate.gate import Refused
 from conformance.motion import course, motion, ramp
-from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
+from conformance.motion.motion import CALM, MS, QUICK, Sample
 from conformance.talk.exchange import Exchange
-from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
-from conformance.talk.probe import Probe, Until
+from conformance.talk.noise import CLOCK_SHARE
+from conformance.talk.probe import Probe
 
 #: Subdivisions at which the rule of speeds and pulses is tried, as the number that they stand for.
 _TRIED = (2, 8, 16, 32, 64, 100, 128, 256)
@@ -121,7 +121,6 @@ def turned(probe: Probe, subdivision: int) -> tuple[Tried, ...]:
 def _try(probe: Probe, subdivision: int, command: Command, way: int, start: Sample) -> Tried:
     of, runs, law = motion.of(command), not motion.of(command).distance, probe.dialect.subdivision
     assert law is not None  # it has subdivisions
-    since = len(probe.traffic)
     rpm = way * CALM if runs else CALM
     exchange = motion.ask(probe, command, way * _WAY, quiet_ns=0, rpm=rpm, acceleration=_STEEP, subdivision=subdivision)
     sent = exchange.values[of.speed]
@@ -135,15 +134,8 @@ def _try(probe: Probe, subdivision: int, command: Command, way: int, start: Samp
         end = motion.wait_standing(probe)
     else:
         law_ns = int((ramp.move_ns(_WAY / 360, real, _STEEP) + slack_ns) * (1 + ramp.SLOW_QUIRK))
-        left_ns = exchange.sent_ns + law_ns - probe.gate.now_ns()
-        if of.tells_end and not refused and 2 not in motion.statuses(probe.traffic[since:], command):
-            probe.listen(max(0, left_ns) + TOLD_LATE_NS, Until.REPLY)
-        probe.wait(exchange.sent_ns + law_ns - probe.gate.now_ns())
-        try:
-            end = motion.wait_standing(probe, limit_ns=SECOND_NS // 2)
-        except Inconclusive:
-            # A slow one is judged by where it was on its way.
-            end = motion.stand_still(probe)
+        # A slow one is judged by where it was on its way.
+        end = motion.come_to_rest(probe, exchange, law_ns, law_ns)
     return Tried(subdivision, command, exchange, refused, way, real, slack_ns, start, on, end)
 
 

@@ -362,7 +362,10 @@ def _expect_move(probe: Probe, shown: Mapping[Verb, Mapping[str, int]], when: st
     command, pulses = probe.command(Verb.MOVE_RELATIVE_PULSES), setting_effects.PULSES
     start = setting_effects.counts(probe)
     values = {"direction": 0, "speed": 18, "acceleration": STEEP, "pulses": pulses}
-    exchange = probe.ask(command, values, until=Until.TIMEOUT, timeout_ns=_MOVE_NS)
+    respond = shown.get(Verb.SET_RESPOND, {"respond": 1, "active": 1})
+    # Where its end is told, no more is waited for.
+    told = respond["respond"] and respond["active"] and motion.of(command).tells_end
+    exchange = probe.ask(command, values, until=Until.DONE if told else Until.TIMEOUT, timeout_ns=_MOVE_NS)
     motion.wait_standing(probe)
     went = abs(setting_effects.counts(probe) - start)
     subdivision = shown.get(Verb.SET_SUBDIVISION, {"subdivision": SUBDIVISION})["subdivision"]

@@ -1,0 +1,81 @@
+"""Looks at a shaft, on its way and at rest, and which rows of a table of motions were carried out before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from analyzer.catalogue import Command, Verb
+from conformance.claim import Inconclusive
+from conformance.gate.gate import Refused
+from conformance.motion.course import Span
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
+
+
+class _OfCommand(Protocol):
+    @property
+    def command(self) -> str: ...
+
+
+class _Tried(Protocol):
+    @property
+    def row(self) -> Any: ...
+
+
+Row = TypeVar("Row", bound=_OfCommand)
+Tried = TypeVar("Tried", bound=_Tried)
+
+
+@dataclass(frozen=True)
+class Look:
+    """One read. `values`: what it told, None where it was not answered, twice. It held at a moment of the span."""
+
+    read: Command
+    values: Mapping[str, int] | None
+    span: Span
+    exchange: Exchange
+
+
+def place(look: Look) -> int:
+    """Return the position of a look, as it was told."""
+    assert look.values is not None  # it was told
+    return look.values["position"]
+
+
+def look(probe: Probe, read: Command) -> Look:
+    """Ask a read, and once more where it is not answered, and return what it told."""
+    exchange = probe.ask(read, quiet_ns=0)
+    if not exchange.is_read:
+        exchange = probe.ask(read, quiet_ns=0)
+    answer = exchange.reply
+    if answer is None or not exchange.is_read:
+        return Look(read, None, (exchange.sent_ns, probe.gate.now_ns()), exchange)
+    return Look(read, answer.values, (exchange.sent_ns, max(exchange.sent_ns, answer.first_ns)), exchange)
+
+
+def on_the_way(probe: Probe, reads: Iterator[Command], every_ns: int, until_ns: int) -> Iterator[Look]:
+    """Look at one read after the other, so far apart at least, until a time."""
+    while (begun_ns := probe.gate.now_ns()) < until_ns:
+        yield look(probe, next(reads))
+        probe.wait(min(begun_ns + every_ns, until_ns) - probe.gate.now_ns())
+
+
+def at_rest(probe: Probe, reads: Sequence[Command]) -> tuple[Look, ...]:
+    """Look at a shaft that rests by these reads, at its position first and last."""
+    position = probe.command(Verb.READ_POSITION)
+    return tuple(look(probe, read) for read in (position, *reads, position))
+
+
+def divided(
+    probe: Probe, command: Command, first_of: Callable[[Probe, Command], tuple[Tried, ...]], table: Iterable[Row]
+) -> tuple[tuple[Tried, ...], list[Row]]:
+    """Return what the first rows of a command showed, and the other rows of it in a table."""
+    try:
+        first = first_of(probe, command)
+    except (Inconclusive, Refused):
+        # It was another motion perhaps.
+        first = ()
+    known = {tried.row for tried in first}
+    return first, [row for row in table if row.command == command.name and row not in known]
