@@ -30,8 +30,8 @@ from conformance.bus.can_port import CanPort
 #: Frames that are read at one go, before the time is looked at.
 _AT_ONCE = 256
 _LONGEST = 4096
-#: Bytes that the kernel may keep for a socket: a tenth of a second of a full bus. More would be out of date when read.
-ROOM = 1 << 20
+#: Bytes that the kernel may keep for a socket: about half a second of a full bus, which is passed over in a few hundredths.
+ROOM = 4 << 20
 #: Options of `udp_multicast`. Its bit rate is that of the emulated bus behind it.
 _OPTIONS = ("port", "hop_limit", "bitrate")
 

@@ -35,6 +35,8 @@ _RETURN_NS = 500_000_000
 _FAILURES = 20
 #: What is slept where an interface does not wait itself: looking again at once would take a whole core.
 _PAUSE_NS = 1_000_000
+#: Bytes that the kernel may keep for a socket: a tenth of a second of a full bus. More would be out of date when read.
+_ROOM = 1 << 20
 #: Bytes of the longest frame of the kernel.
 _KERNEL_FRAME = 72
 
@@ -64,7 +66,7 @@ class LibraryPort(CanPort):
             raise UsageError(f"cannot open {self.name}: {type(error).__name__}: {error}") from None
         # The kernel keeps frames while this process does not run. Most interfaces have no file, or one that is no socket.
         with contextlib.suppress(NotImplementedError, OSError), contextlib.closing(socket_of(self._bus)) as made:
-            with_room(made, ROOM)
+            with_room(made, _ROOM)
         self._own: deque[tuple[int, int, bytes]] = deque()
         self._hands_back = bool(options.get("receive_own_messages"))
         self._failures = 0
@@ -143,6 +145,7 @@ class SocketCanPort(LibraryPort):
     def __init__(self, channel: str, *, heard_as: Role = Role.REQUEST, **options: Any) -> None:
         super().__init__("socketcan", channel, heard_as=heard_as, **options)
         made = self._made = socket_of(self._bus)
+        with_room(made, ROOM)
 
         def read() -> tuple[bytes, bool]:
             data, _, flags, _ = made.recvmsg(_KERNEL_FRAME, 0, socket.MSG_DONTWAIT)

@@ -312,7 +312,8 @@ def _scan_rate(
             if found is not None:
                 known = {(f.dialect.name, f.address, f.speed) for f in report.found}
                 for each in (found, *finder.late(exchange, dialect, address)):
-                    if (each.dialect.name, each.address, each.speed) not in known:
+                    if (place := (each.dialect.name, each.address, each.speed)) not in known:
+                        known.add(place)
                         report.found.append(each)
                     if enough is not None and enough(each):
                         return False

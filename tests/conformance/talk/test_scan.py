@@ -224,6 +224,10 @@ def test_a_late_answer_is_not_taken_for_that_of_the_next_drive():
     found = scan(gate("mks-rs485@1,latency=50..50ms", "mks-rs485@2,latency=20..20ms"), [MKS], addresses=(1, 2, 3))
     assert sorted(names(found)) == ["mks-rs485@1 38400", "mks-rs485@2 38400"]
     assert [f.wrong for f in found.found if f.address == 2] == [""]
+    # Where the second is not there, the first is told, and once.
+    found = scan(gate("mks-rs485@1,latency=60..60ms"), [MKS], addresses=(1, 2, 3))
+    assert names(found) == ["mks-rs485@1 38400"]
+    assert "when mks-rs485@2 was asked" in found.found[0].wrong
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
