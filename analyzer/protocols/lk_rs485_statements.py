@@ -202,7 +202,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "3/torque-current",
         "Bytes 1 and 2 are the torque current of MF and MG, signed.",
-        ("motion/read_state_2/crossed", "motion/run_torque/crossed-tells"),
+        ("motion/read_state_2/crossed", "motion/run_torque/crossed-tells", "motion/read_state_2/torque-sign"),
     ),
     S(
         "3/power",

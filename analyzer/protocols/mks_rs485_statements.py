@@ -319,7 +319,7 @@ _SETTINGS = (
     said("5.3.2/closed", "From a closed switch the shaft turns away first, then comes back.", "motion/home/from-closed-*"),
     said("5.3.2/fails", "Status 0: homing failed.", "motion/home/disabled", "motion/home/stopped"),
     said("5.3.2/starts", "Status 1: homing starts.", "motion/home/replies"),
-    said("5.3.2/done", "Status 2: home is found.", "motion/home/replies"),
+    said("5.3.2/done", "Status 2: home is found.", "motion/home/replies", "motion/home/told-though"),
     said("5.3.3/zero", "92 makes the present place zero.", "motion/set_zero/*"),
     said("5.3.3/stands", "92 does not move the motor.", "motion/set_zero/stands"),
     said("5.3.3/status", "It is answered by 1, or by 0 when that fails.", "shape/set_zero/status"),

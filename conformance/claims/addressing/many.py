@@ -25,7 +25,6 @@ from conformance.gate.gate import Item
 from conformance.motion import effects, motion, ramp
 from conformance.motion.effects import STEP_NS, Change, Observable
 from conformance.motion.motion import MOVES
-from conformance.talk import restarts
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
 from conformance.talk.settings import changes_link
@@ -41,8 +40,6 @@ _TURNS_NS = 100_000_000
 _BETWEEN_NS = 30_000_000
 #: A ramp of 2.5 ms for a rpm, by which a shaft rises in a while; how long a stop at once may take, and is then looked at.
 _HALTED_RAMP, _RISES_NS, _HALTS_NS, _LOOK_NS = 206, 160_000_000, 15_000_000, 40_000_000
-#: What a drive is told behind all else.
-_LAST = (Verb.RESTART,)
 #: How long a setting is listened to; that a setting by several addresses is silent shows with the first of them too.
 _SETTING_NS = 60_000_000
 
@@ -436,9 +433,9 @@ def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded.Guarded
 
 
 def _whatever_happens(dialect: Dialect) -> Iterator[Case]:
-    """Yield each address of several drives with what is refused while the motor is off, and a restart."""
+    """Yield each address of several drives with what is refused while the motor is off."""
     for many in _addresses(dialect) if motion.can_move(dialect) else ():
-        chosen = (*dialect.motions(MotionKind.RUN, *MOVES), *(c for v in _LAST if (c := dialect.by_verb.get(v)) is not None))
+        chosen = dialect.motions(MotionKind.RUN, *MOVES)
         risks = motion.risks(dialect, Risk.TORQUE, *many.risks(dialect).union(*(c.all_risks for c in chosen)) - {Risk.UNKNOWN})
         facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
         yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
@@ -446,22 +443,17 @@ def _whatever_happens(dialect: Dialect) -> Iterator[Case]:
 
 @_addressing("any answer", _whatever_happens, name="{many}/outcomes")
 def _never_answered(probe: Probe, many: _Many, chosen: tuple[Command, ...]) -> None:
-    """Nothing by {what} is answered: no read, no motion of a motor that is off, and no restart."""
+    """Nothing by {what} is answered: no read, and no motion of a motor that is off."""
     motion.ready_to_move(probe)
     to = many.join(probe)
     for read, values in every_read(probe.dialect):
         _expect_silence(probe, probe.ask(read, values, address=to, until=Until.TIMEOUT, timeout_ns=_SETTING_NS), many.what)
     motion.switch(probe, False)
     for command in chosen:
-        if command.verb in _LAST:
-            motion.switch(probe, True)
         # What moves turns nothing, or a tenth of a turn: a motor that is off may run all the same.
-        start = motion.place(probe, command) if command.motion is not None else 0
-        values = motion.values_of(probe.dialect, command, 36, start=start) if command.motion is not None else {}
+        values = motion.values_of(probe.dialect, command, 36, start=motion.place(probe, command))
         sent = probe.ask(command, values, address=to, until=Until.TIMEOUT, timeout_ns=probe.rig.silence_ns)
-        if command.verb in _LAST:
-            restarts.wait_for_answer(probe)
-        elif not sent.silent:
+        if not sent.silent:
             motion.stand_still(probe)
             motion.switch(probe, True)
         _expect_silence(probe, sent, many.what)

@@ -337,7 +337,7 @@ _LOW, _THERE_NS, _NEAR = FORCE // 2, 250 * MS, FORCE / 4
 
 @_of_torque_limit(each=_forces, name="{command}/torque-limit-at-once-{how}", refuted_by="the torque of before")
 def _torque_limit_at_once(probe: Probe, how: Command) -> None:
-    """A torque limit that holds for {how} from its begin holds as soon as it is written for one that is under way."""
+    """A torque limit that holds for {how} one way holds the other way, and as soon as it is written for one under way."""
     kept = parameter(probe, "torque_limit")
     if kept is None:
         return
@@ -349,20 +349,25 @@ def _torque_limit_at_once(probe: Probe, how: Command) -> None:
 
     motion.ready_to_move(probe)
     set_parameter(probe, "torque_limit", _LOW)
-    probe.do(how, {name: FORCE})
-    begun = strength()
-    motion.stand_still(probe)
+    seen = []
+    for way in (1, -1):
+        exchange = probe.do(how, {name: way * FORCE})
+        seen.append(strength())
+        motion.stand_still(probe)
+    begun, other = seen
     set_parameter(probe, "torque_limit", kept)
     probe.do(how, {name: FORCE})
     free = strength()
-    exchange = set_parameter(probe, "torque_limit", _LOW)
-    seen = strength()
+    written = set_parameter(probe, "torque_limit", _LOW)
+    changed = strength()
     motion.stand_still(probe)
     set_parameter(probe, "torque_limit", kept)
     if abs(begun - _LOW) > _NEAR or abs(free - FORCE) > _NEAR:
         raise Observed(f"with a torque limit of {_LOW} the torque is {begun:.0f}, and {free:.0f} without")
+    text = f"a torque limit that holds for {how.name} one way does not hold the other way"
+    probe.expect(other, near=-_LOW, within=_NEAR, unit="LSB", refutes=text, exchange=exchange)
     text = f"a torque limit does not hold for {how.name} that is under way"
-    probe.expect(seen, near=_LOW, within=_NEAR, unit="LSB", refutes=text, exchange=exchange)
+    probe.expect(changed, near=_LOW, within=_NEAR, unit="LSB", refutes=text, exchange=written)
 
 
 # --- the ramp ---------------------------------------------------------------------------------------------------------

@@ -13,10 +13,11 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import Case, commands
 from conformance.claims.lk.encoder_zero import named
-from conformance.claims.motion.motion_claim import of_motion
+from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.claims.motion.reads import PLACES, turn_by
 from conformance.motion import motion
 from conformance.talk.exchange import Exchange
@@ -117,3 +118,37 @@ def _angle_is_encoder(probe: Probe, command: Command) -> None:
             refutes="the angle within the turn is not that of the encoder",
             exchange=exchange,
         )
+
+
+#: A run that shows, in rpm, and how long until its speed is even; a torque that has a sign, and by how much it may differ.
+_RPM, _EVEN_NS, _TELLING, _ALIKE = 60, 300 * motion.MS, 20, 0.1
+
+
+@of_motion(
+    each=commands(Verb.READ_STATE_2),
+    refuted_by="the same torque both ways",
+    name="{command}/torque-sign",
+    at_best=Certainty.LIKELY,
+    risks=risks_by(Verb.RUN_SPEED),
+)
+def _torque_sign(probe: Probe, command: Command) -> None:
+    """The torque, or the power, of a run has its sign: {command} tells another one of a run the other way."""
+    motion.ready_to_move(probe)
+    forces = []
+    for way in (1, -1):
+        motion.run_at(probe, way * _RPM)
+        probe.wait(_EVEN_NS)
+        seen, exchange = _told(probe, command)
+        forces.append(next(seen[name] for name in _FORCES if name in seen))
+        motion.stand_still(probe)
+    one, other = forces
+    if min(abs(one), abs(other)) < _TELLING:
+        raise Inconclusive("a run takes too little torque to tell its sign")
+    # A load that pulls one way adds to the friction one way, and takes from it the other way.
+    alike = one * other > 0 and abs(one - other) <= _ALIKE * max(abs(one), abs(other))
+    text = "the torque of a run is told without its sign"
+    probe.expect(f"{one:+d} and {other:+d}", holds=not alike, expected="two signs", refutes=text, exchange=exchange)
+
+
+#: What a motor gives, by the word of its model.
+_FORCES = ("torque_current", "power")

@@ -21,6 +21,7 @@ from conformance.claims.motion.motion_claim import of_motion, risks_by, that_tel
 from conformance.model import covering
 from conformance.motion import motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.talk import samples
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -424,6 +425,23 @@ def _replies(probe: Probe, command: Command) -> None:
         shown = ", ".join(f"{name} {value}" for name, value in row.items())
         told = _statuses(probe, since, command)
         probe.expect(told, equal=[1, 2], expected=f"1, 2: {shown}", refutes=text, exchange=exchange, key=text)
+
+
+@_of_homing("others", each=that_tell_their_end(_homings), at_best=Certainty.LIKELY)
+def _told_though(probe: Probe, command: Command) -> None:
+    """Homing goes on, and its end is told, though 92, a read or a setting comes on the way."""
+    for verb in (Verb.SET_ZERO, Verb.READ_STATUS, Verb.SET_CURRENT):
+        _prepared(probe)
+        bench.left_switch(probe, -2 * probe.dialect.counts_per_turn)
+        since = len(probe.traffic)
+        probe.do(command)
+        probe.wait(500 * MS)
+        between = probe.command(verb)
+        exchange = probe.ask(between, samples.sample(probe.dialect, between), quiet_ns=0)
+        probe.wait(4 * SECOND_NS)
+        told = _statuses(probe, since, command)
+        text = f"the end of homing is not told when {between.name} comes on the way"
+        probe.expect(told, equal=[1, 2], refutes=text, exchange=exchange)
 
 
 # --- held at the end stop ---------------------------------------------------------------------------------------------

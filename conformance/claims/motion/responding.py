@@ -186,17 +186,17 @@ def _stopped(probe: Probe, respond: int, run: Command, stop: Command) -> _Shown:
     "an answer", each=_settings, name="{command}/0-silences-refusals", risks=risks_by(Verb.RUN_SPEED, Verb.ENABLE, *_MOVES)
 )
 def _silent_refusals(probe: Probe) -> None:
-    """With respond 0 a motion that is refused, since the motor is off, is not answered either."""
+    """A motion that is refused, since the motor is off, is answered with active 0, and not with respond 0."""
     motion.ready_to_move(probe)
     every = [*probe.dialect.motions(*motion.RUNS_AND_MOVES)]
     begins = {command.name: motion.place(probe, command) for command in every}
     motion.switch(probe, False)
-    found: dict[int, list[Exchange]] = {}
-    for respond in (1, 0):
-        _set(probe, respond, 1)
+    found: list[list[Exchange]] = []
+    for respond, active in ((1, 1), (1, 0), (0, 1)):
+        _set(probe, respond, active)
         until = Until.REPLY if respond else Until.TIMEOUT
         timeout_ns = None if respond else probe.noise.silence_ns
-        found[respond] = [
+        answers = [
             motion.ask(
                 probe,
                 command,
@@ -209,13 +209,18 @@ def _silent_refusals(probe: Probe) -> None:
             )
             for command in every
         ]
+        found.append(answers)
     _set(probe, 1, 1)
     motion.switch(probe, True)
-    pairs = [(one, other) for one, other in zip(*found.values(), strict=True) if one.is_read and probe.refused(one)]
-    if not pairs:
+    refused = [each for each in zip(*found, strict=True) if each[0].is_read and probe.refused(each[0])]
+    if not refused:
         raise Inconclusive("no motion is refused while the motor is off")
-    for _, silent in pairs:
+    for _, inactive, silent in refused:
         assert silent.command is not None  # it was asked for
+        text, aloud = f"{silent.command.name} is not refused aloud with active 0", inactive.is_read and probe.refused(inactive)
+        probe.expect(
+            "another answer", holds=aloud, expected="a refusal", refutes=text, exchange=inactive, key="not refused aloud"
+        )
         text, told = f"{silent.command.name} is refused aloud with respond 0", motion.statuses((silent,), silent.command)
         probe.expect(told, equal=[], expected="silence", refutes=text, exchange=silent, key="refused aloud")
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
-from conformance.claim import Inconclusive, Theme
+from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import (
@@ -237,36 +237,6 @@ def _told_when_standing(probe: Probe, command: Command, run: Command) -> None:
     seen = probe.recorded(stopped_by_ramp, run, command)
     text = f"{command.name} is told as complete before the shaft stands"
     expect_rested(probe, command, seen.told[-1:], seen.at_once, _at_rest(seen), seen.exchange, text)
-
-
-# --- a stop of all drives ---------------------------------------------------------------------------------------------
-
-
-def _stops_of_all(dialect: Dialect) -> Iterator[Case]:
-    """Yield the stops of a run that can be sent to all drives at once."""
-    if dialect.broadcast is not None:
-        for verb in (Verb.STOP_SPEED, Verb.EMERGENCY_STOP):
-            if verb in dialect.by_verb:
-                yield Case(dialect, dialect.by_verb[verb])
-
-
-@of_motion(
-    theme=Theme.ADDRESSING,
-    each=_stops_of_all,
-    name="broadcast/{command}",
-    refuted_by="a shaft that goes on",
-    risks=risks_by(Verb.RUN_SPEED),
-    alone=True,
-    at_best=Certainty.LIKELY,
-)
-def _stops_all(probe: Probe, command: Command) -> None:
-    """{command} by a broadcast stops the shaft."""
-    set_going(probe, probe.command(Verb.RUN_SPEED))
-    _expect_turning(motion.speed(probe), CALM / 2)
-    values = {"acceleration": 0} if "acceleration" in command.request_forms[0].layout.named else None
-    broadcast = probe.dialect.broadcast
-    exchange = probe.ask(command, values, address=broadcast, until=Until.TIMEOUT, timeout_ns=500 * MS)
-    expect_standing(probe, exchange, f"{command.name} by a broadcast stops nothing")
 
 
 # --- the stop of every motion -----------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from conformance.model import limits
 from conformance.talk import samples
 from conformance.talk.acceptance import Acceptance, can_refuse, expect_accepted, expect_refused, try_request
 from conformance.talk.probe import Probe
-from conformance.talk.settings import LINK_EFFECTS
+from conformance.talk.settings import LINK_EFFECTS, read_back
 
 _BYTE = 0xFF
 #: Values of these do something that no claim about ranges needs; other claims are about what they do.
@@ -66,13 +66,18 @@ def _forbidden(dialect: Dialect) -> Iterator[Case]:
 
 @of_ranges(each=_allowed, refuted_by="a refusal")
 def _accepted(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
-    """{where} of {field} is accepted."""
+    """{where} of {field} is accepted, and read as it was set by a drive that can tell it."""
     edges.need_model(probe, field)
     edges.prepare(probe, command)
     form = edges.form_of(command, field)
     for value in edges.tried(probe, command, field, values):
         asked = edges.plain(probe, command, form, **{field.name: value})
         expect_accepted(probe, command, asked, edges.text(field, value), form=form)
+        told, exchange = read_back(probe, command) if command.readable else (None, None)
+        if told:
+            text = f"{command.name}: {edges.text(field, value)} is read as {told.get(field.name)}"
+            key = f"{command.name} is read otherwise"
+            probe.expect(told.get(field.name), equal=value, refutes=text, exchange=exchange, key=key)
     _keep_enabled(probe, command)
 
 

@@ -310,38 +310,26 @@ def _forget(probe: Probe, command: Command) -> None:
     motion.stand_still(probe)
 
 
-def _saved_in_any_mode(dialect: Dialect) -> Iterator[Case]:
-    for case in _saved_runs(dialect):
-        yield Case(dialect, case.command, {"mode": "", "stop": Verb.STOP_SPEED}, case.facts)
-
-
 def _modes(dialect: Dialect) -> list[str]:
     return [mode for mode in motion.bus_modes(dialect) if "no_encoder" not in mode]
 
 
-def _saved_in_other_mode(dialect: Dialect) -> Iterator[Case]:
+def _saved_in_a_mode(dialect: Dialect) -> Iterator[Case]:
     """Yield it for the mode between: in the others a run is kept by other claims."""
     for case in _saved_runs(dialect):
-        yield Case(dialect, case.command, {"mode": _modes(dialect)[-2], "stop": Verb.EMERGENCY_STOP}, case.facts)
+        yield Case(dialect, case.command, {"mode": _modes(dialect)[-2]}, case.facts)
 
 
-@of_read_back(
-    each=_saved_in_other_mode,
-    name="{command}/in-{mode}",
-    statement="In {mode} a run that is kept begins again after a restart, though the emergency stop ended it.",
-    refuted_by="another speed, or none",
-    rests_on=(Doubt.VALUES,),
-)
-@of_read_back(each=_saved_in_any_mode, name="{command}/restart", refuted_by="another speed, or none", rests_on=(Doubt.VALUES,))
-def _saved(probe: Probe, command: Command, mode: str, stop: Verb) -> None:
-    """A run that is kept goes on, and begins again after a restart, the same way, though it was stopped at once."""
+@of_read_back(each=_saved_in_a_mode, name="{command}/restart", refuted_by="another speed, or none", rests_on=(Doubt.VALUES,))
+def _saved(probe: Probe, command: Command, mode: str) -> None:
+    """In {mode} a run that is kept goes on, and begins again after a restart, though the emergency stop ended it."""
     need_axis_lock(probe)
     before = _turning(probe, -_RPM, mode)
     exchange = probe.do(command, _KEEP)
     text = "a run does not go on when it is kept"
     within = max(2.0, abs(before) * _SHARE)
     probe.expect(motion.speed(probe).value, near=before, within=within, unit="rpm", refutes=text, exchange=exchange)
-    after, exchange = _after_restart(probe, stop)
+    after, exchange = _after_restart(probe, Verb.EMERGENCY_STOP)
     _forget(probe, command)
     probe.expect(
         after,

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
 from conformance.claims.addressing import many, package
+from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case
 from conformance.claims.resilience.settings import expect_effects
 from conformance.claims.settings.known_settings import ReadableSetting, Setting, every_setting, needs
@@ -165,22 +166,23 @@ def _kept_run(probe: Probe, command: Command, way: _Way) -> None:
     motion.run_at(probe, _RPM)
     way.send(probe, command, _KEEP)
     motion.run_at(probe, -_RPM)
-    kept = _after_restart(probe, way)
+    kept, sent = _after_restart(probe, way)
     forgotten = 0.0
     if kept > _RPM / 2:
         way.send(probe, command, _FORGET)
-        forgotten = _after_restart(probe, way)
+        forgotten, sent = _after_restart(probe, way)
     probe.ask(command, _FORGET)
     motion.stand_still(probe)
     got = f"{kept:+g} rpm, and {forgotten:+g} rpm once it was forgotten"
     text = f"{command.name} and restart {way.how} do not keep and forget a run"
     holds = kept > _RPM / 2 and abs(forgotten) <= 1
-    probe.expect(got, holds=holds, expected=f"{_RPM:+g} rpm, and then a shaft that stands", refutes=text)
+    probe.expect(got, holds=holds, expected=f"{_RPM:+g} rpm, and then a shaft that stands", refutes=text, exchange=sent)
+    expect_silence(probe, sent, f"a restart {way.how} is answered")
 
 
-def _after_restart(probe: Probe, way: _Way) -> float:
-    """Restart a drive whose shaft turns, and return how fast it turns then."""
-    way.send(probe, probe.command(Verb.RESTART), {})
+def _after_restart(probe: Probe, way: _Way) -> tuple[float, Exchange]:
+    """Restart a drive whose shaft turns; return how fast it turns then, and the restart."""
+    sent = way.send(probe, probe.command(Verb.RESTART), {})
     wait_for_answer(probe)
     probe.wait(_SETS_OFF_NS)
-    return motion.speed(probe).value
+    return motion.speed(probe).value, sent

@@ -11,12 +11,14 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import cast
 
 from analyzer.protocols.lk_rs485 import DIALECT
 from conformance.drives.drive import Drive, Request
 from conformance.drives.faults.places import LK, Change, together
 from conformance.drives.lk.drive import ACTS, Act, LkDrive
+from conformance.drives.lk.motor import Goal, Torque
 
 #: Commands that end at a position counted over all turns, at an angle within one, or at a distance.
 MULTI_TURN = ("move_multi_turn", "move_multi_turn_limited")
@@ -84,3 +86,15 @@ def learning(name: str, models: tuple[str, ...]) -> Change:
             drive.learn(DIALECT.by_name[name], ACTS[name])
 
     return tuned(learn)
+
+
+def limited_one_way(drive: LkDrive) -> None:
+    """Let no limit hold for a torque below 0."""
+    go = drive.motor.go
+
+    def begin(goal: Goal) -> None:
+        below = isinstance(goal, Torque) and goal.torque < 0
+        drive.motor.limits = replace(drive.limits, torque=1e9) if below else drive.limits
+        go(goal)
+
+    drive.motor.go = begin  # type: ignore[method-assign]

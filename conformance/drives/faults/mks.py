@@ -358,6 +358,7 @@ REPLIES: Rows = {
         Row("parameter-bytes-shifted", "a parameter read mixes the fields up", read_back(mks.shifted)),
         Row("parameter-off-by-one", "a parameter read is one too high in its first field", read_back(mks.first_one_up)),
         Row("parameter-defaults", "a parameter read answers with the defaults", read_back(mks.defaults)),
+        Row("subdivision-25-read-as-24", "84 reads 25 subdivisions as 24", read_back(mks.near_subdivision), CAN),
         Row("subdivision-unreadable", "84 cannot be read back", read_back(mks.no_subdivision)),
         Row(
             "unreadable-as-zero",

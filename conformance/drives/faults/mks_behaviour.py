@@ -587,6 +587,11 @@ def defaults(drive: MksCore, code: int, values: Values) -> Values:
     return {name: drive.factory.get(name, value) for name, value in values.items()}
 
 
+def near_subdivision(drive: MksCore, code: int, values: Values) -> Values:
+    """Tell 24 subdivisions in the place of 25."""
+    return {"subdivision": 24} if code == SUBDIVISION_CODE and values["subdivision"] == 25 else values
+
+
 def no_subdivision(drive: MksCore, code: int, values: Values) -> Values:
     """Say that the subdivision cannot be read."""
     return {"unreadable": 0xFFFF} if code == SUBDIVISION_CODE else values

@@ -740,6 +740,12 @@ def _ccw_home_untold(drive: MksCore) -> None:
     drive.complete = tell  # type: ignore[method-assign]
 
 
+def _untold(drive: MksCore, request: Request) -> None:
+    """Do not tell the end of a homing that is under way."""
+    if drive.task is not None and drive.task.kind is Activity.HOME:
+        drive.task.request = None
+
+
 # --- in one condition of two --------------------------------------------------------------------------------------------
 
 
@@ -1054,6 +1060,18 @@ DOING: Rows = {
             "homing-back-as-stopped", "F1 says stopped on homing's way back", told_when(_homes_back, Verb.READ_STATUS, status=1)
         ),
         Row("fe-of-old-zero", "FE behind homing counts from another zero", request(_of_old_zero, Verb.MOVE_ABSOLUTE_PULSES)),
+        Row(
+            "refusals-need-active",
+            "a motion that is refused is not answered with active 0",
+            result(lambda d, c, sent, found: found if found["status"] or mks(d).settings["active"] else None, MOTIONS),
+            TELLING,
+        ),
+        Row(
+            "homing-untold-behind-setting",
+            "the end of homing is not told when 83 comes on the way",
+            before(Verb.SET_CURRENT, _untold),
+            TELLING,
+        ),
         Row("homing-ccw-untold", "the end of homing counter-clockwise is not told", tuned(_ccw_home_untold), TELLING),
         Row("homing-ccw-lets-go", "homing counter-clockwise lets the shaft go at its end", when_home(_let_go_ccw)),
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),

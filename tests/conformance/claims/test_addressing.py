@@ -121,7 +121,7 @@ def test_a_restart_by_broadcast_that_is_answered_is_refuted(drive):
         return wanted or (message.address == 0 and message.command is not None and message.command.verb is Verb.RESTART)
 
     fault = Fault("restart", (drive,), "a restart by broadcast is answered", "broadcast", lambda h: h.answer.append(told))
-    assert refuted(Theme.ADDRESSING, f"{drive}@1", "broadcast", fault=fault) == {"broadcast/outcomes"}
+    assert refuted(Theme.READ_BACK, f"{drive}@1", "save_speed", fault=fault) == {"save_speed/broadcast"}
 
 
 def test_a_motion_by_the_group_that_is_refused_and_answered_is_refuted():
