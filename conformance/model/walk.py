@@ -97,6 +97,10 @@ LOOK = "look"
 _LOOSENS = frozenset(
     {Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF, Verb.BRAKE, Verb.SET_WORK_MODE, Verb.RESTART, Verb.RELEASE_PROTECTION}
 )
+#: What gives the place of an LK shaft another name.
+_RENAMES = frozenset({"set_position", "clear_turns"})
+#: What tells the place of such a shaft within the turn and over all turns.
+_ENCODER = (Verb.READ_ENCODER, Verb.READ_SINGLE_TURN, Verb.READ_POSITION)
 
 
 class Walk:
@@ -158,9 +162,13 @@ class Walk:
                 break
             held |= {} if answer is None else {n: v for n, v in answer.values.items() if n != "parameter"}
         self.twin.change(lambda drive: drive.hold(held))
+        self._take_encoder()
+
+    def _take_encoder(self) -> None:
+        """Let the encoder of the twin differ from its position by what that of the drive does."""
         if Verb.READ_ENCODER in self.dialect.by_verb:
             told: dict[str, int] = {}
-            for read in (Verb.READ_ENCODER, Verb.READ_SINGLE_TURN, Verb.READ_POSITION):
+            for read in _ENCODER:
                 told |= self.probe.reply(self.probe.ask(read, quiet_ns=0)).values
             self._take(told)
 
@@ -224,6 +232,11 @@ class Walk:
         self._follow(command, given, was_turning, before)
         if command.verb in (Verb.SET_SUBDIVISION, Verb.SET_DIRECTION):
             self._rescaled(scale)
+        if command.name in _RENAMES and not self.twin.turning:
+            # Where the drive was beside its twin when the place was named it is from then on.
+            for verb in _ENCODER:
+                self.look(self.dialect.by_verb[verb])
+            self._take_encoder()
 
     @property
     def _home_rpm(self) -> float:
@@ -273,7 +286,10 @@ class Walk:
             self.running, self._loose = True, True
             self._steady(given)
             return
-        if kind is not None or not twin.turning:
+        if verb is Verb.MOTOR_OFF:
+            # It runs out.
+            self.running = False
+        elif kind is not None or not twin.turning:
             # A stop that was refused stops nothing.
             self.running = self.running and twin.turning and twin.drive.next_ns() is None
         if self.running or (given.get(LEAVE) and twin.turning):

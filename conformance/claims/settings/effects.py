@@ -162,8 +162,12 @@ def _home(*names: str) -> Any:
     return cases
 
 
+#: So far from a closed end stop a shaft is still on its way when its speed has been looked at (counts).
+_LONG_BACK = 0x8000
+
+
 def _homing_with(probe: Probe, **values: int) -> tuple[setting_effects.Homing, Exchange]:
-    exchange = set_home(probe, **values)
+    exchange = set_home(probe, return_angle=_LONG_BACK, **values)
     return setting_effects.homing(probe), exchange
 
 
