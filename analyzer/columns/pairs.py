@@ -425,7 +425,7 @@ class Pairing:
         return len(self._kinds) - 1
 
     def _say_every(self, kind: _Kind, width: int) -> tuple[NDArray[np.int8], ...]:
-        """Return what each byte of data says, for frames of a kind that have one at most; the same for kinds that read alike."""
+        """Return what each byte of data says, for frames of a kind that have one at most; kinds that read alike share it."""
         reading = self.reading(kind)
         if reading not in self._said_by_reading:
             every: Bytes = np.zeros((_BYTES, width), dtype=np.uint8)
