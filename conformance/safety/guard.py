@@ -26,12 +26,13 @@ from typing import IO
 
 import msgspec
 
-from analyzer import dialects, own_process
+from analyzer import dialects
 from analyzer.catalogue import Dialect, Risk, Verb
 from analyzer.cli.boundary import bounded
 from analyzer.errors import ServotapError
 from analyzer.live import endpoint as endpoints
 from analyzer.records import CanFrame
+from analyzer.system import own_process
 from conformance.bus import open_line
 from conformance.bus.line import LineLost
 from conformance.claim import NotStopped, RigFault
