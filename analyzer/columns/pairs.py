@@ -184,6 +184,7 @@ class Pairing:
         self._kinds = [_Kind()]
         #: Of each kind whose data are one byte at most, what each byte says, by part.
         self._said: list[tuple[NDArray[np.int8], ...]] = [(np.zeros(_BYTES, dtype=np.int8),)]
+        self._said_by_reading: dict[object, tuple[NDArray[np.int8], ...]] = {}
         self._tables: _Tables | None = None
         #: Of each lane the number of its command and drive; requests that no drive answers have none, -1.
         self._exchanges: list[int] = []
@@ -418,13 +419,19 @@ class Pairing:
             kind = self._kind(block.frame_of(row, self._dialect, 0), asked)
         if not kind.asking and not kind.telling:
             return 0
-        size = kind.stop - kind.start
         self._kinds.append(kind)
-        every: Bytes = np.zeros((_BYTES, block.data.shape[1]), dtype=np.uint8)
-        every[:, kind.start : kind.start + 1] = np.arange(_BYTES)[:, None]
-        self._said.append(tuple(self.say(kind, every)) if size <= 1 else ())
+        self._said.append(self._say_every(kind, block.data.shape[1]) if kind.stop - kind.start <= 1 else ())
         self._tables = None
         return len(self._kinds) - 1
+
+    def _say_every(self, kind: _Kind, width: int) -> tuple[NDArray[np.int8], ...]:
+        """Return what each byte of data says, for frames of a kind that have one at most; kinds that read alike share it."""
+        reading = self.reading(kind)
+        if reading not in self._said_by_reading:
+            every: Bytes = np.zeros((_BYTES, width), dtype=np.uint8)
+            every[:, kind.start : kind.start + 1] = np.arange(_BYTES)[:, None]
+            self._said_by_reading[reading] = tuple(self.say(kind, every))
+        return self._said_by_reading[reading]
 
     def _kind(self, frame: Frame, asked: int | None) -> _Kind:
         """Return what frames like this one can be. `asked`: what a reply can answer; None: anything, or it is a request."""

@@ -54,10 +54,13 @@ class Rows:
     """The messages of a block's plain frames, made once for all of them and given out by runs.
 
     `channels`: of each lane that is used, that of its topic and that of its state, 0 where it has none. `sequences`, `log_ns`:
-    of each row, the number and the time of its messages; the times rise.
+    of each row, the number and the time of its messages; the times rise. `gaps`: bytes that stand before the messages of some
+    rows, by row: for messages that are made elsewhere.
     """
 
-    def __init__(self, plain: Plain, channels: Integers, sequences: Integers, log_ns: Integers) -> None:
+    def __init__(
+        self, plain: Plain, channels: Integers, sequences: Integers, log_ns: Integers, gaps: Mapping[int, int] | None = None
+    ) -> None:
         self.plain = plain
         count = len(plain.lane)
         each = of_lanes(plain, [1 + lane.states for lane in plain.lanes], 0)
@@ -73,7 +76,10 @@ class Rows:
         lengths = sizes.take(rows)
         for own, pieces in carried:
             lengths[self._firsts.take(own) + 1] = text.width(pieces)
-        self._ends = np.cumsum(lengths + HEADER.itemsize)
+        room = lengths + HEADER.itemsize
+        for row, size in (gaps or {}).items():
+            room[self._firsts[row]] += size
+        self._ends = np.cumsum(room)
         places = 2 * plain.lane.take(rows) + (np.arange(len(rows)) - self._firsts.take(rows))
         self._channels = channels.reshape(-1).astype(np.uint16).take(places)
         self._entries = np.empty((len(rows), 2), dtype=np.int64)
@@ -96,6 +102,12 @@ class Rows:
         for own, pieces in carried:
             text.place(self._data, self._ends.take(self._firsts.take(own) + 1), pieces)
         text.put(self._data, self._entries[:, 1] + HEADER.itemsize, codes)
+
+    def fill(self, row: int, messages: bytes) -> tuple[Bytes, int]:
+        """Write messages into the gap before a row that was not given out yet. Return what they stand in, and where."""
+        start = int(self._entries[self._firsts[row], 1]) - len(messages)
+        self._data[start : start + len(messages)] = np.frombuffer(messages, dtype=np.uint8)
+        return self._data, start
 
     def messages(self, start: int, stop: int) -> Messages:
         """Return the messages of some rows."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -37,7 +36,7 @@ class Sums:
 
 
 class Crc16:
-    """The CRC of Modbus over many stretches of some bytes.
+    """The CRC of Modbus over many stretches of some bytes, of so many bytes at most.
 
     A CRC is linear: that of a stretch is what each byte alone would give at its place, all of it added without carry. Two bytes
     are looked up at once.
@@ -46,21 +45,56 @@ class Crc16:
     _POLYNOMIAL = 0xA001
     #: What two bytes give, by how many follow.
     _shares: ClassVar[dict[int, NDArray[np.uint16]]] = {}
+    #: Fewer stretches of one length than this cost more by themselves than together with those of other lengths.
+    _FEW = 512
 
-    @classmethod
-    def fits(cls, rows: Bytes) -> Flags:
-        """Say which rows of one length end with their own CRC, low byte first."""
-        count, size = rows.shape
+    def __init__(self, codes: Bytes, longest: int) -> None:
+        self._codes, self._longest = codes, longest
+
+    def fit(self, starts: Integers, size: int) -> Flags:
+        """Say which stretches of one length end with their own CRC, low byte first."""
+        rows = windows(self._codes, starts, size)
         # Zeros show what the start value alone gives.
-        total = np.full(count, crc16.modbus(bytes(size)), dtype=np.uint16)
+        total = np.full(len(rows), crc16.modbus(bytes(size)), dtype=np.uint16)
+        fits: Flags = self._added(rows, total) == 0
+        return fits
+
+    def fit_each(self, starts: Integers, sizes: Bytes) -> Flags:
+        """Say it of stretches of several lengths, none of which is 0."""
+        result = np.zeros(len(starts), dtype=np.bool_)
+        order, counts = np.argsort(sizes, kind="stable"), np.bincount(sizes, minlength=1)
+        ends = np.cumsum(counts)
+        rare = []
+        for size in np.flatnonzero(counts).tolist():
+            rows = order[ends[size] - counts[size] : ends[size]]
+            if len(rows) < self._FEW:
+                rare.append(rows)
+            else:
+                result[rows] = self.fit(starts.take(rows), size)
+        if rare:
+            rows = np.concatenate(rare)
+            result[rows] = self._fit_together(starts.take(rows), sizes.take(rows))
+        return result
+
+    def _fit_together(self, starts: Integers, sizes: Bytes) -> Flags:
+        """Say it of stretches that stand at the right of rows. Zeros before their first bytes give nothing."""
+        longest = self._longest
+        codes = np.concatenate((np.zeros(longest, dtype=np.uint8), self._codes))
+        rows = windows(codes, starts + sizes, longest) * (np.arange(longest) >= longest - sizes[:, None].astype(np.int64))
+        alone = np.array([crc16.modbus(bytes(size)) for size in range(longest + 1)], dtype=np.uint16)
+        fits: Flags = self._added(rows, alone.take(sizes)) == 0
+        return fits
+
+    def _added(self, rows: Bytes, total: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """Add to a total what the bytes of each row give."""
+        size = rows.shape[1]
         even = size - size % 2
         for place, pairs in enumerate(rows[:, :even].view("<u2").T):
-            total ^= cls._share(size - 2 * place - 2).take(pairs)
+            total ^= self._share(size - 2 * place - 2).take(pairs)
         if size % 2:
             # A byte with a zero before it: with nothing behind, the zero gives nothing.
-            total ^= cls._share(0).take(rows[:, -1].astype(np.uint16) << 8)
-        result: Flags = total == 0
-        return result
+            total ^= self._share(0).take(rows[:, -1].astype(np.uint16) << 8)
+        return total
 
     @classmethod
     def _share(cls, behind: int) -> NDArray[np.uint16]:
@@ -76,13 +110,6 @@ class Crc16:
         for _ in range(8):
             values = (values >> np.uint16(1)) ^ (values & np.uint16(1)) * np.uint16(cls._POLYNOMIAL)
         return values
-
-
-def rows_of(values: Bytes) -> Iterator[tuple[int, Integers]]:
-    """Yield each value but 0 that occurs, rising, with the rows that have it."""
-    order, ends = np.argsort(values, kind="stable"), np.cumsum(np.bincount(values, minlength=1))
-    for value in (np.flatnonzero(np.diff(ends)) + 1).tolist():
-        yield value, order[ends[value - 1] : ends[value]]
 
 
 def windows(codes: Bytes, starts: Integers, size: int) -> Bytes:

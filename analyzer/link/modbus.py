@@ -300,7 +300,7 @@ class _ModbusSlicer(Slicer):
     def scan(self, codes: Bytes) -> Found | None:
         import numpy as np
 
-        from analyzer.link.arrays import Crc16, Found, rows_of, windows
+        from analyzer.link.arrays import Crc16, Found, windows
 
         room = max(0, len(codes) - _LONGEST_SCANNED)
         # A table of bytes is looked up in faster than arrays do it.
@@ -312,23 +312,25 @@ class _ModbusSlicer(Slicer):
         asks, other = self._of_reads([codes[place : room + place] for place in range(6)])
         eight = (asks & reads) | writes_one | writes_many
         other = other * reads + (codes[2 : room + 2] - 1 < _MODBUS_LAST_EXCEPTION) * exceptions * np.uint8(5)
-        places = np.flatnonzero(writes_many)
-        other[places] = self._of_writes(windows(codes, places, 8))
-        sizes = np.zeros(room, dtype=np.uint8)
-        places = np.flatnonzero(other)
-        for size, rows in rows_of(other.take(places)):
-            own = places.take(rows)
-            sizes[own[Crc16.fits(windows(codes, own, size))]] = size
-        places = np.flatnonzero(eight)
-        places = places.take(np.flatnonzero(Crc16.fits(windows(codes, places, 8))))
+        # Flags are searched several times as fast as numbers; all else is done for the places that are left.
+        places = np.flatnonzero(eight | (other != 0))
+        eight, other = eight.take(places), other.take(places)
+        own = np.flatnonzero(writes_many.take(places))
+        other[own] = self._of_writes(windows(codes, places.take(own), 8))
+        crc, sizes = Crc16(codes, _LONGEST_SCANNED), np.zeros(len(places), dtype=np.uint8)
+        own = np.flatnonzero(other != 0)
+        own = own.take(np.flatnonzero(crc.fit_each(places.take(own), other.take(own))))
+        sizes[own] = other.take(own)
+        own = np.flatnonzero(eight)
+        own = own.take(np.flatnonzero(crc.fit(places.take(own), 8)))
         # Of two lengths the shorter counts; where they are one apart, it is a tie.
-        beside = sizes.take(places)
-        sizes[places] = np.where((beside == 7) | (beside == 9), 0, np.where((beside > 0) & (beside < 8), beside, 8))
-        places = np.flatnonzero(sizes)
-        found = sizes.take(places)
+        beside = sizes.take(own)
+        sizes[own] = np.where((beside == 7) | (beside == 9), 0, np.where((beside > 0) & (beside < 8), beside, 8))
+        own = np.flatnonzero(sizes != 0)
+        found = sizes.take(own)
         # Where two lengths are one apart, the longer was looked at, too.
-        more = ((found == 7) & eight.take(places)) | ((found == 8) & (other.take(places) == 9))
-        return Found(places, found.astype(np.int64), (found + more).astype(np.int64))
+        more = ((found == 7) & eight.take(own)) | ((found == 8) & (other.take(own) == 9))
+        return Found(places.take(own), found.astype(np.int64), (found + more).astype(np.int64))
 
     @staticmethod
     def _of_reads(columns: Sequence[Bytes]) -> tuple[Flags, Bytes]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 import zlib
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -60,7 +60,7 @@ class Chunk:
     times and places of shape (messages, 2).
     """
 
-    __slots__ = ("first_ns", "index", "last_ns", "many", "messages", "parts", "size")
+    __slots__ = ("_last", "first_ns", "index", "last_ns", "many", "messages", "parts", "size")
 
     def __init__(self) -> None:
         self.parts: list[bytes | memoryview] = []
@@ -70,19 +70,34 @@ class Chunk:
         self.messages = 0
         self.index: dict[int, array[int]] = {}
         self.many: list[tuple[NDArray[np.uint16], Integers]] = []
+        #: What the last part stands in, from where to where, if it is an array.
+        self._last: tuple[NDArray[np.uint8], int, int] | None = None
 
-    def join(self, other: Chunk) -> None:
-        """Take all of another chunk behind what is here."""
+    def join(self, other: Chunk, there: tuple[NDArray[np.uint8], int] | None = None) -> None:
+        """Take all of another chunk behind what is here. `there`: its bytes stand there, too, from this place on."""
         if not self.messages:
             self.first_ns = other.first_ns
         for channel, entries in other.index.items():
             places = array("Q", (place + self.size for place in entries[1::2]))
             entries[1::2] = places
             self.index.setdefault(channel, array("Q")).extend(entries)
-        self.parts += other.parts
+        if there is None:
+            self.parts += other.parts
+            self._last = None
+        else:
+            self._add(*there, other.size)
         self.size += other.size
         self.messages += other.messages
         self.last_ns = other.last_ns if other.messages else self.last_ns
+
+    def _add(self, codes: NDArray[np.uint8], begin: int, size: int) -> None:
+        """Take bytes of an array. With those before them there they are one part, which need not be put together."""
+        end = begin + size
+        if self._last is not None and self._last[0] is codes and self._last[2] == begin:
+            begin = self._last[1]
+            self.parts.pop()
+        self.parts.append(codes.data[begin:end])
+        self._last = codes, begin, end
 
     def fill(self, added: Messages, at: int, most: int) -> int:
         """Take packed messages from one on until there are so many bytes; the message that fills the chunk is its last.
@@ -97,7 +112,7 @@ class Chunk:
         # From here on they stand in this chunk, and nowhere else.
         own[:, 1] += self.size - base
         self.many.append((added.channels[at:stop], own))
-        self.parts.append(added.data.data[base:end])
+        self._add(added.data, base, end - base)
         self.size += end - base
         self.last_ns = int(own[-1, 0])
         self.messages += stop - at
@@ -143,7 +158,7 @@ class Packed(NamedTuple):
 
 def pack(chunk: Chunk, indexed: Indexed) -> Packed:
     """Compress a chunk that is complete. `indexed`: its index records."""
-    data = b"".join(chunk.parts)
+    data = chunk.parts[0] if len(chunk.parts) == 1 else b"".join(chunk.parts)
     chunk.parts = []
     compressed = zstandard.ZstdCompressor(level=_LEVEL).compress(data)
     record = record_bytes(
@@ -203,11 +218,13 @@ class Batch:
 
     def chunks(self) -> list[Chunk]:
         """Return the chunks; the last may be short."""
-        made = [Chunk()]
+        made, gaps = [Chunk()], self._gaps()
         rows: Rows | None = None
-        for piece in self.pieces:
+        for piece, behind in zip(self.pieces, [*self.pieces[1:], None], strict=True):
             if isinstance(piece, Chunk):
-                if made[-1].parts:
+                if rows is not None and isinstance(behind, Run) and behind.start in gaps[behind.part]:
+                    made[-1].join(piece, rows.fill(behind.start, b"".join(piece.parts)))
+                elif made[-1].parts:
                     made[-1].join(piece)
                 else:
                     made[-1] = piece
@@ -216,7 +233,7 @@ class Batch:
                 continue
             part = self.parts[piece.part]
             if rows is None or rows.plain is not part.plain:
-                rows = _rows(part)
+                rows = _rows(part, gaps[piece.part])
             added, at = rows.messages(piece.start, piece.stop), 0
             while at < len(added.ends):
                 at = made[-1].fill(added, at, self.chunk_size)
@@ -224,12 +241,20 @@ class Batch:
                     made.append(Chunk())
         return [chunk for chunk in made if chunk.parts]
 
+    def _gaps(self) -> list[dict[int, int]]:
+        """Return for each part the bytes of the messages that stand between two of its runs, by the row behind them."""
+        gaps: list[dict[int, int]] = [{} for _ in self.parts]
+        for before, piece, behind in zip(self.pieces, self.pieces[1:], self.pieces[2:], strict=False):
+            if isinstance(before, Run) and isinstance(piece, Chunk) and isinstance(behind, Run) and before.part == behind.part:
+                gaps[behind.part][behind.start] = piece.size
+        return gaps
+
     def packed(self) -> list[Packed]:
         """Return the chunks as they stand in a file."""
         return [pack(chunk, chunk.indexed()) for chunk in self.chunks()]
 
 
-def _rows(part: Part) -> Rows:
+def _rows(part: Part, gaps: Mapping[int, int]) -> Rows:
     from analyzer.columns.rows import Rows
 
-    return Rows(*part)
+    return Rows(*part, gaps)

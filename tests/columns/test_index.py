@@ -64,3 +64,15 @@ def test_messages_alone_and_together_are_indexed_in_their_order():
     assert (chunk.first_ns, chunk.last_ns, chunk.messages, chunk.size) == (5, 9, 5, 169)
     # The message that fills a chunk is its last.
     assert [Chunk().fill(together(), at, 35) for at in (0, 1)] == [1, 2]
+
+
+def test_a_message_in_a_gap_between_others_makes_one_part_with_them():
+    codes, chunk, channel = np.arange(35 + 33 + 35, dtype=np.uint8), Chunk(), np.array([3], dtype=np.uint16)
+    chunk.fill(Messages(codes, np.array([35]), channel, np.array([(5, 0)])), 0, 1 << 20)
+    chunk.join(alone(9, 6), (codes, 35))
+    chunk.fill(Messages(codes, np.array([35 + 33 + 35]), channel, np.array([(7, 35 + 33)])), 0, 1 << 20)
+    assert chunk.parts == [codes.tobytes()]
+    data, channels, begins, _ = chunk.indexed()
+    assert [(each, read(data, begin).records) for each, begin in zip(channels, begins, strict=True)] == [
+        (3, [(5, 0), (7, 68)]), (9, [(6, 35)]),
+    ]  # fmt: skip
