@@ -228,8 +228,12 @@ def _side(scene: Scene, side: Role, all_garbled: list[_Garbled]) -> Iterator[Sus
 
 
 def _is_told(way: _Way) -> bool:
-    """Say whether a way explains different frames, or almost all of what came as one: at some of many speeds a check fits."""
-    return way.cause != "wrong_baud" or way.different > 1 or any(fit.taken >= _ALMOST_ALL * len(fit.data) for fit in way.fits)
+    """Say whether a way explains several stretches, or almost all of one: at some of many speeds a check fits by chance."""
+    return (
+        way.cause != "wrong_baud"
+        or max(way.different, len(way.fits)) > 1
+        or any(fit.taken >= _ALMOST_ALL * len(fit.data) for fit in way.fits)
+    )
 
 
 def _heard(scene: Scene, side: Role) -> bool:
