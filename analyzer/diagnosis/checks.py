@@ -377,7 +377,11 @@ def _with_check(
             strong = (
                 reading.listed
                 or (rules and len(got) > 1)
-                or (alone and (len(got) != 1 or half) and (_plain(right) or (len(got) > 1 and _is_write(right))))
+                or (
+                    alone
+                    and (len(got) != 1 or half)
+                    and (_plain(right) or (len(got) > 1 and (_is_write(right) or _is_whole_write(right))))
+                )
             )
             lost = len(right) - len(body)
             own = () if can_id is not None else tuple(_of_two(reading, body + got, right))
@@ -417,6 +421,17 @@ def _is_write(frame: bytes) -> bool:
 
 
 _WRITE_ONE, _LAST_UNIT = 0x06, 247
+
+
+def _is_whole_write(frame: bytes) -> bool:
+    """Say whether a frame is a Modbus write of as many registers as it has bytes for."""
+    return (
+        len(frame) > _COUNTED and frame[1] == _WRITE_MANY and not frame[4] and len(frame) - _COUNTED == frame[6] == 2 * frame[5]
+    )
+
+
+#: The function that writes registers, and the bytes around these.
+_WRITE_MANY, _COUNTED = 0x10, 9
 #: The function that switches a coil, and its values.
 _SWITCHES, _SWITCHED = 0x05, (b"\xff\0", b"\0\0")
 #: The size of an exception, and the greatest code of one.

@@ -89,9 +89,25 @@ REPORTS = (
         r"|no response (?:received )?from the (?:remote )?(?:unit|slave|device)|request result: 0x(?:0?b|e4)\b"
         r"|modbus[^\n]{0,60}\btimed?[ -]?out\b(?! ?[=:(])|modbus\w*(?:timeout|timedout)(?:error|exception)"
         r"|\bconnection timed out: select|(?<!set )\b(?:response|reply) time[ -]?out\b(?! ?(?:[=:(]|is|of|to|for|set))"
-        r"|\btime[ -]?out\W{1,3}no (?:response|reply|answer)\b"
+        r"|\btime[ -]?out\W{1,3}no (?:response|reply|answer)\b|\bE0 - timeout\b|\berror: ?0xe0\b"
         r"|\b(?:read|write)\w*\b[^\n]{0,40}\bfailed: ?(?:connection|operation) timed out",
         "no_reply", "no reply came in time", _TRY,
+    ),
+    Report(
+        r"\bresponse address \d+ is different from request address \d+|\bE[14] - (?:invalid server|server id mismatch)",
+        "wrong_address", "the reply comes from another address than the one that was asked",
+        "Ask at the address from which the reply comes; 0 is for all units, and none should answer from it; then look for "
+        "stray bytes before the reply in a log of the raw bytes",
+    ),
+    Report(
+        r"\bE5 - packet length error", "reply_cut", "a reply has another length than it should",
+        "Look at the raw bytes (a debug log of the library): a part of the reply is missing, or stray bytes stand around it",
+    ),
+    Report(
+        r"\b(?:get|got|gets|getting|switch\w*|go(?:es)?|stuck|stays?|changes?|falls?)\b[^\n\"]{0,50}\berror[- ]passive\b",
+        "can_no_ack", "the CAN controller is error-passive: what it sends is not acknowledged, or fails on the line",
+        "Look at the other node's power, CAN_H and CAN_L, 120 Ohm at both ends, then the bit rate of both; `candump -e "
+        "any,0:0,#FFFFFFFF` shows what kind of errors they are",
     ),
     Report(
         r"(?<![\w.])-?\d(?:\.\d+)?e-(?:3[89]|4[0-5])\b", "wrong_byte_order",

@@ -59,6 +59,7 @@ STREAM = bytes.fromhex("01 03 00 00 00 0A C5 CD") * 5
         ("[11][03][00][10][00][02][C7][5E]\nWaiting for a confirmation...\n<00><00><00><00><00><00>\n", "wrong_baud"),
         ("sent: 11 01 00 10 00 01 FE 9F\nreceived: 11 01 00 00 **00 01**", "wrong_length"),
         ("A message like `0x2 0x5 0x0 0x3 0xff 0x0 0x0 0x0` is not taken by the server.", "wrong_checksum"),
+        ("> 02 10 00 01 00 02 04 00 0A 01 02 FF FF", "wrong_checksum"),
         # A count of six for three bytes of data.
         ("req: `11 10 0010 0003 06 010203 A87F`\nres: nothing", "wrong_length"),
         ('I write "e1 3a" (the sum is added) and get "01 07" or "01 e1"', "unsupported_dialect"),

@@ -79,6 +79,8 @@ def value(frame: str, words: str) -> str:
             "[12:00:01][W][modbus:155]: Modbus CRC Check failed! 3A12!=3C3F 31.F9.52.3F.7C (5)\n",
             "split_frame",
         ),
+        ("My unit is silent.\nError: Response address 0 is different from request address 7\n", "wrong_address"),
+        ("My motor does not move.\nThe interface gets stuck in the ERROR-PASSIVE state.\n", "can_no_ack"),
         ("notes on the arm\n  cansend can0 001#3132\n", None),
         (AGAIN, "no_reply"),
         # A library that takes a sound frame for a shorter one compares bytes of its middle; other bytes are damaged.

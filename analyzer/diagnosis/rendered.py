@@ -1,0 +1,212 @@
+"""What frames become on a line: rendered as levels, and read at each speed.
+
+Frames that are likely, those that stand in the capture, and the beginnings of the replies that were asked for.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from difflib import SequenceMatcher
+from functools import cache
+from itertools import takewhile
+
+from analyzer import dialects as registry
+from analyzer.catalogue import Dialect, Role
+from analyzer.codec import codec
+from analyzer.diagnosis.bits import BEGUN, Line, Rows, levels, read
+from analyzer.diagnosis.scene import Scene, Trouble
+from analyzer.diagnosis.ways import (
+    ALIKE,
+    ALMOST_ALL,
+    DIFFERENT,
+    FEWEST,
+    LEAST,
+    LINES,
+    MOST_READ,
+    MOST_STRETCHES,
+    Fit,
+    Garbled,
+    Way,
+)
+
+#: Addresses of the frames that are tried.
+ADDRESSES = range(1, 17)
+#: Speeds that are in use.
+RATES = (9600, 19200, 25000, 38400, 57600, 115200, 256000, 500000, 1000000)
+#: A sender's speed over the receiver's, from which on bytes are read otherwise.
+_SLOWEST, _FASTEST = 0.15, 7.0
+#: Where the middle of a receiver's bit falls on an edge it can see either level: of start bits, and of the others.
+_LATE = ((-0.05, -0.05), (0.05, 0.05), (-0.05, 0.05))
+#: So near to an edge a middle is on it.
+_NEAR = 0.06
+#: How many replies must begin differently where their beginnings alone fit.
+_DISTINCT = 2
+#: Bytes that are sent and bytes that are read: so many must agree before one comes from the other.
+_SAME = 5
+#: Stray bytes that may stand before.
+_STRAY = 3
+#: Idle cells between bytes: none, or a program that sends byte by byte.
+_GAPS = (0, 10)
+
+
+def of_what_was_sent(scene: Scene, garbled: Sequence[Garbled]) -> Iterator[Way]:
+    """Yield the ways in which what the capture shows as sent becomes what it shows as read."""
+    known = [r.link.completed(r.head) for each in garbled for r in each.replies if len(r.head) + 2 == r.size]
+    # What came spoiled tells nothing of what else came.
+    spoiled = {t.offset for t in scene.damaged if t.stretch is not None and t.stretch.direction is not Role.REQUEST}
+    whole = (b.data for b in scene.bursts if _SAME <= len(b.data) <= MOST_READ and b.offset not in spoiled)
+    sent = list(dict.fromkeys((*known, *whole)))[:MOST_STRETCHES]
+    lines = [*LINES, *(("wrong_baud", Line(ratio)) for ratio in _ratios())]
+    for cause, line in lines:
+        fits = {}
+        for frame in sent:
+            for gap in _GAPS:
+                came = read(levels(frame, line, gap), line)
+                if came == frame:
+                    continue
+                for trouble, data, _ in garbled:
+                    # A start that is missing is that of all bytes.
+                    at = data.find(came[:ALIKE], 0, ALIKE if line.missed else _STRAY + ALIKE)
+                    if data != frame and at >= 0 and (same := _common(came, data[at:])):
+                        fits[trouble] = Fit(trouble, data[at:], frame, same)
+        yield Way(cause, line.ratio, list(fits.values()))
+
+
+def _common(came: bytes, data: bytes) -> int:
+    """Return how many bytes are the same and in the same order, if that is no chance; bytes that a pause adds do no harm."""
+    blocks = SequenceMatcher(None, came.decode("latin-1"), data.decode("latin-1"), autojunk=False).get_matching_blocks()
+    same = b"".join(data[block.b : block.b + block.size] for block in blocks)
+    # Of few bytes almost all must agree.
+    least = max(LEAST, ALMOST_ALL * len(data)) if len(data) <= _SAME else max(_SAME, len(data) / 2)
+    return len(same) if len(same) >= least and len(set(same)) >= DIFFERENT else 0
+
+
+@cache
+def likely() -> tuple[bytes, ...]:
+    """Return frames that are sent often: requests without parameters, and replies that have one value."""
+    found: dict[bytes, None] = {}
+    for dialect in registry.every():
+        if dialect.bus == "serial":
+            for frame in _of_dialect(dialect):
+                found[frame] = None
+    return tuple(found)
+
+
+def _of_dialect(dialect: Dialect) -> Iterator[bytes]:
+    link = dialect.link
+    for address in ADDRESSES:
+        for command in dialect.commands:
+            for form in command.request_forms:
+                if not form.layout.byte_length and not form.layout.open_ended:
+                    yield link.build(command, form, address, b"", Role.REQUEST)
+            for form in command.reply_forms:
+                size = form.layout.byte_length
+                if size == 1 and command.judged:
+                    for value in (0, 1, 2):
+                        if codec(form.layout).matches(data := bytes((value,))):
+                            yield link.build(command, form, address, data, Role.REPLY)
+
+
+@cache
+def _levels() -> tuple[tuple[str, ...], Rows]:
+    """Return the levels of the likely frames, one by one and side by side."""
+    seen = tuple(map(levels, likely()))
+    return seen, Rows(seen)
+
+
+@cache
+def inverted() -> dict[bytes, bytes]:
+    """Return the likely frames by what a receiver reads of them whose lines are swapped."""
+    line = Line(inverted=True)
+    return {came: frame for frame in likely() if len(came := read(levels(frame, line), line)) >= LEAST}
+
+
+@cache
+def _ratios() -> tuple[float, ...]:
+    """Return the ratios of a sender's speed to a receiver's."""
+    found: dict[float, tuple[int, int]] = {}
+    for sender in RATES:
+        for receiver in RATES:
+            ratio = round(sender / receiver, 3)
+            if sender != receiver and _SLOWEST < ratio < _FASTEST and not 0.95 < ratio < 1.05:
+                found.setdefault(ratio, (sender, receiver))
+    return tuple(found)
+
+
+def at_other_speeds(garbled: Sequence[Garbled]) -> Iterator[Way]:
+    """Yield what each speed explains: render what is likely to be sent, and look for it."""
+    heads = bytes(set().union(*(each.data for each in garbled)))
+    begins = {each.data[at : at + size] for each in garbled for at in range(len(each.data)) for size in range(1, BEGUN + 1)}
+    frames, (seen, rows) = likely(), _levels()
+    for ratio in _ratios():
+        found: dict[Trouble, dict[bytes, bytes]] = defaultdict(dict)
+        line, lates = Line(ratio), _lates(ratio)
+        tried = sorted((row, number) for number, late in enumerate(lates) for row in rows.beginning(line, late, heads))
+        for row, number in tried:
+            came = read(seen[row], line, lates[number], begins)
+            if len(set(came)) < 2:
+                continue
+            for trouble, data, _ in garbled:
+                if came == data or (len(came) >= LEAST and came in data):
+                    found[trouble][came] = frames[row]
+        fits = []
+        for trouble, data, _ in garbled:
+            if own := found.get(trouble):
+                taken = sum(len(came) * data.count(came) for came in own)
+                fits.append(Fit(trouble, data, next(iter(own.values())), min(taken, len(data))))
+        if fits and (max(len(fit.data) for fit in fits) >= LEAST or len({fit.data for fit in fits}) > 1):
+            yield Way("wrong_baud", ratio, fits)
+
+
+@cache
+def _lates(ratio: float) -> tuple[tuple[float, float], ...]:
+    """Return where a receiver samples: it matters where the middle of a bit falls on an edge."""
+    places = [(bit + 0.5) * ratio for bit in range(9)]
+    return _LATE if any(abs(place - round(place)) < _NEAR for place in places) else _LATE[:1]
+
+
+def of_replies(garbled: Sequence[Garbled]) -> Iterator[Way]:
+    """Yield the settings with which all that came begins as the replies do that were asked for."""
+    asked = [each for each in garbled if each.replies]
+    for cause, line in (("inverted_lines", Line(inverted=True)), *(("wrong_baud", Line(ratio)) for ratio in _ratios())):
+        fits, different, least = [], set(), FEWEST
+        for trouble, data, replies in asked:
+            # The edge by which a driver is switched on is low on a line whose wires are swapped.
+            heard = data.removeprefix(b"\0") if line.inverted else data
+            begun = [(value, r.head, m) for r in replies for value, m in _starts(r.head, line) if _has(heard, value, m)]
+            if begun:
+                value, head, mask = max(begun)
+                fits.append(Fit(trouble, heard, head, len(value)))
+                different.add(value)
+                # Of some bits of a byte more must agree.
+                least = max(least, FEWEST if mask.count(0xFF) == len(mask) else 2 * FEWEST)
+        # Where only one speed is tried, two fitting bytes are no coincidence.
+        sure = line.inverted and any(fit.taken >= ALIKE for fit in fits)
+        enough = len(fits) >= max(least, ALMOST_ALL * len(asked)) and len(different) >= _DISTINCT
+        if enough or (sure and len(fits) >= ALMOST_ALL * len(asked)):
+            yield Way(cause, line.ratio, fits)
+
+
+@cache
+def _starts(head: bytes, line: Line) -> frozenset[tuple[bytes, bytes]]:
+    """Return what is read of the beginning of a frame, whatever follows: bytes, and their known bits."""
+    found = set()
+    for late in _lates(line.ratio):
+        pair = [read(levels(head + tail, line), line, late) for tail in (bytes(8), b"\xff" * 8)]
+        same = bytes(0xFF & ~(a ^ b) for a, b in zip(*pair, strict=False))
+        whole = sum(1 for _ in takewhile(lambda bits: bits == 0xFF, same))
+        # A first byte that is known but for few bits tells something, too.
+        size = whole or (1 if same and same[0].bit_count() >= _KNOWN_BITS else 0)
+        if size:
+            found.add((bytes(a & b for a, b in zip(pair[0], same, strict=False))[:size], same[:size]))
+    return frozenset(found)
+
+
+#: Bits of a first byte that tell whose it is.
+_KNOWN_BITS = 5
+
+
+def _has(data: bytes, value: bytes, mask: bytes) -> bool:
+    """Say whether bytes begin with a value, in the bits of its mask."""
+    return len(data) >= len(value) and all(a & m == b for a, b, m in zip(data, value, mask, strict=False))
