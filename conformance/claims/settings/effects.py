@@ -22,8 +22,8 @@ from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion.homing import SETS_HOME, set_home
 from conformance.claims.motion.homing import fields as fields_of_homing
-from conformance.claims.motion.homing import set_home
 from conformance.claims.ranges import edges
 from conformance.claims.settings import kept_effects, setting_effects
 from conformance.claims.settings.kept_effects import Kept
@@ -149,11 +149,12 @@ def _and_back(probe: Probe, command: Command, row: Kept) -> None:
 def _home(*names: str) -> Any:
     def cases(dialect: Dialect) -> Iterator[Case]:
         command = dialect.by_verb.get(Verb.SET_HOME)
+        sent = frozenset[Risk]().union(*(c.all_risks for v in SETS_HOME if (c := dialect.by_verb.get(v)) is not None))
         for name in names if command is not None else ():
             facts = {
                 "name": f"{{command}}/{name}",
                 "fields": (name,),
-                "risks": motion.risks(dialect, Risk.MOTION, Risk.UNBOUNDED, Risk.TORQUE, Risk.SETTING),
+                "risks": motion.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE, *sent),
                 "settings": motion.settings(dialect, *fields_of_homing(dialect)),
                 "parameters": {},
             }
