@@ -242,6 +242,20 @@ ONCE_ACCUSED = [
         71000,
         "state/walk/2",
     ),
+    # The line damaged what was told of the begin of a motion.
+    (
+        "mks-rs485@21,model=57D,encoder-noise=1,loop-error=1,latency=0.3..3ms,voltage-noise=0.05,group_address=255,"
+        "return_angle=2048,line-errors=0.5%",
+        912003,
+        "state/walk/3",
+    ),
+    # A move came to its end while a reply was waited for that the line had damaged.
+    (
+        "lk-rs485@16,model=MF,encoder-noise=1,loop-error=1,first-late=200ms,clock=-0.3%,latency=0.3..8ms,byte-gap=0.5,"
+        "angle_ki=40,current_ramp=50000,speed_kd=65535,speed_ki=25,speed_limit=144000,line-errors=1%",
+        912004,
+        "move_multi_turn/takes-over",
+    ),
 ]
 
 
