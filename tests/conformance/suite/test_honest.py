@@ -117,11 +117,17 @@ def test_an_emulated_drive_that_is_set_not_to_answer_motion_is_not_refuted(drive
     assert set(found.values()) == {Outcome.CONFIRMED}, found
 
 
-@pytest.mark.parametrize("drive", ["mks-rs485@28,group_address=156", "mks-can@28,group_address=156"])
+@pytest.mark.parametrize(
+    "drive", ["mks-rs485@28,group_address=156", "mks-can@28,group_address=156", "mks-rs485@28,group_address=255"]
+)
 def test_the_group_of_a_drive_is_no_foreign_address(drive):
     target = parse(drive)
     rig = open_rig(Plan((target,)), target)
-    wanted = [c for c in every_claim(target) if c.id.endswith(("run_speed/other_address", "addressing/other/one_bit"))]
+    wanted = [
+        c
+        for c in every_claim(target)
+        if c.id.endswith(("run_speed/other_address", "addressing/other/one_bit", "addressing/other/enable"))
+    ]
     assert {engine.run_claim(c, rig).outcome for c in wanted} == {Outcome.CONFIRMED}
 
 
