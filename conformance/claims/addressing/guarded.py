@@ -526,7 +526,7 @@ def _to_another(probe: Probe, command: Command, guarded: Guarded) -> None:
     bare = probe.dialect.bus == "serial" and probe.dialect.broadcast is None
     byte = (own ^ 0x20, own ^ 0x80, 0xFF) if bare else ()
     near = (a for a in (0, first, own ^ 1, own + 1, last) if a <= last)
-    others = [a for a in dict.fromkeys((*near, *byte)) if a not in (own, probe.dialect.broadcast)]
+    others = [a for a in dict.fromkeys((*near, *byte)) if a not in (own, probe.dialect.broadcast, probe.rig.group)]
     for address in others:
         sent = probe.send(probe.build(command, values, address=address).item(), timeout_ns=PAUSE_NS)
     text = f"{command.name} to {', '.join(map(str, others))} is executed, and the drive is {own}"

@@ -238,6 +238,8 @@ _FAR, _IN_TURN = 720, 300
 _BACK_IN_TURN = 120
 #: The least speed that has a direction (rpm); how often and how long it is looked for.
 _LEAST, _EVERY_NS, _WITHIN_NS = 3, 30 * MS, 2 * SECOND_NS
+#: How often one motion is begun over another one at most, where the line damages replies.
+_TRIES = 3
 
 
 def _every_motion(dialect: Dialect) -> list[Command]:
@@ -281,6 +283,21 @@ def _direction(probe: Probe, wanted: int = 0) -> int:
     return seen[-1]
 
 
+def _turned_over(probe: Probe, older: Command, command: Command, way: int, sense: int) -> tuple[Exchange, int, int]:
+    """Begin a motion, and another one the other way; return its exchange, and which way the shaft turned before and after."""
+    _begin_way(probe, older, way, _RPM)
+    probe.wait(_EVERY_NS)
+    before = _direction(probe)
+    if not before:
+        raise Inconclusive(f"{older.name} does not turn the shaft")
+    fast = abs(motion.speed(probe).value)
+    exchange = _begin_way(probe, command, -before * sense, in_turn=_BACK_IN_TURN)
+    after = _direction(probe, -before)
+    if after == before and abs(motion.speed(probe).value) < fast / 2:
+        raise Inconclusive(f"the shaft slows down too slowly to see whether {command.name} takes over")
+    return exchange, before, after
+
+
 @of_motion(each=_over_others, name="{command}/takes-over", refuted_by="a shaft that turns on as before, or a refusal")
 def _takes_over(probe: Probe, command: Command) -> None:
     """{command} takes over from each other motion, in either direction, and turns the shaft the other way."""
@@ -292,16 +309,15 @@ def _takes_over(probe: Probe, command: Command) -> None:
         raise Inconclusive(f"{command.name} does not turn the shaft")
     for older in _every_motion(probe.dialect):
         for way in (1, -1) if older.name != command.name else ():
-            _begin_way(probe, older, way, _RPM)
-            probe.wait(_EVERY_NS)
-            before = _direction(probe)
-            if not before:
-                raise Inconclusive(f"{older.name} does not turn the shaft")
-            fast = abs(motion.speed(probe).value)
-            exchange = _begin_way(probe, command, -before * sense, in_turn=_BACK_IN_TURN)
-            after = _direction(probe, -before)
-            if after == before and abs(motion.speed(probe).value) < fast / 2:
-                raise Inconclusive(f"the shaft slows down too slowly to see whether {command.name} takes over")
+            for _ in range(_TRIES):
+                since = len(probe.traffic)
+                exchange, before, after = _turned_over(probe, older, command, way, sense)
+                if after == -before or not any(each.damaged for each in probe.traffic[since:]):
+                    break
+                # While a reply is waited for that the line damaged, a motion comes to its end.
+                motion.stand_still(probe)
+            else:
+                raise Inconclusive(f"the line damages replies while {command.name} takes over from {older.name}")
             taken = not motion.refused(probe, exchange)
             if after != -before:
                 motion.stop(probe)

@@ -117,11 +117,17 @@ def test_an_emulated_drive_that_is_set_not_to_answer_motion_is_not_refuted(drive
     assert set(found.values()) == {Outcome.CONFIRMED}, found
 
 
-@pytest.mark.parametrize("drive", ["mks-rs485@28,group_address=156", "mks-can@28,group_address=156"])
+@pytest.mark.parametrize(
+    "drive", ["mks-rs485@28,group_address=156", "mks-can@28,group_address=156", "mks-rs485@28,group_address=255"]
+)
 def test_the_group_of_a_drive_is_no_foreign_address(drive):
     target = parse(drive)
     rig = open_rig(Plan((target,)), target)
-    wanted = [c for c in every_claim(target) if c.id.endswith(("run_speed/other_address", "addressing/other/one_bit"))]
+    wanted = [
+        c
+        for c in every_claim(target)
+        if c.id.endswith(("run_speed/other_address", "addressing/other/one_bit", "addressing/other/enable"))
+    ]
     assert {engine.run_claim(c, rig).outcome for c in wanted} == {Outcome.CONFIRMED}
 
 
@@ -241,6 +247,20 @@ ONCE_ACCUSED = [
         "settle=80ms,overshoot=8,latency=2..5ms,latency-timer=16ms,turnaround-noise=00,voltage-noise=0.3,warm",
         71000,
         "state/walk/2",
+    ),
+    # The line damaged what was told of the begin of a motion.
+    (
+        "mks-rs485@21,model=57D,encoder-noise=1,loop-error=1,latency=0.3..3ms,voltage-noise=0.05,group_address=255,"
+        "return_angle=2048,line-errors=0.5%",
+        912003,
+        "state/walk/3",
+    ),
+    # A move came to its end while a reply was waited for that the line had damaged.
+    (
+        "lk-rs485@16,model=MF,encoder-noise=1,loop-error=1,first-late=200ms,clock=-0.3%,latency=0.3..8ms,byte-gap=0.5,"
+        "angle_ki=40,current_ramp=50000,speed_kd=65535,speed_ki=25,speed_limit=144000,line-errors=1%",
+        912004,
+        "move_multi_turn/takes-over",
     ),
 ]
 
