@@ -3,7 +3,8 @@
     steps -> rehearsal (all judged, nothing sent) -> the gate, step by step -> comparison
 
 Times. Each step has its own time from the start, so delays do not add up. The last part of a wait is spent without sleeping.
-On a serial line, where frames can collide, a step waits for the expected reply to the step before (`PATIENCE_NS` at most).
+On a serial line, where frames can collide, a step waits for the replies to the step before that had come by then (for
+`PATIENCE_NS` longer than in the recording at most).
 
 Permission. A file grants none: all requests are judged before the first byte leaves, and each again as it leaves. When the
 replay is interrupted (Ctrl-C, a lost port), moving drives are stopped by a ramp and watched until they stand. At the end of
@@ -188,8 +189,9 @@ class Replay:
         self._spin_ns = 0 if gate.line.emulated else SPIN_NS
         self._dialogue = Dialogue(gate, dialects)
         self._exchange = self._dialogue.begin(Exchange(None, gate.now_ns()))
-        self._awaited = 0
-        self._awaited_until_ns = 0
+        #: The step before, when it was due and sent, and how many bytes have come since.
+        self._before: Step | None = None
+        self._before_due_ns = self._before_sent_ns = self._came = 0
         self._open: deque[SentStep] = deque()
         #: Drives that were set in motion and not stopped since.
         self.moving: dict[tuple[str, int], _Moving] = {}
@@ -268,19 +270,26 @@ class Replay:
         self._open.append(sent)
         if len(self._open) > _OPEN:
             result.settle(self._open.popleft())
-        self._awaited = _wire_size(step) if step.replies else 0
-        self._awaited_until_ns = exchange.sent_ns + PATIENCE_NS
+        self._before, self._before_due_ns, self._before_sent_ns, self._came = step, due_ns, exchange.sent_ns, 0
         return sent
 
     def _hold(self, due_ns: int) -> bool:
-        """Wait for the reply to the step before, where one is due; say whether that made this step late."""
-        if not self._serial or self._awaited <= 0:
+        """Wait for the reply to the step before, where one is due; say whether that made this step late.
+
+        Further replies are waited for, too, where they had come by then: a completion that this step runs into is lost.
+        """
+        before = self._before
+        if not self._serial or before is None or not before.replies:
             return False
-        while self._awaited > 0 and self.gate.now_ns() < self._awaited_until_ns:
-            self._receive(self._awaited_until_ns)
-        if self._awaited > 0:
+        last_ns = int(before.reply_ns / self._speed)
+        every = last_ns <= due_ns - self._before_due_ns
+        size = sum(len(reply.data) for reply in before.replies) if every else len(before.replies[0].data)
+        until_ns = self._before_sent_ns + PATIENCE_NS + (last_ns if every else 0)
+        while self._came < size and self.gate.now_ns() < until_ns:
+            self._receive(until_ns)
+        if self._came < size:
             self._read_waiting()
-        self._awaited = 0
+        self._before = None
         return self.gate.now_ns() > due_ns
 
     def _listen(self, until_ns: int) -> None:
@@ -294,7 +303,7 @@ class Replay:
     def _receive(self, until_ns: int) -> None:
         got = self._dialogue.receive(until_ns)
         if got is not None:
-            self._awaited -= len(got.data)
+            self._came += len(got.data)
         self._sort()
 
     def _sort(self) -> None:
@@ -371,8 +380,3 @@ class _Moving(NamedTuple):
 
     dialect: Dialect
     for_ever: bool
-
-
-def _wire_size(step: Step) -> int:
-    """Return the bytes of the first reply on the wire."""
-    return len(step.replies[0].data)

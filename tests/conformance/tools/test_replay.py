@@ -196,6 +196,24 @@ def test_a_slow_drive_is_waited_for_and_makes_no_other_late():
     assert silent.times()[1] == pytest.approx(PATIENCE_NS / 1e9, rel=0.05)
 
 
+def test_a_late_step_does_not_run_into_a_completion_that_had_come_before_it():
+    ends = [build(MKS, "stop_speed", 1, {"status": n}, Role.REPLY) for n in (1, 2)]
+    moved = [(0.0, ">", ENABLE), (0.1, ">", RUN), (0.103, "<", RUNS), (1.0, ">", STOP)]
+    moved += [(1.003, "<", ends[0]), (1.02, "<", ends[1])]
+    reads = [(1.05 + t, way, data) for t, way, data in polls(20)]
+    watched = Watched()
+
+    def stand_still(t_ns: int, item: Item) -> None:
+        """Let this process stand still once the motor runs, until all that follows is late."""
+        if item == RUN:
+            watched.line.bus.run_until(t_ns + 2 * SECOND_NS)
+
+    watched.gate.on_sent.append(stand_still)
+    result = watched.replay.run(plan_of(*moved, *reads).steps)
+    assert result.matches["stop_speed", Match.SAME] == 1
+    assert {match: n for (name, match), n in result.matches.items() if name == "read_speed"} == {Match.SAME: 20}
+
+
 def test_on_can_nothing_is_held():
     frames = [CanFrame(n * 10 * MS, "can0", 1, build(CAN, "read_speed", 1), Role.REQUEST) for n in range(3)]
     plan = make_plan(frames, partial(Pipeline, (CAN,)))
