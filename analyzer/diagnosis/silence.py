@@ -322,14 +322,16 @@ def _to_none(scene: Scene) -> Iterator[Suspicion]:
     if not troubles or troubles[0].stretch is None:
         return
     data = troubles[0].stretch.data
-    if data[0] == _GENERAL and any(b.direction is Role.REPLY and b.data[:2] == data[:2] for b in scene.bursts):
+    asked = {t.stretch.data for t in troubles if t.stretch is not None}
+    if any(b.direction is not Role.REQUEST and b.data[:2] == data[:2] and b.data not in asked for b in scene.bursts):
         # Who answers at it has it.
         return
+    general = _GENERAL.get(data[0], "")
     likely = Confidence.CERTAIN if len(troubles) > 1 else Confidence.LIKELY
     yield Suspicion(
-        "wrong_address", Confidence.POSSIBLE if data[0] == _GENERAL else likely, troubles,
+        "wrong_address", Confidence.POSSIBLE if general else likely, troubles,
         f"Address {data[0]} is none of a Modbus unit: those end at {_MODBUS_LAST}."
-        + (" Some meters (PZEM) answer at it where they are alone on the bus." if data[0] == _GENERAL else ""),
+        + (f" {general} answer at it where they are alone on the bus." if general else ""),
         f"{shown(data)} at byte {troubles[0].offset}; {counted(len(troubles), 'time')}",
         f"Ask at the unit's own address: for 1 send {shown(_at_one(data))}",
         tuple(Shown(t.offset, shown(t.stretch.data), shown(_at_one(t.stretch.data))) for t in troubles if t.stretch),
@@ -374,8 +376,8 @@ def _at_one(data: bytes) -> bytes:
 
 
 _MODBUS_LAST = 247
-#: Some meters answer at this address as well as at their own.
-_GENERAL = 0xF8
+#: Who answers at these addresses as well as at its own.
+_GENERAL = {0xF8: "Some meters (PZEM)", 0xFE: "Some sensors and relays", 0xFF: "Some relays and chargers"}
 _MODBUS_SHORTEST = 5
 _WRITE_ONE = 8
 _WRITES = 0x06

@@ -26,9 +26,22 @@ from typing import NamedTuple
 from analyzer.catalogue import Role
 from analyzer.link import modbus_crc
 from analyzer.sources import written
+from analyzer.sources.hexitems import (
+    CONTENT,
+    DECORATION,
+    DISTANT,
+    DISTANT_LIMIT,
+    DISTANT_TIME,
+    ITEMS,
+    PAIR,
+    PHRASE,
+    SIGNS_PATTERN,
+    WORDS_PATTERN,
+    When,
+)
 from analyzer.sources.lines import remembered
 from analyzer.sources.marks import ACTIONS, LETTERS, SIGNS, SPEAKERS, WORDS, role_of
-from analyzer.sources.stamps import ANY, DAYS, STAMPS, Stamp
+from analyzer.sources.stamps import ANY, STAMPS, Stamp
 from analyzer.sources.written import Radix, Written
 
 
@@ -75,93 +88,6 @@ class HexLine(NamedTuple):
         return self.worded or self.sign in SIGNS or self.sign in LETTERS
 
 
-class When(StrEnum):
-    """Where an item of a line may stand: anywhere, before the first mark, or behind it."""
-
-    ANY = "any"
-    UNMARKED = "unmarked"
-    MARKED = "marked"
-
-
-_words = "|".join(sorted(WORDS, key=len, reverse=True))
-_letters = "|".join(LETTERS)
-_signs = "|".join(re.escape(sign) for sign in sorted(SIGNS, key=len, reverse=True))
-_END = r"(?![0-9A-Za-z_]|::)"
-_DECORATION = r"[\s:=<>|\])→←◇◆：,]*(?:-+[>\s]\s*)?"
-_PAIR = r"(?:0[xX])?[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])"
-#: What is written or read by its number, by name: what stands behind are a number and values, no bytes.
-_VALUES = r"(?:reg|coil|bits?(?![a-z])|float|holding|input)"
-#: Words for bytes, behind the word that says who sent: `ReadFrame`, `rx_buffer`, `TX data`.
-_CONTENT = r"(?:data|bytes?|frame|adu|pdu|buffer|buf|packet|msg|message|raw)"
-#: What bytes can begin with.
-_BYTES = rf"(?={_PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*$|(?:[0-9A-Fa-f]{{2}}\.){{5}}|-?\d{{1,3}}[\s,])"
-
-#: Items that may stand before the bytes, in the order of trying, each with a character that its lines have. The names of the
-#: groups say what an item is.
-_ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
-    (when, has, re.compile(pattern, re.IGNORECASE))
-    for when, has, pattern in (
-        # A time; `month` has letters that no other has.
-        (When.ANY, "", rf"\s*[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.]|:[0-9A-Fa-f])\s*[\])]?(?:[\s,;:|]|-(?!>))*"),
-        # `# SEND HEX>`: the bytes follow on the next lines.
-        (When.ANY, "#", r"\s*#\s*(?P<assist>SEND|RECV)\s+(?P<form>HEX|ASCII|BIN)[^>]{0,80}>\s*"),
-        # `ser.write(`, `write(3, "..."`.
-        (
-            When.ANY,
-            "(",
-            rf"\s*(?:[$>\s]*)(?:[A-Za-z_]\w*\.)*(?P<call>{_words})(?!\w*{_VALUES})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"']))?",
-        ),
-        (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{_words})(?:_?{_CONTENT})?{_END}{_DECORATION}"),
-        # What the bytes are called, how many they are, a counter as Modbus Poll prints it.
-        (When.MARKED, "", rf"(?:hex|{_CONTENT}){_END}[\s:=>]*"),
-        (When.MARKED, "", r"len(?:gth)?\s*[=:]?\s*\d{1,5}\s*(?:bytes?)?(?:[\s:=>,-]+(?:(?:from|to)=\d+\s*)*|$)"),
-        (When.MARKED, "", r"[\[(]\s*(?:len\s*[=:]?\s*)?\d{1,5}\s*(?:bytes?|B)?\s*[\])](?!\s*[\[(])[\s:=>-]*"),
-        (When.MARKED, "", rf"\d{{1,5}}\s+bytes?\s*[:=]?\s*{_BYTES}"),
-        (When.MARKED, ":", rf"(?:to|from|by|on|for|over|via|at)\s[^:]{{1,40}}:\s+{_BYTES}"),
-        (When.MARKED, "", r"\d{3,9}-(?=\s*[0-9A-Fa-f]{2}(?:\s|$))"),
-        (When.ANY, ":", rf"\s*(?P<count>\d{{1,5}})\s*:\s+{_BYTES}"),
-        # What the bytes are called, where nothing says who sent; a bullet or a number of a list.
-        (
-            When.UNMARKED,
-            "",
-            rf"\s*(?P<label>hex|data|bytes|frame|packet|buffer|payload|msg|message|raw)\s*\d*\s*[:=]\s*{_BYTES}",
-        ),
-        # One byte behind a bullet is what a list explains.
-        (When.UNMARKED, "", rf"(?P<bullet>[-•]|\d{{1,3}}[.)])\s+{_BYTES}(?!{_PAIR}\s*$)"),
-        # `echo -ne '\\xFA' > /dev/ttyUSB0`.
-        (When.UNMARKED, "", r"(?:\$\s+)?(?P<shell>echo|printf)\s+(?:-\w+\s+)*(?=['\"])"),
-        (When.UNMARKED, "", rf"\s*(?P<letter>out|in)\s+{_BYTES}"),
-        (When.UNMARKED, "", rf"\s*\[?(?P<letter>{_letters})\]?(?:\s*[:>|]+|\t)\s*"),
-        # `W 1 3 0 0`: a letter before numbers alone.
-        (When.UNMARKED, "", r"\s*(?P<letter>[wrt])\s+(?=(?:(?:0x)?[0-9a-f]{1,3}[\s,]+){2,}(?:0x)?[0-9a-f]{1,3}[\s,]*$)"),
-        (When.UNMARKED, "", rf"\s*+(?::\s*+)?(?P<sign>{_signs})(?![<>=-])[\s:]*"),
-        (
-            When.ANY,
-            "",
-            r"\s*(?:\[(?P<name>[A-Za-z][\w :./\\#-]{0,40})\]|\[\d{1,9}\](?!\[)|\((?P<port>COM\d{1,3})\)"
-            r"|(?P<device>(?:/dev/)?(?:tty|com|uart|bus|port)\w{1,20})(?=[\s:]|$))[\s:,|-]*(?:>\s*(?=[A-Za-z]))?",
-        ),
-        # A counter before a mark.
-        (When.UNMARKED, "", rf"\s*#?\d{{1,9}}\s*[-.):]\s*(?=[<>\[(]*(?:{_words}){_END})"),
-        (When.UNMARKED, "|", rf"\s*\d{{1,9}}\s*\|\s*(?=\d{{1,4}}[-:/.]\d|[|\s]*(?:{_words}){_END})"),
-        # A declaration: `uint8_t run[] = {`.
-        (
-            When.UNMARKED,
-            "=",
-            r"[\w\s*:<>]{0,60}?(?P<variable>[A-Za-z_]\w*+)\s*+(?:\[\w*\]\s*+)?=\s*(?=[\[{(\"'<]|b['\"]|byte|new|0x|Buffer)",
-        ),
-    )
-)
-#: A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark; so does a phrase that ends in a colon.
-_DISTANT = re.compile(
-    rf"(?<![\w.])(?<!before )(?:(?:{_words})\s*(?:[>\]=|]|:(?!:))|(?<![\w,]\s)(?:{_words})\s+"
-    rf"(?={_PAIR}[\s,:-]+{_PAIR}|<Buffer|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
-    re.IGNORECASE,
-)
-_PHRASE = re.compile(rf"(?<![\w.])(?P<word>{_words}){_END}[^:]{{1,60}}:\s+{_BYTES}", re.IGNORECASE)
-_DISTANT_LIMIT = 80
-#: A time among the words of a logger.
-_DISTANT_TIME = re.compile(rf"(?<![\w.:]){DAYS}(?![\w.:])")
 #: A digit before bytes that all have two digits is no byte, where some byte keeps its zero or has a letter.
 _LEAD = re.compile(r"(\d)(?:\s*[|;,]\s*|\s+)(?=.*(?:[A-Fa-f]|\b0\d))(?=[0-9A-Fa-f]{2}(?:[\s:-]?[0-9A-Fa-f]{2}){2,}\s*$)")
 #: Such a number in a text whose lines all have one.
@@ -169,7 +95,7 @@ _LEADS = re.compile(r"(\d{1,6})(?:\s*[|;,]\s*|\s+)(?=[0-9A-Fa-f]{2}(?:[\s:-]?[0-
 #: The shapes that most lines have, in one step: a time, a mark, plain hex bytes.
 _USUAL = re.compile(
     rf"(?:[\[(]?(?:({STAMPS['date']})|({STAMPS['clock']})|(\d{{1,19}}\.\d{{1,12}}))[\])]?[\s,;|]+)?"
-    rf"(?:({_words}|{_signs}){_DECORATION})?((?:[0-9A-Fa-f]{{2}} ?)+)",
+    rf"(?:({WORDS_PATTERN}|{SIGNS_PATTERN}){DECORATION})?((?:[0-9A-Fa-f]{{2}} ?)+)",
     re.IGNORECASE,
 )
 
@@ -266,7 +192,7 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
 
 #: A record of named fields, and the field that has a frame.
 _FIELDS = re.compile(r"(?:[A-Za-z_]\w*=[^;=]*;){2,}(?:[A-Za-z_]\w*=[^;=]*)?")
-_FRAME_FIELD = re.compile(rf"(?:(?P<who>{_words})|hex|{_CONTENT})=(?P<bytes>(?:{_PAIR}[ -]?){{2,}})", re.IGNORECASE)
+_FRAME_FIELD = re.compile(rf"(?:(?P<who>{WORDS_PATTERN})|hex|{CONTENT})=(?P<bytes>(?:{PAIR}[ -]?){{2,}})", re.IGNORECASE)
 
 
 def _of_record(text: str) -> str:
@@ -409,7 +335,7 @@ class _Peeler:
         """Peel the next item off; say whether there was one."""
         text, at = self.text, self.at
         marked = self.marked
-        for when, has, pattern in _ITEMS:
+        for when, has, pattern in ITEMS:
             if has not in text or (when is not When.ANY and (when is When.MARKED) != marked):
                 continue
             found = pattern.match(text, at)
@@ -418,13 +344,13 @@ class _Peeler:
                 return True
         if self.marked:
             return False
-        distant = _DISTANT.search(text, at, at + _DISTANT_LIMIT)
+        distant = DISTANT.search(text, at, at + DISTANT_LIMIT)
         if distant is not None and distant.start() > at:
             self.spoken = _TWO_WORDS.search(text[at : distant.start()]) is not None
             self._pass(distant.start())
             self.at = distant.start()
             return True
-        phrase = _PHRASE.search(text, at, at + 2 * _DISTANT_LIMIT)
+        phrase = PHRASE.search(text, at, at + 2 * DISTANT_LIMIT)
         if phrase is None or self._with_note(text[phrase.end() :])[0] is None:
             return False
         self.words.append(phrase["word"].lower())
@@ -435,7 +361,7 @@ class _Peeler:
     def _pass(self, end: int) -> None:
         """Keep the words that stand before a distant mark, and the time among them."""
         self.passed = self.text[self.at : end]
-        if not self.stamp.kind and (time := _DISTANT_TIME.search(self.text, self.at, end)) is not None:
+        if not self.stamp.kind and (time := DISTANT_TIME.search(self.text, self.at, end)) is not None:
             self._take(time)
 
     def _take(self, found: re.Match[str]) -> bool:

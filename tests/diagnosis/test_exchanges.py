@@ -347,10 +347,13 @@ def test_a_count_that_is_not_that_of_the_bytes(frame):
     assert first((">", rtu(frame))) == "wrong_length"
 
 
-def test_a_general_address_of_meters_is_not_certainly_wrong():
-    asked, came = (">", rtu("F8 04 00 00 00 01")), ("<", rtu("F8 04 02 00 E6"))
+@pytest.mark.parametrize("unit", ["F8", "FE", "FF"])
+def test_a_general_address_is_not_certainly_wrong(unit):
+    asked, came = (">", rtu(f"{unit} 04 00 00 00 01")), ("<", rtu(f"{unit} 04 02 00 E6"))
     assert told(asked, came, asked, came) == []
     assert [(each.cause, each.confidence) for each in told(asked, asked)] == [("wrong_address", "possible")]
+    other = (">", rtu("FA 04 00 00 00 01"))
+    assert [(each.cause, each.confidence) for each in told(other, other)] == [("wrong_address", "certain")]
 
 
 @pytest.mark.parametrize(

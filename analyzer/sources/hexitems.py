@@ -1,0 +1,100 @@
+"""What can stand before the bytes of a line: times, marks, names, counts. `hexline` peels a line by this table."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+
+from analyzer.sources.marks import LETTERS, SIGNS, WORDS
+from analyzer.sources.stamps import ANY, DAYS
+
+
+class When(StrEnum):
+    """Where an item of a line may stand: anywhere, before the first mark, or behind it."""
+
+    ANY = "any"
+    UNMARKED = "unmarked"
+    MARKED = "marked"
+
+
+#: Words and signs that say who sent, and what may stand behind them.
+WORDS_PATTERN = "|".join(sorted(WORDS, key=len, reverse=True))
+_letters = "|".join(LETTERS)
+SIGNS_PATTERN = "|".join(re.escape(sign) for sign in sorted(SIGNS, key=len, reverse=True))
+_END = r"(?![0-9A-Za-z_]|::)"
+DECORATION = r"[\s:=<>|\])→←◇◆：,]*(?:-+[>\s]\s*)?"
+#: A byte of two digits.
+PAIR = r"(?:0[xX])?[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])"
+#: What is written or read by its number, by name: what stands behind are a number and values, no bytes.
+_VALUES = r"(?:reg|coil|bits?(?![a-z])|float|holding|input)"
+#: Words for bytes, behind the word that says who sent: `ReadFrame`, `rx_buffer`, `TX data`.
+CONTENT = r"(?:data|bytes?|frame|adu|pdu|buffer|buf|packet|msg|message|raw)"
+#: What bytes can begin with.
+_BYTES = rf"(?={PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*$|(?:[0-9A-Fa-f]{{2}}\.){{5}}|-?\d{{1,3}}[\s,])"
+
+#: Items that may stand before the bytes, in the order of trying, each with a character that its lines have. The names of the
+#: groups say what an item is.
+ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
+    (when, has, re.compile(pattern, re.IGNORECASE))
+    for when, has, pattern in (
+        # A time; `month` has letters that no other has.
+        (When.ANY, "", rf"\s*[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.]|:[0-9A-Fa-f])\s*[\])]?(?:[\s,;:|]|-(?!>))*"),
+        # `# SEND HEX>`: the bytes follow on the next lines.
+        (When.ANY, "#", r"\s*#\s*(?P<assist>SEND|RECV)\s+(?P<form>HEX|ASCII|BIN)[^>]{0,80}>\s*"),
+        # `ser.write(`, `write(3, "..."`.
+        (
+            When.ANY,
+            "(",
+            rf"\s*(?:[$>\s]*)(?:[A-Za-z_]\w*\.)*(?P<call>{WORDS_PATTERN})(?!\w*{_VALUES})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"']))?",
+        ),
+        (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{WORDS_PATTERN})(?:_?{CONTENT})?{_END}{DECORATION}"),
+        # What the bytes are called, how many they are, a counter as Modbus Poll prints it.
+        (When.MARKED, "", rf"(?:hex|{CONTENT}){_END}[\s:=>]*"),
+        (When.MARKED, "", r"len(?:gth)?\s*[=:]?\s*\d{1,5}\s*(?:bytes?)?(?:[\s:=>,-]+(?:(?:from|to)=\d+\s*)*|$)"),
+        (When.MARKED, "", r"[\[(]\s*(?:len\s*[=:]?\s*)?\d{1,5}\s*(?:bytes?|B)?\s*[\])](?!\s*[\[(])[\s:=>-]*"),
+        (When.MARKED, "", rf"\d{{1,5}}\s+bytes?\s*[:=]?\s*{_BYTES}"),
+        (When.MARKED, ":", rf"(?:to|from|by|on|for|over|via|at)\s[^:]{{1,40}}:\s+{_BYTES}"),
+        (When.MARKED, "", r"\d{3,9}-(?=\s*[0-9A-Fa-f]{2}(?:\s|$))"),
+        (When.ANY, ":", rf"\s*(?P<count>\d{{1,5}})\s*:\s+{_BYTES}"),
+        # What the bytes are called, where nothing says who sent; a bullet or a number of a list.
+        (
+            When.UNMARKED,
+            "",
+            rf"\s*(?P<label>hex|data|bytes|frame|packet|buffer|payload|msg|message|raw)\s*\d*\s*[:=]\s*{_BYTES}",
+        ),
+        # One byte behind a bullet is what a list explains.
+        (When.UNMARKED, "", rf"(?P<bullet>[-•]|\d{{1,3}}[.)])\s+{_BYTES}(?!{PAIR}\s*$)"),
+        # `echo -ne '\\xFA' > /dev/ttyUSB0`.
+        (When.UNMARKED, "", r"(?:\$\s+)?(?P<shell>echo|printf)\s+(?:-\w+\s+)*(?=['\"])"),
+        (When.UNMARKED, "", rf"\s*(?P<letter>out|in)\s+{_BYTES}"),
+        (When.UNMARKED, "", rf"\s*\[?(?P<letter>{_letters})\]?(?:\s*[:>|]+|\t)\s*"),
+        # `W 1 3 0 0`: a letter before numbers alone.
+        (When.UNMARKED, "", r"\s*(?P<letter>[wrt])\s+(?=(?:(?:0x)?[0-9a-f]{1,3}[\s,]+){2,}(?:0x)?[0-9a-f]{1,3}[\s,]*$)"),
+        (When.UNMARKED, "", rf"\s*+(?::\s*+)?(?P<sign>{SIGNS_PATTERN})(?![<>=-])[\s:]*"),
+        (
+            When.ANY,
+            "",
+            r"\s*(?:\[(?P<name>[A-Za-z][\w :./\\#-]{0,40})\]|\[\d{1,9}\](?!\[)|\((?P<port>COM\d{1,3})\)"
+            r"|(?P<device>(?:/dev/)?(?:tty|com|uart|bus|port)\w{1,20})(?=[\s:]|$))[\s:,|-]*(?:>\s*(?=[A-Za-z]))?",
+        ),
+        # A counter before a mark.
+        (When.UNMARKED, "", rf"\s*#?\d{{1,9}}\s*[-.):]\s*(?=[<>\[(]*(?:{WORDS_PATTERN}){_END})"),
+        (When.UNMARKED, "|", rf"\s*\d{{1,9}}\s*\|\s*(?=\d{{1,4}}[-:/.]\d|[|\s]*(?:{WORDS_PATTERN}){_END})"),
+        # A declaration: `uint8_t run[] = {`.
+        (
+            When.UNMARKED,
+            "=",
+            r"[\w\s*:<>]{0,60}?(?P<variable>[A-Za-z_]\w*+)\s*+(?:\[\w*\]\s*+)?=\s*(?=[\[{(\"'<]|b['\"]|byte|new|0x|Buffer)",
+        ),
+    )
+)
+#: A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark; so does a phrase that ends in a colon.
+DISTANT = re.compile(
+    rf"(?<![\w.])(?<!before )(?:(?:{WORDS_PATTERN})\s*(?:[>\]=|]|:(?!:))|(?<![\w,]\s)(?:{WORDS_PATTERN})\s+"
+    rf"(?={PAIR}[\s,:-]+{PAIR}|<Buffer|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
+    re.IGNORECASE,
+)
+PHRASE = re.compile(rf"(?<![\w.])(?P<word>{WORDS_PATTERN}){_END}[^:]{{1,60}}:\s+{_BYTES}", re.IGNORECASE)
+DISTANT_LIMIT = 80
+#: A time among the words of a logger.
+DISTANT_TIME = re.compile(rf"(?<![\w.:]){DAYS}(?![\w.:])")
