@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pyarrow as pa
 import pytest
+from deltalake import DeltaTable
+from deltalake.exceptions import CommitFailedError
+from deltalake.table import TableAlterer
 from pyarrow import parquet
 from pyarrow.fs import PyFileSystem
 
@@ -195,6 +198,44 @@ def test_a_race_is_lost_by_who_has_read_the_table_before(captures, clean, tmp_pa
     assert [row["capture"] for row in rows(second)["captures"]] == [row["capture"] for row in clean["captures"]]
     count = "select count(*) from transactions"
     assert Question(second).sql(count).fetchall()[0][0] == len(clean["transactions"])
+
+
+def test_a_table_that_another_client_makes_at_the_same_time_is_taken(tmp_path, monkeypatch):
+    """Both see that there is none; Delta Lake refuses the commit of the later one."""
+    create = DeltaTable.create
+
+    def late(*given, **named):
+        create(*given, **named)
+        raise CommitFailedError("Protocol changed since last commit")
+
+    def never(*given, **named):
+        raise CommitFailedError("refused")
+
+    schema = pa.schema([pa.field("capture", pa.string())])
+    monkeypatch.setattr(DeltaTable, "create", late)
+    made = lake(tmp_path / "lake")
+    assert made.fitting("states", schema) == "states"
+    assert made.tables() == ["captures", "states"]
+    monkeypatch.setattr(DeltaTable, "create", never)
+    with pytest.raises(UsageError, match="cannot be written: refused"):
+        lake(tmp_path / "none")
+
+
+def test_columns_that_two_clients_add_at_the_same_time_are_all_there(tmp_path, monkeypatch):
+    first, second = lake(tmp_path / "lake"), Lake(Place(str(tmp_path / "lake")))
+    schema = pa.schema([pa.field("capture", pa.string())])
+    assert first.fitting("states", schema) == "states"
+    add, rivals = TableAlterer.add_columns, ["torque"]
+
+    def late(table, columns):
+        if rivals:
+            # The other client comes between the look at the columns and the commit.
+            second.fitting("states", schema.append(pa.field(rivals.pop(), pa.float64())))
+        add(table, columns)
+
+    monkeypatch.setattr(TableAlterer, "add_columns", late)
+    assert first.fitting("states", schema.append(pa.field("power", pa.float64()))) == "states"
+    assert {"torque", "power"} < {each.name for each in Lake(first.place).open("states").schema().fields}
 
 
 def test_what_cannot_be_read_says_why_and_is_tried_again(tmp_path):
