@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-from analyzer.fleet.ask import Question
+from analyzer.fleet.ask import Question, has_times
 from analyzer.fleet.lake import Lake as _Lake
 from analyzer.fleet.lake import store_of
 from analyzer.fleet.place import Place
@@ -35,12 +35,18 @@ class Lake:
         return tuple(self._question.tables)
 
     def dataset(self, table: str) -> pyarrow.dataset.Dataset:
-        """Return a table as a dataset of Arrow, which reads what is needed alone. Raises UsageError for no table."""
+        """Return a table as a dataset of Arrow, which reads what is needed alone. Raises UsageError for no table.
+
+        It has `time_ns` as the files have it: empty where `time` tells the same.
+        """
         return self._question.dataset(table)
 
     def table(self, table: str) -> polars.LazyFrame:
         """Return a table as a lazy frame of polars. Raises UsageError for no table, or without polars."""
-        frame: polars.LazyFrame = needed("polars").scan_pyarrow_dataset(self.dataset(table))
+        pl, found = needed("polars"), self.dataset(table)
+        frame: polars.LazyFrame = pl.scan_pyarrow_dataset(found)
+        if has_times(found.schema):
+            return frame.with_columns(pl.coalesce("time_ns", pl.col("time").dt.epoch("us") * 1000).alias("time_ns"))
         return frame
 
     def sql(self, query: str) -> pyarrow.Table:

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 _BOUNDS = ("python_enable_replacements = false", "enable_external_access = false", "lock_configuration = true")
 
 
+_ALL_NS = "coalesce(time_ns, epoch_us(time) * 1000) as time_ns"
+
 #: A question of one word, which is meant for a table.
 _NAME = re.compile(r"[\w-]+(\.[\w-]+)?")
 
@@ -60,6 +62,13 @@ def _bounded_memory() -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, (before, most))
+
+
+def has_times(schema: pyarrow.Schema) -> bool:
+    """Say whether a table has times, which are in `time_ns` only where `time` does not tell them."""
+    types = needed("pyarrow").types
+    kinds = {each.name: each.type for each in schema}
+    return "time" in kinds and types.is_timestamp(kinds["time"]) and kinds.get("time_ns") == "int64"
 
 
 def sql_name(table: str) -> str:
@@ -189,12 +198,14 @@ class Question:
         full = f"{schema.replace('-', '_')}.{name}" if schema else name
         if full not in self.tables:
             raise self._no_table(full)
-        source = f"lake {full}"
-        connection.register(source, self.dataset(full))
+        source, found = f"lake {full}", self.dataset(full)
+        connection.register(source, found)
         place = f'"{schema}".' if schema else ""
         if schema:
             connection.execute(f'create schema if not exists "{schema}"')
-        connection.execute(f'create view {place}"{name}" as select * from "{source}"')
+        # What `time` tells, `time_ns` does not have in the files.
+        told = f" replace ({_ALL_NS})" if has_times(found.schema) else ""
+        connection.execute(f'create view {place}"{name}" as select *{told} from "{source}"')
 
     def columns(self, table: str) -> Iterator[Column]:
         """Yield the columns of a table."""

@@ -3,8 +3,9 @@
     rows of a capture -> as the lake has them -> sorted by day and machine -> a file for each table and partition
 
 The tables are those of `decode --to parquet`, with the columns that a lake needs. Delta Lake knows microseconds, no unsigned
-numbers and no dictionaries, so `time` is exact to a microsecond, `time_ns` to a nanosecond. A time that does not count from
-the epoch is in `time_ns` alone. `transactions` are replies with their outcomes, and requests without a reply.
+numbers and no dictionaries. So `time` is exact to a microsecond, and `time_ns` has what `time` cannot tell: a time that is
+finer, or that does not count from the epoch. It is empty elsewhere: twice the same would be a third of a lake. `transactions`
+are replies with their outcomes, and requests without a reply.
 
 A small file costs as much as thousands of rows: half a millisecond of work, a request to its store, 4 kB of names and types.
 """
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 GROUP, FILE_BYTES = 1 << 17, 32 << 20
 #: Rows below which zstd costs more work than all the rest of a file.
 _FEW = 1000
+#: Nanoseconds in a microsecond; what the column `time_ns` is.
+_IN_US, _FINE = 1000, "in the files empty where time tells the same"
 #: What every table but `captures` can be partitioned by.
 PARTITIONS = ("date", "machine")
 #: Findings of a reply, and the outcome of its request that each means.
@@ -86,7 +89,7 @@ def lake_schema(schema: pyarrow.Schema) -> pyarrow.Schema:
     for each in schema:
         if each.name == "time":
             fields.append(pa.field("time", pa.timestamp("us", "UTC")))
-            fields.append(pa.field("time_ns", pa.int64(), metadata={"unit": "ns"}))
+            fields.append(pa.field("time_ns", pa.int64(), metadata={"unit": "ns", "note": _FINE}))
         else:
             fields.append(each.with_type(_type(each.type)))
     return pa.schema(fields, metadata=schema.metadata)
@@ -105,21 +108,23 @@ def _as_lake(pieces: Sequence[tuple[str, pyarrow.Table]]) -> pyarrow.Table:
     rows = pa.concat_tables([piece for _, piece in pieces])
     columns = {name: rows[name] for name in rows.column_names}
     columns["capture"] = _repeated([capture for capture, _ in pieces], [len(piece) for _, piece in pieces])
-    columns["time_ns"] = rows["time"].cast(pa.int64())
-    columns["time"] = _dated(rows["time"], columns["time_ns"])
+    columns["time"], columns["time_ns"] = _times(rows["time"])
     schema = _coded(lake_schema(rows.schema), [name for name, each in columns.items() if pa.types.is_dictionary(each.type)])
-    shown = [columns[each.name].cast(each.type, safe=each.name != "time") for each in schema]
+    shown = [columns[each.name].cast(each.type) for each in schema]
     return pa.Table.from_arrays(shown, schema=schema)
 
 
-def _dated(times: pyarrow.ChunkedArray, times_ns: pyarrow.ChunkedArray) -> pyarrow.ChunkedArray:
-    """Return times without those that do not count from the epoch. `times_ns`: the same as numbers."""
-    compute = needed("pyarrow.compute")
-    span = compute.min_max(times_ns).as_py()
-    if span["min"] is None or DATED[0] < span["min"] <= span["max"] < DATED[1]:
-        return times
-    dated = compute.and_(compute.greater(times_ns, DATED[0]), compute.less(times_ns, DATED[1]))
-    return compute.if_else(dated, times, None)
+def _times(times: pyarrow.ChunkedArray) -> tuple[pyarrow.ChunkedArray, pyarrow.ChunkedArray]:
+    """Return times in microseconds where they count from the epoch, and in nanoseconds where microseconds do not tell them."""
+    pa, compute = needed("pyarrow"), needed("pyarrow.compute")
+    exact = times.cast(pa.int64())
+    span = compute.min_max(exact).as_py()
+    if span["min"] is not None and not DATED[0] < span["min"] <= span["max"] < DATED[1]:
+        dated = compute.and_(compute.greater(exact, DATED[0]), compute.less(exact, DATED[1]))
+        times = compute.if_else(dated, times, None)
+    shown = times.cast(pa.timestamp("us", times.type.tz), safe=False)
+    told = compute.equal(compute.multiply(shown.cast(pa.int64()), _IN_US), exact)
+    return shown, compute.if_else(compute.fill_null(told, False), None, exact)
 
 
 def _coded(schema: pyarrow.Schema, names: Collection[str]) -> pyarrow.Schema:
@@ -137,29 +142,55 @@ def _repeated(texts: Sequence[str], counts: Sequence[int]) -> pyarrow.Dictionary
     return pa.DictionaryArray.from_arrays(pa.array(codes), pa.array(numbers, pa.string()))
 
 
-class DataFile:
-    """A data file that grows in memory; `finish` brings it to the lake. `values`: of the partitions."""
+def _shape(rows: pyarrow.Table, before: pyarrow.Schema | None) -> pyarrow.Schema:
+    """Return the schema in which rows are written: without columns that have no value, and with it whether one misses any.
 
-    def __init__(self, table: str, schema: pyarrow.Schema, values: Mapping[str, str | None]) -> None:
+    For readers, a column that a file does not have is empty, and a value that cannot miss takes less work. `before`: of rows
+    that stand in the same file.
+    """
+    fields = []
+    for each, column in zip(rows.schema, rows.columns, strict=True):
+        missing, place = column.null_count, -1 if before is None else before.get_field_index(each.name)
+        if place >= 0 or missing < len(rows):
+            whole = not missing and (before is None or (place >= 0 and not before.field(place).nullable))
+            fields.append(each.with_nullable(not whole))
+    return needed("pyarrow").schema(fields, metadata=rows.schema.metadata)
+
+
+class DataFile:
+    """A data file that grows in memory; `finish` brings it to the lake. `values`: of the partitions; `before`: the one before.
+
+    Its first rows say which columns it has, together with those of the file before.
+    """
+
+    def __init__(
+        self, table: str, schema: pyarrow.Schema, values: Mapping[str, str | None], before: DataFile | None = None
+    ) -> None:
         # Whether a text is written from a dictionary says nothing of the table.
         self._schema = needed("pyarrow").schema([each.with_type(_type(each.type)) for each in schema], metadata=schema.metadata)
-        self._table, self._written, self._values = table, schema, dict(values)
+        self._table, self._values = table, dict(values)
+        self._written: Any = None if before is None else before._written
         self._buffer = needed("pyarrow").BufferOutputStream()
         self._writer: Any = None
         self._count = 0
         self._captures: dict[str, None] = {}
 
-    def write(self, rows: pyarrow.Table, captures: Collection[str]) -> bool:
-        """Write rows as one row group; `captures`: whose they are. Say whether there is room for more."""
+    def fits(self, rows: pyarrow.Table) -> bool:
+        """Say whether it has all columns of some rows, and room for more."""
+        return bool(_shape(rows, self._written) == self._written and self._buffer.tell() < FILE_BYTES)
+
+    def write(self, rows: pyarrow.Table, captures: Collection[str]) -> None:
+        """Write rows as one row group; `captures`: whose they are."""
+        pa, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         if self._writer is None:
+            self._written = _shape(rows, self._written)
             # A lake is kept for years, so columns of each encoding are compressed. Units stand in the schema of the log.
             how = packing(self._written) | {"compression": "snappy" if len(rows) < _FEW else "zstd", "compression_level": None}
-            parquet = needed("pyarrow.parquet")
             self._writer = parquet.ParquetWriter(self._buffer, self._written, store_schema=False, **how)
-        self._writer.write_table(rows)
+        columns = [rows[name] for name in self._written.names]
+        self._writer.write_table(pa.Table.from_arrays(columns, schema=self._written))
         self._count += len(rows)
         self._captures |= dict.fromkeys(captures)
-        return bool(self._buffer.tell() < FILE_BYTES)
 
     def finish(self, place: Place) -> Added:
         """Bring the file to the lake."""
@@ -235,18 +266,21 @@ class Files:
             machines = pa.array([owner.machine for owner in owners], pa.string())
             rows = rows.append_column(pa.field("machine", pa.string()), machines.take(pa.array(ranks)))
         schema = rows.schema.serialize().to_pybytes()
-        values = [tuple(getattr(owner, name) for name in self.to.partitions) for owner in owners]
-        for partition, numbers in groupby(range(len(captures)), key=values.__getitem__):
+        said = [tuple(getattr(owner, name) for name in self.to.partitions) for owner in owners]
+        for partition, numbers in groupby(range(len(captures)), key=said.__getitem__):
             first, *others = numbers
             own = captures[first : first + len(others) + 1]
             start, end = np.searchsorted(ranks, [first, first + len(own)])
             coded = pa.DictionaryArray.from_arrays(pa.array(ranks[start:end] - first), pa.array(own))
             part = rows.slice(start, end - start).set_column(0, rows.schema.field(0), coded)
             key = (table, schema, partition)
-            if key not in self._open:
-                self._open[key] = DataFile(table, rows.schema, dict(zip(self.to.partitions, partition, strict=True)))
-            if not self._open[key].write(part, own):
-                self._added.append(self._open.pop(key).finish(self.to.place))
+            file = self._open.get(key)
+            if file is None or not file.fits(part):
+                if file is not None:
+                    self._added.append(file.finish(self.to.place))
+                values = dict(zip(self.to.partitions, partition, strict=True))
+                file = self._open[key] = DataFile(table, rows.schema, values, file)
+            file.write(part, own)
 
 
 def transactions_schema() -> pyarrow.Schema:

@@ -51,6 +51,14 @@ _MANY, _SMALL = 1000, 16 << 10
 _SECONDS, _QUIET = 30, logging.CRITICAL
 #: States of a task that a scheduler took with it; seconds between two looks for them.
 _GONE, _LOOK = ("lost", "cancelled"), 2.0
+#: How often the processes of Dask look at themselves. By default it is a hundred times a second, for tasks of milliseconds;
+#: each worker would lose 2 % of its time, and the client as much.
+_RARE = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.worker.memory.monitor-interval": "500ms",
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+}
 _DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 #: Endings of folders that hold what was made of captures.
 _MADE = (".parquet", spool_folder(Path("log")).suffix)
@@ -215,9 +223,7 @@ def workers(scheduler: str, count: int) -> Iterator[Any]:
     distributed = needed("distributed")
     # A worker that has died is noticed after seconds, not minutes. Ctrl-C is for the client, which ends them.
     settings: dict[str, Any] = {"distributed.comm.timeouts.connect": "10s", "distributed.worker.preload": [_DEAF]}
-    # A hundred times a second a sampler would look what a worker does; here each one decodes.
-    settings["distributed.worker.profile.enabled"] = False
-    needed("dask").config.set(settings)
+    needed("dask").config.set(settings | _RARE)
     with contextlib.ExitStack() as opened:
         address: Any = scheduler
         if scheduler == "local":

@@ -186,16 +186,21 @@ class Lake:
         if name not in self._open and not self._exists(name):
             kinds = {"date": pa.date32(), "machine": pa.string()}
             whole = pa.schema([*schema, *(pa.field(each, kinds[each]) for each in partitions)])
-            self._delta.DeltaTable.create(
-                self._uri(name),
-                schema=self._delta.Schema.from_arrow(whole),
-                partition_by=list(partitions) or None,
-                mode="ignore",
-                configuration=settings,
-                storage_options=self._options,
-                # Its own settings are kept, too.
-                raise_if_key_not_exists=False,
-            )
+            try:
+                self._delta.DeltaTable.create(
+                    self._uri(name),
+                    schema=self._delta.Schema.from_arrow(whole),
+                    partition_by=list(partitions) or None,
+                    mode="ignore",
+                    configuration=settings,
+                    storage_options=self._options,
+                    # Its own settings are kept, too.
+                    raise_if_key_not_exists=False,
+                )
+            except self._delta.exceptions.CommitFailedError:
+                # Another client made it at the same time.
+                if not self._exists(name):
+                    raise
 
     def tables(self) -> list[str]:
         """Return the names of all tables, `captures` first."""
@@ -214,6 +219,13 @@ class Lake:
 
         A column of the same name and another unit or type is of another version: `states`, `states@2`, ...
         """
+        for _ in range(_RACES):
+            # Another client that adds columns at the same time may have come first.
+            with contextlib.suppress(self._delta.exceptions.CommitFailedError):
+                return self._fitting(name, schema)
+        raise _lost(self._uri(name))
+
+    def _fitting(self, name: str, schema: pyarrow.Schema) -> str:
         for number in range(1, 1000):
             table = name if number == 1 else f"{name}{_VERSION}{number}"
             is_new = table not in self._open and not self._exists(table)
@@ -272,7 +284,7 @@ class Lake:
                 self._settle(batch, entries)
                 return sum(row["status"] in TAKEN for row in fresh.values())
             self.place.remove(f"{JOURNAL}/{batch}.json")
-        raise UsageError(f"{self.place.url}: no commit succeeded in {_RACES} attempts: is its store in order?")
+        raise _lost(self.place.url)
 
     def _entries(self, files: Sequence[Added]) -> dict[str, list[dict[str, Any]]]:
         """Return what the journal says of files, by table; those of another version are brought to its folder."""
@@ -330,7 +342,7 @@ class Lake:
                     actions, "append", opened.schema(), list(self.destination.partitions), commit_properties=self._once(batch)
                 )
                 return
-        raise UsageError(f"{self._uri(table)}: no commit succeeded in {_RACES} attempts: is its store in order?")
+        raise _lost(self._uri(table))
 
     # --- batches that are under way ---------------------------------------------------------------------------------
 
@@ -388,6 +400,10 @@ class Lake:
                 # Another commit came first, so this one can never succeed.
                 self.place.remove(f"{JOURNAL}/{batch}.json")
         return finished
+
+
+def _lost(where: str) -> UsageError:
+    return UsageError(f"{where}: no commit succeeded in {_RACES} attempts: is its store in order?")
 
 
 def _told(error: Exception) -> str:

@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 _RISING = frozenset(("time", "time_ns", "sequence", "_offset", "_request_sequence", "request_sequence"))
 #: Numbers of which there are few, beside words: for each of these stands its place among those that occur.
 _FEW = frozenset(("address", "_can_id", "_latency", "latency"))
-#: Columns in which nobody searches by least and greatest values.
-_UNORDERED = frozenset(("_raw",))
+#: Words that stand in order, so that their least and greatest values say where to search. Of all others each group has any.
+_IN_ORDER = frozenset(("capture", "machine"))
 _DIFFERENCES = "DELTA_BINARY_PACKED"
-_LEVEL = 1
+#: The level of zstd, and values that are encoded at once.
+_LEVEL, _TOGETHER = 1, 1 << 14
 
 
 class File:
@@ -65,7 +66,8 @@ def packing(schema: pyarrow.Schema) -> dict[str, Any]:
         "compression_level": dict.fromkeys(compressed, _LEVEL),
         "use_dictionary": [path for name, path in paths.items() if name in words | _FEW],
         "column_encoding": {name: _DIFFERENCES for name in paths if name in _RISING},
-        "write_statistics": [path for name, path in paths.items() if name not in _UNORDERED],
+        "write_statistics": [path for name, path in paths.items() if name not in words or name in _IN_ORDER],
+        "write_batch_size": _TOGETHER,
     }
 
 

@@ -13,15 +13,19 @@ from pathlib import Path
 
 import pyarrow as pa
 import pytest
+from deltalake import DeltaTable
+from deltalake.exceptions import CommitFailedError
+from deltalake.table import TableAlterer
 from pyarrow import parquet
 from pyarrow.fs import PyFileSystem
 
+import servotap
 from analyzer.cli import main
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.fleet import ask
 from analyzer.fleet import place as places
 from analyzer.fleet.ask import Question, sql_name
-from analyzer.fleet.files import PARTITIONS
+from analyzer.fleet.files import PARTITIONS, DataFile
 from analyzer.fleet.ingest import Outcome, Pattern, tasks, works
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Found, Place
@@ -65,11 +69,56 @@ def test_rows_are_those_of_decode_to_parquet(tmp_path):
         for row, one in zip(own, alone, strict=True):
             assert len(row.pop("capture")) == 64
             assert (str(row.pop("date")), row.pop("machine")) == ("2026-03-02", None)
-            assert row.pop("time_ns") == one["time"].value
+            # What microseconds tell is not told twice.
+            assert row.pop("time_ns") == (one["time"].value if one["time"].nanosecond else None)
             assert one.pop("time").floor("us").to_pydatetime() == row.pop("time")
             assert row == one
             compared += 1
     assert compared > 400
+
+
+@pytest.mark.parametrize(
+    ("second", "kept", "asked", "micros"),
+    [
+        ("1772442000.000001", None, 1_772_442_000_000_001_000, 1_772_442_000_000_001),
+        ("1772442000.000001009", 1_772_442_000_000_001_009, 1_772_442_000_000_001_009, 1_772_442_000_000_001),
+        ("12.5", 12_500_000_000, 12_500_000_000, None),
+    ],
+)
+def test_times_are_told_once_in_the_files_and_whole_to_who_asks(tmp_path, second, kept, asked, micros):
+    path = tmp_path / "one.log"
+    path.write_text(f"({second}) can0 001#3233\n")
+    made, name = lake(tmp_path / "lake"), "mks_can.read_speed_request"
+    assert ingest(made, path).new == 1
+    assert Question(made).dataset(name).to_table()["time_ns"].to_pylist() == [kept]
+    told = Question(made).sql(f"select time_ns, epoch_us(time) from {name}").fetchall()
+    assert told == [(asked, micros)]
+    frame = servotap.lake(tmp_path / "lake").table(name).collect()
+    assert (frame["time_ns"].to_list(), frame["time"].dt.epoch("us").to_list()) == ([asked], [micros])
+
+
+def test_a_file_has_the_columns_that_have_values_and_another_one_those_that_come_later(tmp_path):
+    schema = pa.schema([(name, pa.string() if name == "capture" else pa.int64()) for name in ("capture", "a", "b", "c")])
+    parts = [
+        pa.table({"capture": ["x"] * 2, "a": a, "b": b, "c": c}, schema)
+        for a, b, c in (([1, 2], [3, None], [None] * 2), ([4, 5], [6, 7], [None] * 2), ([8, None], [9, 9], [None, 10]))
+    ]
+    place, files = Place(str(tmp_path)), []
+    first = DataFile("states", schema, {})
+    first.write(parts[0], ["x"])
+    assert [first.fits(part) for part in parts] == [True, True, False]
+    first.write(parts[1], ["x"])
+    second = DataFile("states", schema, {}, first)
+    second.write(parts[2], ["x"])
+    # It takes all that came before, too: the number of files is bounded by that of the columns.
+    assert [second.fits(part) for part in parts] == [True] * 3
+    files = [each.finish(place) for each in (first, second)]
+    written = [parquet.read_schema(tmp_path / "states" / each.path) for each in files]
+    assert [{each.name: each.nullable for each in one} for one in written] == [
+        {"capture": False, "a": False, "b": True},
+        {"capture": False, "a": True, "b": True, "c": True},
+    ]
+    assert [each.schema for each in files] == [schema, schema]
 
 
 def test_transactions_say_what_became_of_requests(tmp_path):
@@ -195,6 +244,44 @@ def test_a_race_is_lost_by_who_has_read_the_table_before(captures, clean, tmp_pa
     assert [row["capture"] for row in rows(second)["captures"]] == [row["capture"] for row in clean["captures"]]
     count = "select count(*) from transactions"
     assert Question(second).sql(count).fetchall()[0][0] == len(clean["transactions"])
+
+
+def test_a_table_that_another_client_makes_at_the_same_time_is_taken(tmp_path, monkeypatch):
+    """Both see that there is none; Delta Lake refuses the commit of the later one."""
+    create = DeltaTable.create
+
+    def late(*given, **named):
+        create(*given, **named)
+        raise CommitFailedError("Protocol changed since last commit")
+
+    def never(*given, **named):
+        raise CommitFailedError("refused")
+
+    schema = pa.schema([pa.field("capture", pa.string())])
+    monkeypatch.setattr(DeltaTable, "create", late)
+    made = lake(tmp_path / "lake")
+    assert made.fitting("states", schema) == "states"
+    assert made.tables() == ["captures", "states"]
+    monkeypatch.setattr(DeltaTable, "create", never)
+    with pytest.raises(UsageError, match="cannot be written: refused"):
+        lake(tmp_path / "none")
+
+
+def test_columns_that_two_clients_add_at_the_same_time_are_all_there(tmp_path, monkeypatch):
+    first, second = lake(tmp_path / "lake"), Lake(Place(str(tmp_path / "lake")))
+    schema = pa.schema([pa.field("capture", pa.string())])
+    assert first.fitting("states", schema) == "states"
+    add, rivals = TableAlterer.add_columns, ["torque"]
+
+    def late(table, columns):
+        if rivals:
+            # The other client comes between the look at the columns and the commit.
+            second.fitting("states", schema.append(pa.field(rivals.pop(), pa.float64())))
+        add(table, columns)
+
+    monkeypatch.setattr(TableAlterer, "add_columns", late)
+    assert first.fitting("states", schema.append(pa.field("power", pa.float64()))) == "states"
+    assert {"torque", "power"} < {each.name for each in Lake(first.place).open("states").schema().fields}
 
 
 def test_what_cannot_be_read_says_why_and_is_tried_again(tmp_path):

@@ -31,12 +31,14 @@ FILES = [path for path in sorted(CAPTURES.iterdir()) if path.is_file() and path.
 class Kept:
     """A data file that is kept as its rows: hundreds of ranges have thousands of them."""
 
-    def __init__(self, table, schema, values):
+    def __init__(self, table, schema, values, before):
         self.table, self.values, self.rows = table, values, []
+
+    def fits(self, table):
+        return True
 
     def write(self, table, captures):
         self.rows += table.to_pylist()
-        return True
 
     def finish(self, place):
         return self
