@@ -34,7 +34,8 @@ from analyzer.values import counted
 if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
     from analyzer.columns.framing import Framing, Row
-    from analyzer.columns.pairs import Pairing, Plain
+    from analyzer.columns.pairs import Pairing
+    from analyzer.columns.plain import Plain
 
 __all__ = [
     "CAN_ID_LIMIT", "CAN_OVERHEAD_BITS", "Entry", "EventSink", "Item", "Options", "Pipeline", "PlainSink", "Port",

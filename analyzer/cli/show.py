@@ -30,7 +30,7 @@ from analyzer.values import fields_text, printable
 
 if TYPE_CHECKING:
     from analyzer.cli.sieve import Sieve
-    from analyzer.columns.pairs import Plain
+    from analyzer.columns.plain import Plain
 
 EXAMPLES = """\
 examples:

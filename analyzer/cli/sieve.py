@@ -15,7 +15,7 @@ import numpy as np
 from analyzer.cli.filter import OWN, Filter, bytes_text
 from analyzer.columns.codec import Integers, column
 from analyzer.columns.groups import groups, taken
-from analyzer.columns.pairs import Plain
+from analyzer.columns.plain import Plain
 from analyzer.columns.rows import physical_column
 from analyzer.layout import Field
 from analyzer.pipeline import Entry

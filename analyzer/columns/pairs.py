@@ -24,6 +24,7 @@ from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, CanBlock, FrameBlock, Head
 from analyzer.columns.codec import Bytes, ColumnCodec, Flags, Integers, column_codec
 from analyzer.columns.groups import groups, numbered, ranks, taken, words
+from analyzer.columns.plain import Plain
 from analyzer.context import Request, RequestOutcome, State
 from analyzer.link import Link
 from analyzer.link.can import CanLink
@@ -46,75 +47,6 @@ _EVEN, _EACH_PAIR = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
 _UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
 #: How many values one byte can have.
 _BYTES = 256
-
-
-@dataclass(frozen=True)
-class Plain:
-    """The frames of a block that are part of plain exchanges.
-
-    `lanes`: those that occur; `lane`: of each row, a place in `lanes`, -1 where a frame is not plain. `offsets`: bytes of the
-    bus before each frame. `behind`: of a reply, how many rows it stands behind its request; `latencies`: the time
-    between the two, not above 0 where it is not known.
-    """
-
-    dialect: Dialect
-    block: CanBlock | FrameBlock
-    lanes: tuple[Lane, ...]
-    lane: Integers
-    offsets: Integers
-    behind: Integers
-    latencies: Integers
-
-    @property
-    def joins(self) -> object:
-        """What is the same of blocks that follow each other and can be joined: frames of a serial line are not."""
-        block = self.block
-        return (self.dialect.name, block.port) if isinstance(block, CanBlock) else id(block)
-
-    @classmethod
-    def joined(cls, plains: Sequence[Plain]) -> Plain:
-        """Return what is plain in blocks that join; times may run backwards from one to the next."""
-        if len(plains) == 1:
-            return plains[0]
-        lanes: dict[Lane, int] = {}
-        for lane in (lane for plain in plains for lane in plain.lanes):
-            lanes.setdefault(lane, len(lanes))
-        numbers = [np.array([*(lanes[each] for each in plain.lanes), -1]).take(plain.lane, mode="wrap") for plain in plains]
-        block = CanBlock.joined([plain.block for plain in plains if isinstance(plain.block, CanBlock)])
-        columns = (np.concatenate([getattr(p, name) for p in plains]) for name in ("offsets", "behind", "latencies"))
-        return cls(plains[0].dialect, block, tuple(lanes), np.concatenate(numbers), *columns)
-
-    def frame(self, row: int) -> Frame:
-        """Return one frame."""
-        return self.block.frame_of(row, self.dialect, int(self.offsets[row]))
-
-    def data(self, row: int) -> bytes:
-        """Return the bytes of one frame."""
-        return self.block.data[row, : self.block.sizes[row]].tobytes()
-
-    def firsts(self, start: int, stop: int, wanted: Flags) -> list[int]:
-        """Return the first row of each lane that is wanted and occurs in some rows, in their order."""
-        first = np.full(len(wanted), stop, dtype=np.int64)
-        # Of several rows of a lane, what is written last stays.
-        first[self.lane[start:stop][::-1]] = np.arange(stop - 1, start - 1, -1)
-        rows: list[int] = np.sort(first[wanted & (first < stop)]).tolist()
-        return rows
-
-    def part(self, first: int, runs: Sequence[tuple[int, int]]) -> tuple[Plain, Integers]:
-        """Return what is plain in some runs, with no other lanes, and the places of its lanes here.
-
-        `runs`: from which row to which, counted from the row `first`, which begins the part. They follow each other.
-        """
-        rows = slice(first, first + runs[-1][1])
-        lane = np.full(runs[-1][1], -1, dtype=np.int64)
-        for start, stop in runs:
-            lane[start:stop] = self.lane[first + start : first + stop]
-        used = np.flatnonzero(np.bincount(lane + 1)[1:])
-        places = np.full(len(self.lanes) + 1, -1, dtype=np.int64)
-        places[used] = np.arange(len(used))
-        lanes = tuple(self.lanes[n] for n in used.tolist())
-        offsets, behind, latencies = (column[rows] for column in (self.offsets, self.behind, self.latencies))
-        return Plain(self.dialect, self.block.part(rows), lanes, places[lane], offsets, behind, latencies), used
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from analyzer.columns import text
 from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import Bytes, Flags, Integers, column_codec
 from analyzer.columns.groups import groups, ranks, taken, words
-from analyzer.columns.pairs import Plain
+from analyzer.columns.plain import Plain
 from analyzer.layout import Field
 from analyzer.records import Lane
 

@@ -17,7 +17,7 @@ from analyzer.pipeline import Entry, Item
 from analyzer.records import Chunk, Comment, Finding, Frame, Junk, Lane, Message
 
 if TYPE_CHECKING:
-    from analyzer.columns.pairs import Plain
+    from analyzer.columns.plain import Plain
 
 #: Frames and reads that are kept before and behind a trouble.
 _NEAR = 128

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from analyzer.columns.codec import Integers
-    from analyzer.columns.pairs import Plain
+    from analyzer.columns.plain import Plain
     from analyzer.columns.rows import Messages, Rows
 
 #: Uncompressed bytes of a chunk.

@@ -39,7 +39,7 @@ from analyzer.sources.magic import MCAP
 
 if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
-    from analyzer.columns.pairs import Plain
+    from analyzer.columns.plain import Plain
 
 #: Rows of blocks that are packed together: fewer cost more for each kind of frame, more need more memory.
 ROWS = 3 << 14

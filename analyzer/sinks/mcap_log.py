@@ -31,7 +31,7 @@ from analyzer.sources.times import Clock
 
 if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
-    from analyzer.columns.pairs import Plain
+    from analyzer.columns.plain import Plain
 
 PROFILE = "servotap"
 LIBRARY = f"servotap {__version__}"

@@ -25,7 +25,7 @@ from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import Integers, column_codec
 from analyzer.columns.groups import taken
-from analyzer.columns.pairs import Plain
+from analyzer.columns.plain import Plain
 from analyzer.columns.rows import alike, physical_column, states
 from analyzer.decoder import physical
 from analyzer.layout import STATE_UNITS, Field, FieldKind

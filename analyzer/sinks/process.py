@@ -27,7 +27,7 @@ from analyzer.sinks.forked import Ends, Forked
 from analyzer.sinks.object_table import Table, TableUnpickler, dumped
 
 if TYPE_CHECKING:
-    from analyzer.columns.pairs import Plain
+    from analyzer.columns.plain import Plain
 
 _PLAIN, _OTHER = b"P", b"O"
 #: tag, lane, sequence, first_ns, last_ns, offset, latency_ns or -1, request sequence or -1, length
@@ -226,7 +226,7 @@ def _serve(ends: Ends, table: Table, sinks: Sequence[Sink]) -> None:
 
 
 def _plain(known: Sequence[tuple[Lane, Dialect, str, Role, CanFrame | None]], *about: Any) -> Plain:
-    from analyzer.columns.pairs import Plain
+    from analyzer.columns.plain import Plain
 
     dialect, block, numbers, *rest = about
     return Plain(dialect, block, tuple(known[n][0] for n in numbers), *rest)

@@ -18,7 +18,7 @@ from analyzer.records import Comment, Finding, Frame, Junk, Lane, Severity
 
 if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
-    from analyzer.columns.pairs import Plain
+    from analyzer.columns.plain import Plain
 
 #: Findings of each rule that are kept to be shown.
 FIRST_FEW = 3
