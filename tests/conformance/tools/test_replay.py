@@ -454,7 +454,7 @@ def test_signals_stop_the_motor(number: int, tmp_path: Path):
         out, err = process.communicate(timeout=20)
         assert stands(drive), out + err
         assert drive.memory.enabled
-    assert process.returncode == 130, out + err
+    assert process.returncode == 128 + number, out + err
     assert "stopped: Ctrl-C" in out
     assert "NOT KNOWN TO STAND" not in out
 
