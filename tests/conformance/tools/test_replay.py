@@ -24,6 +24,7 @@ from analyzer.records import CanFrame, Chunk
 from benchmarks.gate import sound
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.python_can import LibraryPort
+from conformance.claim import Inconclusive
 from conformance.cli import replay as command
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
@@ -342,6 +343,18 @@ def test_a_broadcast_run_is_stopped_by_broadcast():
     result = watched.replay.run(plan_of((0, ">", everybody)).steps)
     assert "cannot be asked of all" in result.left_moving[0]
     watched.gate.wait(SECOND_NS)
+    assert stands(watched.drives[0])
+
+
+def test_a_guard_that_has_stopped_the_motor_ends_the_replay():
+    watched = Watched()
+
+    def stopped(sent: object) -> None:
+        raise Inconclusive("the guard has stopped the motor")
+
+    result = watched.replay.run(plan_of((0, ">", RUN), (1, ">", READ)).steps, advance=stopped)
+    assert result.stopped == "the guard has stopped the motor"
+    assert not result.left_moving
     assert stands(watched.drives[0])
 
 
