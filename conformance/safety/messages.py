@@ -12,6 +12,8 @@ from conformance.gate.permissions import Allowance
 
 _LENGTH = struct.Struct("<I")
 _LIMIT = 64 << 20
+#: A time that does not end.
+NO_END_NS = 1 << 62
 
 
 class Wire(msgspec.Struct, frozen=True, array_like=True):
