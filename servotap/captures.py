@@ -31,6 +31,7 @@ from analyzer.table.extras import needed
 from analyzer.table.rows import Recorded
 from analyzer.table.tables import Chosen, Long, Table, Wide, parse_rate
 from analyzer.transactions import meaning_of
+from servotap.arguments import check
 
 if TYPE_CHECKING:
     import pandas
@@ -202,6 +203,10 @@ class Capture:
         since: str | None = None,
         until: str | None = None,
     ) -> None:
+        check(
+            path=path, dialect=dialect, model=model, baud=baud, format=format, channels=channels, uart=uart, groups=groups,
+            ids=ids, dbc=dbc, modbus_map=modbus_map, since=since, until=until,
+        )  # fmt: skip
         self.path = Path(path)
         if str(path) == "-":
             raise UsageError("standard input can be read once only: give a file")
@@ -387,6 +392,7 @@ class Capture:
         """
         from servotap.plots import plot
 
+        check(names=names)
         return plot(Wide(self._rows(), Chosen(_listed(topics))), names, self.path.name)
 
     def _table(self, wide: bool, rate: str | float | None, topics: str | Sequence[str], fields: str | Sequence[str]) -> Table:

@@ -180,7 +180,10 @@ class Drive:
         # Each command brings its own risks, which are judged here; the guard holds the bounds and looks after what moves.
         everything = replace(self._allowance, risks=frozenset(Risk))
         begin = beginning(target.endpoint, [(self.dialect, self.address)], everything)
-        begin = msgspec.structs.replace(begin, longest_run_ns=int(max_run * 1e9), cut_power=cut_power)
+        # A program may sleep while the drive moves, and a person at a prompt thinks.
+        begin = msgspec.structs.replace(
+            begin, longest_run_ns=int(max_run * 1e9), longest_silence_ns=say.NO_END_NS, cut_power=cut_power
+        )
         return GuardedLine(target.endpoint, begin)
 
     def __repr__(self) -> str:

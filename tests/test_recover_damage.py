@@ -217,3 +217,9 @@ def test_what_is_no_file_is_not_replaced(command, tmp_path, cli):
         )
         assert "is not a regular file" in cli(command, *words, "--force", status=2).err
     assert fifo.is_fifo()
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that fails to be read")
+def test_a_log_that_the_disk_does_not_give_is_named(capsys):
+    assert main(["recover", "/proc/self/mem"]) == 2
+    assert capsys.readouterr().err == "servotap recover: /proc/self/mem: reading failed: Input/output error\n"

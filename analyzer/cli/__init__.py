@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 from types import ModuleType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from analyzer.cli.boundary import bounded
 from analyzer.system import own_process
@@ -110,7 +110,8 @@ def _overview(commands: dict[str, tuple[str, str]]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
 
-    0: well; 1: findings; 2: wrong use or an unreadable input; 70: a fault of servotap; 130: Ctrl-C. Some commands have more.
+    0: well; 1: findings; 2: wrong use or an unreadable input; 70: a fault of servotap; 130: Ctrl-C,
+    143: SIGTERM. Some commands have more.
     """
     return bounded(_main, list(sys.argv[1:] if arguments is None else arguments))
 
@@ -188,6 +189,10 @@ class _Parser(argparse.ArgumentParser):
         near = difflib.get_close_matches(wrong.partition("=")[0], self._option_string_actions, 1, 0.6) if wrong else []
         hint = f"; did you mean {near[0]}?" if near and near[0] not in message else ""
         self.exit(2, f"{self.prog}: {message}{hint} (see {self.prog} --help)\n")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Print the help, or an error; argparse's own says nothing where that cannot be written."""
+        (file or sys.stderr).write(message)
 
 
 def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:

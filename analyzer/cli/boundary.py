@@ -25,6 +25,7 @@ from collections.abc import Callable, Iterator, Sequence
 from types import CodeType, FrameType
 from typing import Any, TextIO, cast
 
+from analyzer.cli.signals import begin, ended_status
 from analyzer.values import escaped, printable
 
 #: Exit status of a fault of servotap, as `EX_SOFTWARE` of sysexits.h.
@@ -209,6 +210,7 @@ def _write_report(words: Sequence[str], trace: str) -> str:
 
 def bounded(command: Callable[[list[str]], int], words: list[str]) -> int:
     """Run a command within the boundary and return its exit status."""
+    begin()
     with _clean_streams(), _Faults(words) as faults:
         status = _status(command, words, faults)
         return FAULT if faults.any else status
@@ -217,7 +219,12 @@ def bounded(command: Callable[[list[str]], int], words: list[str]) -> int:
 def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faults) -> int:
     status = 0
     try:
-        status = command(words)
+        try:
+            status = command(words)
+        except SystemExit:
+            # argparse leaves so after the help, which may be what cannot be written.
+            sys.stdout.flush()
+            raise
         sys.stdout.flush()
         return status
     except BrokenPipeError:
@@ -226,7 +233,7 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
         return status or READER_GONE
     except KeyboardInterrupt:
         print("servotap: interrupted; nothing more was written", file=sys.stderr)
-        return 130
+        return ended_status()
     except BaseException as error:
         if not isinstance(error, Exception) and type(error).__name__ != _PANIC:
             raise

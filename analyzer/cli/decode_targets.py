@@ -69,7 +69,7 @@ def _found(word: str, arguments: argparse.Namespace) -> Iterator[tuple[str, Path
     The folder for their logs is made where it is missing.
     """
     folder = Path(word)
-    if word == "-" or not folder.is_dir() or any(folder.glob("*.mcap")) or saleae_channels(folder):
+    if word in ("", "-") or not folder.is_dir() or any(folder.glob("*.mcap")) or saleae_channels(folder):
         yield word, None
         return
     if arguments.output is None:

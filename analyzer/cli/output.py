@@ -1,20 +1,26 @@
-"""Files that commands write: complete under their names, or absent."""
+"""Files that commands write: complete under their names, or absent.
+
+Under construction they are `.NAME.xxxxxxxx.part`. One that a killed process left goes when the same file is written again.
+"""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import os
+import re
 import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import IO
 
 from analyzer.errors import UsageError
 from analyzer.live.lock import recorded
+from analyzer.system.scratch import held, let_go, remove_left
 
 
 def target_of(path: Path) -> Path:
@@ -98,15 +104,18 @@ class Output:
         if recorded(target):
             raise UsageError(f"{target} is being recorded; stop the recording first, or name another file")
         try:
-            handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
+            self.part, self._lock = _held_part(target, _new_file)
+            self.stream: IO[bytes] = open(self.part, "wb", buffering=1 << 20)  # noqa: SIM115
         except OSError as error:
             raise UsageError(f"cannot write {target}: {error.strerror}") from None
-        self.part = Path(name)
-        self.stream: IO[bytes] = os.fdopen(handle, "wb", buffering=1 << 20)
 
     def keep(self) -> None:
         """Give the file its name. Raises UsageError if another program created that file meanwhile."""
         self.stream.close()
+        self._name_it()
+        self._lock = let_go(self._lock)
+
+    def _name_it(self) -> None:
         umask = os.umask(0)
         os.umask(umask)
         mode = 0o666 & ~umask
@@ -133,6 +142,7 @@ class Output:
         with contextlib.suppress(OSError):
             self.stream.close()
         self.part.unlink(missing_ok=True)
+        self._lock = let_go(self._lock)
 
 
 class OutputFolder:
@@ -152,11 +162,15 @@ class OutputFolder:
             if not target.is_dir() or any(each.suffix != ".parquet" or not each.is_file() for each in target.iterdir()):
                 raise UsageError(f"{target} is no folder of Parquet files alone: name another one")
         try:
-            self.part = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
+            self.part, self._lock = _held_part(target, tempfile.mkdtemp)
         except OSError as error:
             raise UsageError(f"cannot write {target}: {error.strerror}") from None
 
     def keep(self) -> None:
+        self._name_it()
+        self._lock = let_go(self._lock)
+
+    def _name_it(self) -> None:
         umask = os.umask(0)
         os.umask(umask)
         self.part.chmod(0o777 & ~umask)
@@ -171,3 +185,27 @@ class OutputFolder:
 
     def drop(self) -> None:
         shutil.rmtree(self.part, ignore_errors=True)
+        self._lock = let_go(self._lock)
+
+
+def _new_file(*, prefix: str, suffix: str, dir: Path) -> str:
+    """Make a file as `tempfile.mkdtemp` makes a folder; return its name."""
+    handle, name = tempfile.mkstemp(suffix, prefix, dir)
+    os.close(handle)
+    return name
+
+
+def _held_part(target: Path, make: Callable[..., str]) -> tuple[Path, int]:
+    """Make what is to become the target; return it and its lock. What a killed process left of the same target is removed."""
+    name = re.compile(rf"\.{re.escape(target.name)}\.[a-z0-9_]{{8}}\.part")
+    remove_left(path for path in _parts_in(target.parent) if name.fullmatch(path.name))
+    return held(lambda: Path(make(prefix=f".{target.name}.", suffix=".part", dir=target.parent)))
+
+
+@functools.cache
+def _parts_in(folder: Path) -> tuple[Path, ...]:
+    """Return what is under construction in a folder at first sight: many captures of one folder read it once."""
+    try:
+        return tuple(folder.glob(".*.part"))
+    except OSError:
+        return ()

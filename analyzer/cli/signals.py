@@ -21,14 +21,35 @@ ENDING = {
 }
 
 
+#: The last of these signals that a handler took since a command began.
+_last = signal.SIGINT
+
+
+def begin() -> None:
+    """Begin a command: no signal has arrived."""
+    global _last
+    _last = signal.SIGINT
+
+
+def ended_status() -> int:
+    """Return the exit status of a command that a signal has ended, as a shell tells it: 130 for Ctrl-C, 143 for SIGTERM."""
+    return 128 + _last
+
+
 @contextlib.contextmanager
 def handled(handler: Any) -> Iterator[None]:
     """Let `handler` take the signals that end a program, as `signal.signal` does; not a SIGHUP that `nohup` has it ignore."""
+
+    def taken(number: int, frame: FrameType | None) -> None:
+        global _last
+        _last = signal.Signals(number)
+        handler(number, frame)
+
     before: dict[int, Any] = {}
     with contextlib.suppress(ValueError):
         for number in ENDING:
             if signal.getsignal(number) is not signal.SIG_IGN or number != getattr(signal, "SIGHUP", None):
-                before[number] = signal.signal(number, handler)
+                before[number] = signal.signal(number, taken if callable(handler) else handler)
     try:
         yield
     finally:

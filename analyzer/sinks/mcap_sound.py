@@ -80,21 +80,31 @@ def unreadable(path: Path, position: Callable[[int], None] = lambda at: None) ->
 
 
 def broken_before(path: Path, end: int | None = None, position: Callable[[int], None] = lambda at: None) -> str:
-    """Say what is not sound in a log before a place, where a record ends; `None`: before its summary. Nothing if all is."""
+    """Say what is not sound in a log before a place, where a record ends; `None`: before its summary. Nothing if all is.
+
+    Raises UnreadableError where the system does not read it.
+    """
     with path.open("rb") as stream:
-        if stream.read(len(magic.MCAP)) != magic.MCAP:
-            return "it does not begin as an MCAP log"
-        at = len(magic.MCAP)
-        while end is None or at < end:
-            position(at)
-            record = record_at(stream, at)
-            problem = f"it ends at byte {at}" if record is None else unsound(*record)
-            if record is None or problem:
-                return f"byte {at}: {problem}"
-            at += scan.HEAD.size + len(record[1])
-            if end is None and record[0] == scan.DATA_END:
-                return ""
-        return "" if at == end else f"no record ends at byte {end}"
+        try:
+            return _broken_before(stream, end, position)
+        except OSError as error:
+            raise UnreadableError(f"{path}: reading failed: {error.strerror}") from None
+
+
+def _broken_before(stream: IO[bytes], end: int | None, position: Callable[[int], None]) -> str:
+    if stream.read(len(magic.MCAP)) != magic.MCAP:
+        return "it does not begin as an MCAP log"
+    at = len(magic.MCAP)
+    while end is None or at < end:
+        position(at)
+        record = record_at(stream, at)
+        problem = f"it ends at byte {at}" if record is None else unsound(*record)
+        if record is None or problem:
+            return f"byte {at}: {problem}"
+        at += scan.HEAD.size + len(record[1])
+        if end is None and record[0] == scan.DATA_END:
+            return ""
+    return "" if at == end else f"no record ends at byte {end}"
 
 
 def record_at(stream: IO[bytes], at: int) -> tuple[int, bytes] | None:

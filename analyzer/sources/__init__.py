@@ -131,6 +131,8 @@ def open_source(
         raise UsageError(f"unknown format {format!r}, expected one of {', '.join(FORMATS)}{hint}")
     if baud is not None and baud <= 0:
         raise UsageError(f"baud: expected a number above 0, got {baud}")
+    if not str(path):
+        raise UnreadableError("the name of the capture is empty: expected a file, a folder, or - for standard input")
     files, notes = _files(str(path))
     source = Source(files[0], baud=baud, bus=bus, channels=channels, inverted=inverted, uart=uart)
     for note in notes:

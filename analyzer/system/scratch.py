@@ -1,6 +1,6 @@
-"""Folders for files that are of use for a while, in the system's folder for such files.
+"""Files and folders that are of use for a while: scratch in the system's folder for it, and outputs under construction.
 
-A run that is killed cannot remove its own. So each folder is held by a lock, which ends with the process, and each new one
+A run that is killed cannot remove its own. So each of them is held by a lock, which ends with the process, and each new one
 first removes those that nobody holds. Where the system has no such locks (Windows, some network drives), they stay.
 """
 
@@ -9,8 +9,9 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 try:
@@ -25,41 +26,50 @@ PREFIX = "servotap-scratch-"
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
     """Yield an empty folder, which is removed afterwards with all that is in it."""
-    if fcntl is None:
-        with tempfile.TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as folder:
-            yield Path(folder)
-        return
-    _remove_left()
-    folder, lock = _locked()
+    remove_left(path for path in Path(tempfile.gettempdir()).glob(f"{PREFIX}*") if path.is_dir())
+    folder, lock = held(lambda: Path(tempfile.mkdtemp(prefix=PREFIX)))
     try:
         yield folder
     finally:
         # The lock is still held, so that no other run removes it at the same time.
         shutil.rmtree(folder, ignore_errors=True)
-        os.close(lock)
+        let_go(lock)
 
 
-def _locked() -> tuple[Path, int]:
-    """Return a new folder and the descriptor that holds its lock."""
+def held(make: Callable[[], Path]) -> tuple[Path, int]:
+    """Make a file or folder; return it and the descriptor that holds its lock, for `let_go`. Raises what `make` raises."""
     while True:
-        folder = Path(tempfile.mkdtemp(prefix=PREFIX))
-        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        path = make()
+        if fcntl is None:
+            return path, -1
+        lock = os.open(path, os.O_RDONLY)
         with contextlib.suppress(OSError):
             fcntl.flock(lock, fcntl.LOCK_EX)
         # Another run may have taken it for one that was left, before it was held.
-        if folder.exists():
-            return folder, lock
+        if path.exists():
+            return path, lock
         os.close(lock)
 
 
-def _remove_left() -> None:
-    """Remove the folders of processes that are gone. Those of other users are theirs."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+def let_go(lock: int) -> int:
+    """End a lock; return what stands for none, which may be let go, too."""
+    if lock >= 0:
+        os.close(lock)
+    return -1
+
+
+def remove_left(paths: Iterable[Path]) -> None:
+    """Remove those files and folders whose makers are gone. Those of other users are theirs."""
+    for path in paths if fcntl is not None else ():
         with contextlib.suppress(OSError):
-            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            lock = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             try:
-                if os.fstat(lock).st_uid == os.getuid():
+                found = os.fstat(lock)
+                if found.st_uid == os.getuid():
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    shutil.rmtree(folder, ignore_errors=True)
+                    if stat.S_ISDIR(found.st_mode):
+                        shutil.rmtree(path, ignore_errors=True)
+                    elif stat.S_ISREG(found.st_mode):
+                        path.unlink()
             finally:
                 os.close(lock)

@@ -51,7 +51,6 @@ examples:
   servotap replay poll.log --on arm                a drive or a bus of a profile, servotap.toml
 """
 _LISTED = 12
-_NO_END_NS = 1 << 62
 #: The interface of python-can that is a bus within one process: no other one can reach it.
 _OWN = "virtual"
 
@@ -130,7 +129,7 @@ class _Port:
         drives = {(s.dialect.name, address): s.dialect for s in plan.steps for address, *_ in meant(s)}
         begin = beginning(endpoint, [(dialect, address) for (_, address), dialect in drives.items()], allowance)
         # A recording has its own end, so the guard sets none to its runs.
-        self._begin = msgspec.structs.replace(begin, longest_run_ns=_NO_END_NS)
+        self._begin = msgspec.structs.replace(begin, longest_run_ns=say.NO_END_NS)
         self.gate = self._open(self._begin)
 
     def _open(self, begin: say.Begin) -> Gate:

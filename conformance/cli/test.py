@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from analyzer.cli.option_types import number
 from analyzer.cli.reading import now_text
+from analyzer.cli.signals import ended_status
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import profile
 from conformance.claim import NotStopped, Outcome, RigFault, worst
@@ -46,7 +47,8 @@ examples:
   servotap test --list --theme motion
   servotap test arm --short                                a drive of a profile, servotap.toml (see servotap init)
 """
-REFUTED, INTERRUPTED = 1, 130
+#: Exit status of a run in which a drive was refuted.
+REFUTED = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -206,7 +208,7 @@ def _test(plan: Plan, arguments: argparse.Namespace, known: list[Deviation] | No
     if stopped:
         print(f"servotap test: stopped after {len(records)} of {total} claims", file=sys.stderr)
         if trouble is None and status != REFUTED and unprinted is None:
-            return INTERRUPTED
+            return ended_status()
     if unprinted is not None and not status:
         raise unprinted
     return status

@@ -5,6 +5,8 @@
 It sends what the suite asks for, if its gate permits it. It knows from the sent frames which drives may be moving. An end of
 the suite (an error, kill -9, a closed terminal) ends the pipe. The guard then stops every drive that may be moving, restores
 the settings in the journal, and closes the port. A run without an end is stopped after a time even while the suite lives.
+A suite that asks nothing for a while is suspended (Ctrl-Z), hangs, or waits for a terminal that takes no more: then the guard
+stops what may be moving, too. A port that goes and comes back is opened anew, so that a motor can be stopped after all.
 Its own exit status is 0, or 20 where a motor could not be stopped.
 
 The permissions of the start hold until the end, also against a faulty suite. Only stops and the journal's old settings pass
@@ -21,6 +23,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -33,7 +36,7 @@ from analyzer.errors import ServotapError
 from analyzer.live import endpoint as endpoints
 from analyzer.records import CanFrame
 from analyzer.system import own_process
-from conformance.bus import open_line
+from conformance.bus.lasting import LastingLine
 from conformance.bus.line import LineLost
 from conformance.claim import NotStopped, RigFault
 from conformance.gate.bounds import stops
@@ -48,8 +51,10 @@ from conformance.talk.drive_state import read_drive_state
 #: The subdivision that is sent as 0.
 LARGEST = 256
 _TICK_SECONDS = 0.2
-#: What is told before a motor is stopped: two stops by a ramp, two at once, and the user's power command.
+#: What is told before a motor is stopped: two stops by a ramp, two at once, a port to wait for, and the user's power command.
 _LONG = say.Busy(60.0)
+#: What learns that the guard has stopped a motor by itself; what a suite tells is taken all the same.
+_ON_THE_LINE = (say.Send, say.Receive, say.ReadState)
 #: Signals that must not end the guard before the motor stands; the end of the pipe does.
 _SHIELDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE")
 
@@ -86,7 +91,7 @@ class Guard:
     def __init__(self, begin: say.Begin) -> None:
         self._begin = begin
         endpoint = endpoints.parse(begin.endpoint)
-        self.line = open_line(endpoint)
+        self.line = LastingLine(endpoint, lambda: self.moving)
         self._full = begin.allowance
         # While the drive is looked for: reads, and those to any address.
         self._drives = [_Watched(_dialect(d), d.address, begin.moving) for d in begin.drives]
@@ -104,10 +109,10 @@ class Guard:
         # Note it before it leaves: from then on the drive may be moving, even if sending fails.
         for reading in gate.interpret(item):
             self._note(reading)
-        return say.Done(gate.send(item), self._moving)
+        return say.Done(gate.send(item), self.moving)
 
     @property
-    def _moving(self) -> bool:
+    def moving(self) -> bool:
         """Whether a drive may be moving, as far as the suite has said."""
         return any(drive.moving and not drive.told for drive in self._drives)
 
@@ -183,6 +188,18 @@ class Guard:
         return say.Done(self.gate.now_ns())
 
     # --- what the guard does by itself --------------------------------------------------------------------------------
+
+    def stop_unattended(self, silent_seconds: float) -> str:
+        """Stop what is overdue, and after the suite's silence of so many seconds what may be moving.
+
+        Return what was done, or nothing. Raises NotStopped.
+        """
+        longest = self._begin.longest_silence_ns / 1e9
+        overdue = self.stop_overdue()
+        if overdue or silent_seconds < longest or not self.moving:
+            return overdue
+        self.stop_all()
+        return f"the suite asked nothing for {longest:g} s while a motor may turn, so the guard has stopped it"
 
     def stop_overdue(self, begins: Callable[[], object] = lambda: None) -> str:
         """Stop what has run without an end for too long; return what was done, or nothing. Raises NotStopped.
@@ -300,26 +317,30 @@ def _serve(guard: Guard, requests: queue.Queue[say.Request | None], answers: IO[
         say.AllPutBack: Guard.all_put_back,  # type: ignore[dict-item]
     }
     stopped: say.Failed | None = None
+    answered = time.monotonic()
     while True:
         try:
             request = requests.get(timeout=_TICK_SECONDS)
         except queue.Empty:
             # There is no question yet, so nothing is answered.
-            stopped = stopped or _overdue(guard, lambda: None)
+            stopped = stopped or _stopped(partial(guard.stop_unattended, time.monotonic() - answered))
             continue
         if request is None:
             return _finish_alone(guard)
         if isinstance(request, say.End):
             return _finish(guard, answers, request)
-        stopped = stopped or _overdue(guard, lambda: _answer(answers, _LONG))
-        if stopped is not None:
+        stopped = stopped or _stopped(lambda: guard.stop_overdue(lambda: _answer(answers, _LONG)))
+        if stopped is not None and (stopped.kind == "not stopped" or isinstance(request, _ON_THE_LINE)):
             answer: say.Answer = stopped
             # Of a motor that turns on there is nothing else to say.
             stopped = stopped if stopped.kind == "not stopped" else None
         else:
+            if guard.line.lost:
+                _answer(answers, _LONG)
             answer = _done(table.get(type(request), Guard.cannot), guard, request)
         if not _answer(answers, answer):
             return _finish_alone(guard)
+        answered = time.monotonic()
 
 
 def _done(act: Callable[[Guard, say.Request], say.Answer], guard: Guard, request: say.Request) -> say.Answer:
@@ -336,13 +357,10 @@ def _done(act: Callable[[Guard, say.Request], say.Answer], guard: Guard, request
         return say.Failed("usage", f"{type(error).__name__}: {error}")
 
 
-def _overdue(guard: Guard, begins: Callable[[], object]) -> say.Failed | None:
-    """Stop a run that took too long; return what to report to the suite, if anything.
-
-    `begins` is called before that takes time.
-    """
+def _stopped(stop: Callable[[], str]) -> say.Failed | None:
+    """Stop what the guard has to stop by itself; return what to report to the suite, if anything."""
     try:
-        stopped = guard.stop_overdue(begins)
+        stopped = stop()
     except NotStopped as error:
         return say.Failed("not stopped", str(error))
     except LineLost as error:

@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
 from typing import IO, cast
 
@@ -40,6 +41,7 @@ _START_SECONDS = 30.0
 _ANSWER_SECONDS = 3.0
 #: How much longer for what it has to ask the drive.
 _LOOK_SECONDS = 10.0
+_WAIT_SECONDS = 0.5
 #: Waits are cut into pieces, so that a Ctrl-C is not held up for long.
 _PIECE_NS = 200_000_000
 
@@ -128,15 +130,25 @@ class GuardedLine(Line):
         return cast("say.Done | say.Got", answer)
 
     def _answer(self, seconds: float) -> say.Answer:
-        """Return the answer to what was asked. Raises EOFError, queue.Empty where none comes in time."""
+        """Return the answer to what was asked. Raises EOFError, queue.Empty where none comes in time.
+
+        The time is counted in waits: while this process itself is suspended, no guard is late.
+        """
+        waits = ceil(seconds / _WAIT_SECONDS)
         while True:
-            message = self._answers.get(timeout=seconds)
+            try:
+                message = self._answers.get(timeout=_WAIT_SECONDS)
+            except queue.Empty:
+                waits -= 1
+                if not waits:
+                    raise
+                continue
             if message is None:
                 raise EOFError("no answer")
             answer: say.Answer = self._decode(message)
             if not isinstance(answer, say.Busy):
                 return answer
-            seconds = answer.seconds
+            waits = ceil(answer.seconds / _WAIT_SECONDS)
 
     def tell(self, request: say.DriveFound | say.ReadState | say.Standing | say.AllPutBack) -> None:
         """Tell the guard something. Raises LineLost."""

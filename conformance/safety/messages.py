@@ -12,6 +12,8 @@ from conformance.gate.permissions import Allowance
 
 _LENGTH = struct.Struct("<I")
 _LIMIT = 64 << 20
+#: A time that does not end.
+NO_END_NS = 1 << 62
 
 
 class Wire(msgspec.Struct, frozen=True, array_like=True):
@@ -37,14 +39,16 @@ class Drive(msgspec.Struct, frozen=True):
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
     """The first request: open the port.
 
-    `allowance`: what may be sent, with a budget of which nothing is spent; `longest_run_ns` of motion without an end; `moving`:
-    the drives may be moving already. Until `DriveFound` reads alone pass, and those to any address.
+    `allowance`: what may be sent, with a budget of which nothing is spent; `longest_run_ns` of motion without an end;
+    `longest_silence_ns` of the suite while a drive may be moving: one that waits for a drive asks five times a second;
+    `moving`: the drives may be moving already. Until `DriveFound` reads alone pass, and those to any address.
     """
 
     endpoint: str
     drives: tuple[Drive, ...]
     allowance: Allowance
     longest_run_ns: int = 30_000_000_000
+    longest_silence_ns: int = 5_000_000_000
     moving: bool = False
     journal: str = ""
     cut_power: str = ""

@@ -91,8 +91,17 @@ def stop(
     if it still stands there. `noise`: of a shaft at rest. `thoroughly`: as `prove_standing` takes it.
 
     Where one way of stopping fails, the next is tried until none is left. The address of all drives: they are told to stop, and
-    none can be asked whether it does.
+    none can be asked whether it does. A line that goes meanwhile is tried once more: its port may be back (`bus.lasting`).
     """
+    try:
+        return _stop(gate, dialect, address, stands_at, noise, thoroughly)
+    except GuardLost:
+        raise
+    except LineLost:
+        return _stop(gate, dialect, address, None, noise, thoroughly)
+
+
+def _stop(gate: Gate, dialect: Dialect, address: int, stands_at: float | None, noise: Noise, thoroughly: bool) -> Stopped:
     if address == dialect.broadcast:
         return _stop_all(gate, dialect, address)
     probe = plain_probe(dialect, address, gate)
@@ -129,7 +138,7 @@ def tell(gate: Gate, dialect: Dialect, address: int, *, at_once: bool = False) -
     for command in dialect.motions(MotionKind.STOP) if at_once else ramped_stops(dialect):
         try:
             own.send(assemble(dialect, command, address, _gentle(command)).item())
-        except (Refused, UsageError) as error:
+        except (Refused, UsageError, Inconclusive) as error:
             refused = f"{command.name}: {error}"
         # The next stop waits until the reply to this one has gone by.
         own.wait(_STOP_BYTES * own.line.byte_ns + _STOP_GAP_NS)
@@ -181,7 +190,8 @@ def ask(probe: Probe, command: Command) -> str:
     try:
         # Whether it is answered says nothing about the shaft: that is looked at.
         probe.ask(command, _gentle(command), timeout_ns=_LOOK_NS, quiet_ns=0)
-    except (Refused, UsageError) as error:
+    # The guard tells by Inconclusive that it has stopped the motor itself.
+    except (Refused, UsageError, Inconclusive) as error:
         return f"{command.name}: {error}"
     return ""
 

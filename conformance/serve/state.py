@@ -38,7 +38,7 @@ def load(path: str) -> dict[str, Settings]:
     try:
         return _drives(json.loads(read_whole(Path(path)))) if os.path.lexists(path) else {}
     except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
-        what = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
+        what = str(error) if isinstance(error, ValueError) else "it is JSON of another kind"
         raise UsageError(f"{path} does not hold the state of drives: {what}") from None
 
 

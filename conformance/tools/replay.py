@@ -26,6 +26,7 @@ from analyzer.codec import codec
 from analyzer.decoder import slots_of
 from analyzer.dialects import drive_name
 from analyzer.errors import ServotapError
+from conformance.claim import Inconclusive
 from conformance.gate.gate import Gate, Judge, Objection, Refused
 from conformance.safety.signals import undisturbed
 from conformance.safety.stopping import GuardLost, stop
@@ -213,7 +214,7 @@ class Replay:
             self._run(steps, period_ns, loops, advance)
             # What runs on without an end does so in the recording too, but there a person or a program watched it.
             self.stop(only_runs=True)
-        except (KeyboardInterrupt, ServotapError) as error:
+        except (KeyboardInterrupt, ServotapError, Inconclusive) as error:
             self.result.stopped = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else str(error)
             with undisturbed():
                 self.stop()

@@ -339,7 +339,7 @@ def test_a_signal_ends_an_export_of_a_pipe_that_says_nothing(kind, number, tmp_p
     late = threading.Timer(5.0, lambda: os.close(end))
     timer.start()
     late.start()
-    assert main(["export", "-", "--to", kind, "-o", str(tmp_path / "out")]) == 130
+    assert main(["export", "-", "--to", kind, "-o", str(tmp_path / "out")]) == 128 + number
     late.cancel()
     assert "nothing more was written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -231,8 +231,9 @@ def test_the_summary_says_the_severity_that_counts(tmp_path, capsys):
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no /dev/full on this machine")
-def test_an_output_that_is_full_is_a_message():
-    command = [sys.executable, "-m", "analyzer", "show", str(BENCH)]
+@pytest.mark.parametrize("words", [[str(BENCH)], ["--help"]])
+def test_an_output_that_is_full_is_a_message(words):
+    command = [sys.executable, "-m", "analyzer", "show", *words]
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 2

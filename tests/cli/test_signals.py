@@ -10,7 +10,8 @@ import pytest
 
 from analyzer import cli
 from analyzer.cli import main
-from analyzer.cli.signals import ENDING, Interrupt
+from analyzer.cli.boundary import bounded
+from analyzer.cli.signals import ENDING, Interrupt, handled
 
 
 def test_a_signal_while_a_reader_waits_is_no_trouble_of_the_capture() -> None:
@@ -28,7 +29,7 @@ def test_a_signal_while_a_reader_waits_is_no_trouble_of_the_capture() -> None:
 
 
 @pytest.mark.parametrize("number", ENDING)
-def test_each_signal_ends_a_command_as_ctrl_c_does(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_signal_ends_a_command_in_order(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command that takes over no signal itself would leave its unfinished file behind."""
     left = []
 
@@ -42,9 +43,21 @@ def test_each_signal_ends_a_command_as_ctrl_c_does(number: int, monkeypatch: pyt
     before = signal.getsignal(number)
     command = SimpleNamespace(__doc__="", add_arguments=lambda parser: None, run=run)
     monkeypatch.setattr(cli, "import_module", lambda name: command)
-    assert main(["show"]) == 130
+    assert main(["show"]) == 128 + number
     assert left
     assert signal.getsignal(number) is before
+
+
+def test_a_signal_of_an_earlier_command_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(words: list[str]) -> int:
+        raise KeyboardInterrupt
+
+    def terminated(words: list[str]) -> int:
+        with handled(signal.default_int_handler):
+            signal.raise_signal(signal.SIGTERM)
+        return 0
+
+    assert [bounded(command, []) for command in (interrupted, terminated, interrupted)] == [130, 143, 130]
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="a system without SIGHUP")

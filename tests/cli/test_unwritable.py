@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.cli.output import Output
+from analyzer.cli import output
+from analyzer.cli.output import Output, OutputFolder
+from analyzer.system.scratch import fcntl
 
 CAPTURES = Path(__file__).parents[2] / "captures"
 CAPTURE, LOG = str(CAPTURES / "mks_can.candump.log"), str(CAPTURES / "mks_rs485.mcap")
@@ -90,3 +92,23 @@ def test_no_verdict_is_lost_on_a_full_disk(fault, status, tmp_path, monkeypatch,
         assert said.err.count(f"cannot write {tmp_path / file}: No space left on device") == 1
     assert len(said.err.splitlines()) == len(outputs)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(fcntl is None, reason="a system without locks on files")
+@pytest.mark.parametrize("kind", [Output, OutputFolder])
+def test_what_a_killed_process_left_goes_when_the_same_file_is_written_again(kind, tmp_path):
+    target, other = tmp_path / "a.mcap", tmp_path / ".b.mcap.abcdefgh.part"
+    living = kind(target, replace=True)
+    left = tmp_path / ".a.mcap.abcd_012.part"
+    left.mkdir() if kind is OutputFolder else left.write_bytes(b"half of a log")
+    for mine in (other, tmp_path / ".a.mcap.part", tmp_path / ".a.mcap.thesis.part"):
+        mine.write_bytes(b"of the user")
+    os.mkfifo(tmp_path / ".a.mcap.fifofifo.part")
+    output._parts_in.cache_clear()
+    again = kind(target, replace=True)
+    assert not left.exists()
+    assert living.part.exists(), "its process lives"
+    assert len(list(tmp_path.glob(".*.part"))) == 6
+    living.drop()
+    again.keep()
+    assert target.exists()

@@ -14,6 +14,8 @@ import pytest
 import servotap
 from analyzer import dialects
 from conformance.pytest_plugin.fixtures import port_of
+from conformance.safety import messages as say
+from conformance.safety.guarded import GuardedLine
 
 ROOT = Path(__file__).parents[2]
 RUN = {"direction": "cw", "speed": 60, "acceleration": 250}
@@ -205,6 +207,19 @@ def test_a_drive_at_an_endpoint_is_read_run_and_stopped(port, tmp_path):
     assert [each.outcome for each in asked] == ["answered"]
     age = datetime.now(UTC) - asked[0].first.time
     assert timedelta(0) < age < timedelta(minutes=5)
+
+
+def test_a_program_may_sleep_while_the_drive_turns(port, monkeypatch):
+    begun, opened = [], GuardedLine.__init__
+
+    def kept(line, endpoint, begin):
+        begun.append(begin)
+        opened(line, endpoint, begin)
+
+    monkeypatch.setattr(GuardedLine, "__init__", kept)
+    with servotap.drive("mks-rs485@1", port, max_run=7):
+        pass
+    assert (begun[0].longest_silence_ns, begun[0].longest_run_ns) == (say.NO_END_NS, 7_000_000_000)
 
 
 def test_a_program_that_dies_leaves_no_motor_turning(port):

@@ -62,10 +62,10 @@ def _threaded(serve: Callable[[Stop], None]) -> Iterator[None]:
 
 
 @contextmanager
-def on_port(bus: SerialBus, port: SerialPort) -> Iterator[str]:
-    """Serve a bus on a port; yield what clients open."""
+def on_port(bus: SerialBus, port: SerialPort, clock: Clock | None = None) -> Iterator[str]:
+    """Serve a bus on a port; yield what clients open. `clock`: one for several ports in turn, as the drives have one time."""
     try:
-        with _threaded(lambda stop: serial_server.serve(bus, port, Clock(), stop)):
+        with _threaded(lambda stop: serial_server.serve(bus, port, clock or Clock(), stop)):
             yield port.name
     finally:
         port.close()

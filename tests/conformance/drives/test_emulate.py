@@ -211,9 +211,11 @@ def test_wrong_use_is_told(capsys: pytest.CaptureFixture[str], words: tuple[str,
 
 def test_a_state_that_does_not_fit_is_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     state = tmp_path / "state.json"
-    for text in ("", "[]", "{}", '{"servotap": "drives", "version": 2, "drives": {}}', '{"servotap": 5}'):
+    for text in ("", "[]", "{}", "[" * 100_000, '{"servotap": "drives", "version": 2, "drives": {}}', '{"servotap": 5}'):
         state.write_text(text)
-        assert "does not hold the state of drives" in refused(capsys, "mks-rs485@1", "--pty", "--state", str(state))
+        told = refused(capsys, "mks-rs485@1", "--pty", "--state", str(state))
+        assert "does not hold the state of drives" in told
+        assert "Error" not in told, "no name of Python's"
     for value in ("1", 1.0, True, None, [], float("nan")):
         whole = {"servotap": "drives", "version": 1, "drives": {"mks-rs485@1": {"settings": {"saved_run": value}}}}
         state.write_text(json.dumps(whole))

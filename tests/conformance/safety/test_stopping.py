@@ -13,7 +13,8 @@ from analyzer.encoder import build
 from analyzer.records import CanFrame, Chunk
 from conformance import claims as registry
 from conformance.bus.emulated import EmulatedLine
-from conformance.claim import NotStopped
+from conformance.bus.line import LineLost
+from conformance.claim import Inconclusive, NotStopped
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion, resting
@@ -238,3 +239,37 @@ def test_that_another_host_sets_the_shaft_in_motion_again_is_told(monkeypatch):
     assert f"the last run_speed: {run.hex(' ').upper()}" in failure
     assert probe.drive is not None
     assert probe.drive.motor.speed(probe.drive.now_ns) != 0, "which is true: its last order was to run"
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_a_stop_is_tried_once_more_where_the_line_goes(lost, monkeypatch):
+    rig, probe, _ = _turning()
+    write, left = rig.gate.line.write, [LineLost("the port is gone")] * lost
+
+    def once(item):
+        if left:
+            raise left.pop()
+        return write(item)
+
+    monkeypatch.setattr(rig.gate.line, "write", once)
+    if lost > 1:
+        with pytest.raises(LineLost):
+            stopping.stop(probe.gate, rig.dialect, 1)
+    else:
+        assert stopping.stop(probe.gate, rig.dialect, 1).failure == ""
+        assert motion.speed(probe).value == 0
+
+
+def test_a_guard_that_was_faster_is_no_failed_stop(monkeypatch):
+    rig, probe, _ = _turning()
+    write, left = rig.gate.line.write, [Inconclusive("the guard has stopped the motor")]
+
+    def once(item):
+        if left:
+            write(build(rig.dialect, "stop_speed", 1, {"acceleration": motion.GENTLE}))
+            raise left.pop()
+        return write(item)
+
+    monkeypatch.setattr(rig.gate.line, "write", once)
+    stopping.stop_or_cut(probe.gate, rig.dialect, 1, "false")
+    assert motion.speed(probe).value == 0

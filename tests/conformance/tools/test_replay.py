@@ -24,6 +24,7 @@ from analyzer.records import CanFrame, Chunk
 from benchmarks.gate import sound
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.python_can import LibraryPort
+from conformance.claim import Inconclusive
 from conformance.cli import replay as command
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
@@ -363,6 +364,18 @@ def test_a_broadcast_run_is_stopped_by_broadcast():
     assert stands(watched.drives[0])
 
 
+def test_a_guard_that_has_stopped_the_motor_ends_the_replay():
+    watched = Watched()
+
+    def stopped(sent: object) -> None:
+        raise Inconclusive("the guard has stopped the motor")
+
+    result = watched.replay.run(plan_of((0, ">", RUN), (1, ">", READ)).steps, advance=stopped)
+    assert result.stopped == "the guard has stopped the motor"
+    assert not result.left_moving
+    assert stands(watched.drives[0])
+
+
 def test_a_drive_that_cannot_be_stopped_is_told():
     watched = Watched("mks-rs485@1,work_mode=sr_vfoc,fault=speed-stop-ignored")
     result = watched.replay.run(plan_of((0, ">", RUN)).steps)
@@ -472,7 +485,7 @@ def test_signals_stop_the_motor(number: int, tmp_path: Path):
         out, err = process.communicate(timeout=20)
         assert stands(drive), out + err
         assert drive.memory.enabled
-    assert process.returncode == 130, out + err
+    assert process.returncode == 128 + number, out + err
     assert "stopped: Ctrl-C" in out
     assert "NOT KNOWN TO STAND" not in out
 
