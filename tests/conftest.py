@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,10 @@ _FOLDER = pytest.StashKey[Path]()
 # How long an example takes is the machine's business, and no test's.
 settings.register_profile("servotap", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("servotap")
+# `nohup make test` and `make test &` hand signals on as ignored, to each process that a test starts and sends one.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP"):
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # Tests start hundreds of processes; each would compile the whole project anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 

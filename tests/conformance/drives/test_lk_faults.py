@@ -9,13 +9,13 @@ import pytest
 
 from analyzer.link import sum8
 from conformance.drives.drive import Fault
-from conformance.drives.faults import lk_conditions
 from conformance.drives.make import every_fault
+from tests.conformance.claims.test_conditions import REFUTED_BY
 from tests.conformance.drives.lk_bench import Bench
 
 Script = Callable[[Bench], None]
-#: The faults that only an LK drive has; those of one condition are shown by the claims that refute them (test_conditions.py).
-FAULTS = [fault for fault in every_fault() if fault.dialects == ("lk-rs485",) and fault not in lk_conditions.FAULTS]
+#: The faults that only an LK drive has; the others are shown by the claims that refute them.
+FAULTS = [fault for fault in every_fault() if fault.dialects == ("lk-rs485",) and fault.name not in REFUTED_BY]
 
 
 # --- exchanges --------------------------------------------------------------------------------------------------------

@@ -12,17 +12,16 @@ from analyzer.catalogue import Role
 from analyzer.codec import codec
 from analyzer.encoder import build
 from conformance.drives.drive import Fault
-from conformance.drives.faults import mks_conditions, mks_effects, mks_sequences
 from conformance.drives.make import every_fault
 from conformance.drives.mks.quirks import QUIRKS
+from tests.conformance.claims.test_conditions import REFUTED_BY
 from tests.conformance.drives.mks_story import differs
 from tests.conformance.drives.test_mks_rig import MS, NAMES, SECOND, frame_of, make
 
 #: The faults that an MKS drive can have; those of the wire are faults of any drive.
 FAULTS = [fault for fault in every_fault() if not set(fault.dialects).isdisjoint(NAMES)]
-#: Those that show in one condition alone are shown by the claims that refute them (claims/test_conditions.py).
-_OF_CONDITIONS = {fault.name for fault in (*mks_conditions.FAULTS, *mks_sequences.FAULTS, *mks_effects.FAULTS)}
-FAULTY = [(fault, name) for fault in FAULTS for name in NAMES if name in fault.dialects and fault.name not in _OF_CONDITIONS]
+#: The others are shown by the claims that refute them.
+FAULTY = [(fault, name) for fault in FAULTS for name in NAMES if name in fault.dialects and fault.name not in REFUTED_BY]
 
 
 @pytest.mark.parametrize("name", NAMES)
