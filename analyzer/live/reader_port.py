@@ -154,14 +154,17 @@ class LibraryPort:
 def find_adapter(number: str) -> str:
     """Return the port of the USB adapter with a serial number.
 
-    Raises Unopened with the numbers that are there.
+    Raises Unopened with the numbers that are there, and where several ports have this one: cheap adapters share a number, and
+    so do the ports of an adapter that has four.
     """
     from serial.tools.list_ports import comports
 
     ports = [p for p in comports() if p.serial_number]
-    for port in ports:
-        if port.serial_number == number:
-            return str(port.device)
+    found = [str(p.device) for p in ports if p.serial_number == number]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise Unopened(f"{len(found)} ports have the serial number {number}: {', '.join(found)}; name one of them")
     there = ", ".join(f"{p.serial_number} at {p.device}" for p in ports) or "none with a serial number"
     raise Unopened(f"no adapter with serial number {number} (there is {there})")
 

@@ -42,10 +42,13 @@ def held(make: Callable[[], Path]) -> tuple[Path, int]:
         path = make()
         if fcntl is None:
             return path, -1
-        lock = os.open(path, os.O_RDONLY)
+        # Before it is held, another run may take it for one that was left, and remove it.
+        try:
+            lock = os.open(path, os.O_RDONLY)
+        except FileNotFoundError:
+            continue
         with contextlib.suppress(OSError):
             fcntl.flock(lock, fcntl.LOCK_EX)
-        # Another run may have taken it for one that was left, before it was held.
         if path.exists():
             return path, lock
         os.close(lock)

@@ -23,6 +23,7 @@ from analyzer.errors import ServotapError, UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame, Chunk
 from conformance.bus import open_line
+from conformance.bus.can_port import Acceptance
 from conformance.bus.line import Line, LineLost
 
 #: How long a port that has gone is waited for: an adapter is back after two seconds, a small server after some more.
@@ -33,18 +34,21 @@ _PIECE_SECONDS = 0.2
 def identity(endpoint: Endpoint) -> str:
     """Return what tells the port at an endpoint from another one that gets its name; nothing where nothing does.
 
-    An address of a server; a serial number; a link, which somebody keeps to mean one port; a USB adapter at its socket.
+    An address of a server; a serial number that one port has; a USB adapter at its socket, and the port of it; another link,
+    which somebody keeps to mean one port. A number alone tells no port where a name or a link leads to it: adapters of some
+    makers all have the same, and so have the four ports of one adapter.
     """
     if endpoint.kind == "tcp":
         return endpoint.place
     if endpoint.kind != "serial":
         return ""
-    if endpoint.adapter or os.path.islink(endpoint.place):
-        return endpoint.adapter or endpoint.place
+    if endpoint.adapter:
+        return endpoint.adapter
+    device = os.path.realpath(endpoint.place)
     for port in list_ports.comports():
-        if port.device == endpoint.place and port.vid is not None:
-            return f"{port.vid:04x}:{port.pid:04x} {port.serial_number or port.location}"
-    return ""
+        if port.device == device and port.vid is not None:
+            return f"{port.vid:04x}:{port.pid:04x} {port.serial_number or ''} {port.location or ''}".rstrip()
+    return endpoint.place if os.path.islink(endpoint.place) else ""
 
 
 class LastingLine(Line):
@@ -88,6 +92,11 @@ class LastingLine(Line):
     def close(self) -> None:
         self._line.close()
 
+    @property
+    def acceptance(self) -> Acceptance | None:  # type: ignore[override]  # it belongs to the line within
+        """Which frames of a CAN bus are read; such a port is not opened anew, so it stays."""
+        return self._line.acceptance
+
     @contextlib.contextmanager
     def _there(self) -> Iterator[Line]:
         if self.lost:
@@ -106,9 +115,7 @@ class LastingLine(Line):
         self._waited = True
         while True:
             try:
-                if identity(self._line.endpoint) != self._identity:
-                    raise UsageError("no port with its identity is there")
-                self._line = open_line(self._line.endpoint)
+                self._line = self._opened()
             except ServotapError as error:
                 if time.monotonic() >= until:
                     raise LineLost(f"{self._why}, and it is not back: {error}") from None
@@ -116,3 +123,14 @@ class LastingLine(Line):
             else:
                 self.lost = self._waited = False
                 return
+
+    def _opened(self) -> Line:
+        """Open what has the port's identity, before and after it was opened. Raises ServotapError."""
+        endpoint = self._line.endpoint
+        if identity(endpoint) == self._identity:
+            line = open_line(endpoint)
+            # Another adapter may have got the name in between.
+            if identity(endpoint) == self._identity:
+                return line
+            line.close()
+        raise UsageError("no port with its identity is there")

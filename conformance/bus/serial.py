@@ -22,6 +22,7 @@ from serial.tools import list_ports
 
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
+from analyzer.live.reader_port import Unopened, find_adapter
 from conformance.bus.stream import StreamLine, read_all
 
 try:
@@ -43,7 +44,7 @@ class SerialLine(StreamLine):
 
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
-        self.path = endpoint.place or _path_of(endpoint)
+        self.path = endpoint.place or _path_of(endpoint.adapter)
         self._port: Any = serial.Serial()
         port = self._port
         port.port = self.path
@@ -124,12 +125,11 @@ class SerialLine(StreamLine):
             self._port.close()
 
 
-def _path_of(endpoint: Endpoint) -> str:
-    found = [p for p in list_ports.comports() if p.serial_number == endpoint.adapter]
-    if not found:
-        numbers = ", ".join(f"{p.serial_number} ({p.device})" for p in list_ports.comports() if p.serial_number)
-        raise UsageError(f"no adapter has the serial number {endpoint.adapter}; there are {numbers or 'none'}")
-    return str(found[0].device)
+def _path_of(number: str) -> str:
+    try:
+        return find_adapter(number)
+    except Unopened as error:
+        raise UsageError(str(error)) from None
 
 
 # --- why a port cannot be opened ----------------------------------------------------------------------------------

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import time
 
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
 from conformance.bus.stream import READ_SIZE, StreamLine
 
 _CONNECT_S = 5.0
+_AGAIN_S = 0.1
 
 
 class TcpLine(StreamLine):
@@ -21,10 +23,10 @@ class TcpLine(StreamLine):
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
         try:
-            self._socket = socket.create_connection(endpoint.host, timeout=_CONNECT_S)
+            self._socket = _connection(endpoint.host)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
             raise UsageError(f"{endpoint.place}: cannot connect ({error.strerror or error})") from None
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
 
     def fileno(self) -> int:
@@ -49,3 +51,15 @@ class TcpLine(StreamLine):
     def _shut(self) -> None:
         with contextlib.suppress(OSError):
             self._socket.close()
+
+
+def _connection(host: tuple[str, int]) -> socket.socket:
+    """Connect. A server that has no room resets what it took, for the one before may not have ended. Raises OSError."""
+    until = time.monotonic() + _CONNECT_S
+    while True:
+        try:
+            return socket.create_connection(host, timeout=_CONNECT_S)
+        except ConnectionResetError:
+            if time.monotonic() >= until:
+                raise
+            time.sleep(_AGAIN_S)

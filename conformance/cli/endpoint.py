@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.live import profile
 from analyzer.live.endpoint import Endpoint
 from conformance.bus import at_default_rate, open_line
-from conformance.bus.line import LineLost
+from conformance.bus.line import Line, LineLost
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
 
@@ -46,12 +46,18 @@ def say_rate(endpoint: Endpoint, dialect: Dialect, given: str) -> None:
 
 
 @contextlib.contextmanager
-def gate_to(endpoint: Endpoint, allowance: Allowance, dialects: Iterable[Dialect] | None = None) -> Iterator[Gate]:
+def gate_to(
+    endpoint: Endpoint,
+    allowance: Allowance,
+    dialects: Iterable[Dialect] | None = None,
+    *,
+    opened: Callable[[Endpoint], Line] = open_line,
+) -> Iterator[Gate]:
     """Open a port and yield the gate to it; the port is closed in the end, and nothing that was sent is left open.
 
-    Raises UsageError where it cannot be opened.
+    `opened`: opens the port, in place of `open_line`. Raises UsageError where it cannot be opened.
     """
-    with contextlib.closing(open_line(endpoint)) as line:
+    with contextlib.closing(opened(endpoint)) as line:
         gate = Gate(line, allowance, dialects=dialects)
         try:
             yield gate

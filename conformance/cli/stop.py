@@ -5,6 +5,8 @@ Where none is named, all are told to stop before any is looked for: by the addre
 where there is none. Drives that are found are told once more, and the proofs come last. Where none is found, others may drown
 what is sent and what is answered: then every address gets every stop, again and again, and drives are looked for in between.
 
+A port that goes meanwhile is opened anew, and all begins once more, for some seconds from the first time that it went.
+
 Exit status: 0 all stand, 2 wrong use, 20 a drive is not seen standing, or none answers.
 """
 
@@ -12,6 +14,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from analyzer.catalogue import Dialect
@@ -21,6 +25,8 @@ from analyzer.errors import ServotapError, UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live import profile
 from analyzer.values import addresses as addresses_of
+from conformance.bus.lasting import BACK_SECONDS, LastingLine
+from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive, NotStopped
 from conformance.cli.endpoint import at_own_rate, gate_to
 from conformance.cli.scan import DEFAULT_ADDRESSES, dialects_on, rates_of, showing_progress
@@ -34,6 +40,8 @@ from conformance.talk.scan import Found, scan
 
 #: How often all are told to stop, and looked for, where none is found.
 _ROUNDS = 2
+#: How long a port that goes is tried anew, from the first time on, and the pause between two tries.
+_LOST_NS, _AGAIN_SECONDS = int(BACK_SECONDS * 1e9), 0.2
 #: So many bytes a frame of another sender on CAN is taken to have.
 _CAN_BYTES = 8
 EXAMPLES = """\
@@ -86,25 +94,27 @@ def run(arguments: argparse.Namespace) -> int:
     addresses = addresses_of(arguments.addresses, "--addresses", min(d.addresses[0] for d in dialects))
     stand: list[str] = []
     failures: list[str] = []
-    with as_interrupt(), gate_to(endpoint, Allowance()) as gate:
+    # Each try waits for the port by itself, for all of them have one deadline.
+    with as_interrupt(), gate_to(endpoint, Allowance(), opened=lambda at: LastingLine(at, lambda: False)) as gate:
         drives = [_Drive(*each, gate.line.endpoint.bits_per_second) for each in named]
         # On a full bus, frames of others must not make replies late. Orders to all are read: they may move what is stopped.
         everyone = [dialect.broadcast for dialect in dialects if dialect.broadcast is not None]
         if gate.line.acceptance is not None:
             gate.line.acceptance.only([*everyone, *(each.address for each in drives), *([] if alone else addresses)])
+        everywhere = _Everywhere(gate, dialects, addresses, rates)
+        until_ns: int | None = None
         try:
-            for drive in drives:
-                _ask(gate, drive)
-            everywhere = _Everywhere(gate, dialects, addresses, rates)
-            if not alone:
-                everywhere.tell()
-                drives += [each for each in everywhere.found() if each not in drives]
-            if not drives:
-                drives = everywhere.insist()
-            for drive in drives:
-                told, stands = _prove(gate, drive)
-                (stand if stands else failures).append(told)
-            if not drives:
+            while until_ns is None or gate.now_ns() < until_ns:
+                stand, failures = [], []
+                try:
+                    for told, stands in _stopped(gate, drives, None if alone else everywhere):
+                        (stand if stands else failures).append(told)
+                    break
+                except LineLost as error:
+                    failures.append(str(error))
+                    until_ns = until_ns or gate.now_ns() + _LOST_NS
+                    time.sleep(_AGAIN_SECONDS)
+            if not drives and not failures:
                 failures.append(f"no drive answered on {arguments.endpoint}: {everywhere.said()}")
         except ServotapError as error:
             failures.append(str(error))
@@ -122,6 +132,21 @@ def run(arguments: argparse.Namespace) -> int:
         if failures:
             raise NotStopped(f"NOT STOPPED: {'; '.join(failures)}; {power}")
     return 0
+
+
+def _stopped(gate: Gate, drives: list[_Drive], everywhere: _Everywhere | None) -> Iterator[tuple[str, bool]]:
+    """Stop these drives, and all `everywhere`, which are added; yield what is found of each, and whether it stands.
+
+    Raises LineLost.
+    """
+    for drive in drives:
+        _ask(gate, drive)
+    if everywhere is not None:
+        everywhere.tell()
+        drives += [each for each in everywhere.found() if each not in drives]
+        drives += [] if drives else everywhere.insist()
+    for drive in drives:
+        yield _prove(gate, drive)
 
 
 class _Everywhere:

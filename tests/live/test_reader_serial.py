@@ -175,10 +175,14 @@ def test_an_adapter_is_found_by_its_serial_number(monkeypatch):
         made.serial_number = number
         return made
 
-    monkeypatch.setattr(list_ports, "comports", lambda: [info("/dev/ttyUSB0", "A1"), info("/dev/ttyUSB3", "B2")])
+    there = [info("/dev/ttyUSB0", "A1"), info("/dev/ttyUSB3", "B2")]
+    monkeypatch.setattr(list_ports, "comports", lambda: there)
     assert find_adapter("B2") == "/dev/ttyUSB3"
     with pytest.raises(Unopened, match="A1 at /dev/ttyUSB0, B2 at /dev/ttyUSB3"):
         find_adapter("C3")
+    there.append(info("/dev/ttyUSB5", "A1"))
+    with pytest.raises(Unopened, match="2 ports have the serial number A1: /dev/ttyUSB0, /dev/ttyUSB5; name one"):
+        find_adapter("A1")
 
 
 # --- counters -------------------------------------------------------------------------------------------------------------

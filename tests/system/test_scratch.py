@@ -79,7 +79,8 @@ def test_what_is_not_ours_stays(temporary):
     assert (others / "file").exists()
 
 
-def test_one_that_was_taken_for_left_is_made_anew(temporary, monkeypatch):
+@pytest.mark.parametrize("opened_first", [True, False], ids=["after it was opened", "before it is opened"])
+def test_one_that_was_taken_for_left_is_made_anew(opened_first, temporary, monkeypatch):
     """Between making a folder and holding it, another run may remove it."""
     made = []
 
@@ -92,9 +93,12 @@ def test_one_that_was_taken_for_left_is_made_anew(temporary, monkeypatch):
     real = os.open
 
     def opened(path, *flags):
-        descriptor = real(path, *flags)
-        if path == made[0]:
+        if path != made[0]:
+            return real(path, *flags)
+        if not opened_first:
             made[0].rmdir()
+        descriptor = real(path, *flags)
+        made[0].rmdir()
         return descriptor
 
     monkeypatch.setattr(tempfile, "mkdtemp", mkdtemp)

@@ -9,6 +9,7 @@ import pytest
 from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
 from conformance.bus import lasting
+from conformance.bus.can_port import Acceptance
 from conformance.bus.lasting import BACK_SECONDS, LastingLine, identity
 from conformance.bus.line import LineLost
 
@@ -38,6 +39,7 @@ class Within:
     """A line that fails once its port has gone."""
 
     anchor_ns = 0
+    acceptance = None
 
     def __init__(self, port, endpoint):
         self.port, self.endpoint, self.works = port, endpoint, True
@@ -157,8 +159,8 @@ def test_a_port_that_cannot_be_told_from_others_is_tried_as_it_is(port):
     [
         ("tcp:10.0.0.7:5000", None, "10.0.0.7:5000"),
         ("serial:,serial=A5,baud=38400", None, "A5"),
-        ("serial:/dev/x,baud=38400", adapter("A5"), "0403:6001 A5"),
-        ("serial:/dev/x,baud=38400", adapter(None), "0403:6001 1-2"),
+        ("serial:/dev/x,baud=38400", adapter("A5"), "0403:6001 A5 1-2"),
+        ("serial:/dev/x,baud=38400", adapter(None), "0403:6001  1-2"),
         ("serial:/dev/x,baud=38400", adapter("A5", device="/dev/y"), ""),
         ("serial:/dev/x,baud=38400", adapter(None, vid=None), ""),
         ("can:slcan:/dev/ttyACM0", None, ""),
@@ -169,7 +171,43 @@ def test_what_tells_a_port_from_others(text, there, told, monkeypatch):
     assert identity(endpoints.parse(text)) == told
 
 
-def test_a_link_means_one_port(tmp_path):
+def test_a_link_means_one_port(tmp_path, monkeypatch):
     link = tmp_path / "arm"
-    link.symlink_to("/dev/ttyUSB0")
+    link.symlink_to(tmp_path / "port")
+    monkeypatch.setattr(lasting.list_ports, "comports", list)
     assert identity(endpoints.parse(f"serial:{link},baud=38400")) == str(link)
+
+
+@pytest.mark.parametrize("linked", [False, True], ids=["a name", "a link"])
+def test_ports_that_share_a_serial_number_are_told_apart(linked, tmp_path, monkeypatch):
+    """Four ports of one adapter, and adapters that all have the number 0001: names and links go to the next that comes."""
+    place = tmp_path / "port"
+    if linked:
+        (tmp_path / "link").symlink_to(place)
+    endpoint = endpoints.parse(f"serial:{tmp_path / 'link' if linked else place},baud=38400")
+    seen = set()
+    for location in ("1-2:1.0", "1-2:1.1", "1-3"):
+        monkeypatch.setattr(
+            lasting.list_ports, "comports", lambda at=location: [adapter("0001", device=str(place), location=at)]
+        )
+        seen.add(identity(endpoint))
+    assert len(seen) == 3
+
+
+def test_an_adapter_that_gets_the_name_while_it_is_opened_is_sent_nothing(port, monkeypatch):
+    line = lost_line(port, moving=False, away=0)
+
+    def swapped(endpoint):
+        port.adapter = "B6"
+        return port.open_line(endpoint)
+
+    monkeypatch.setattr(lasting, "open_line", swapped)
+    with pytest.raises(LineLost, match="no port with its identity is there"):
+        line.write(b"stop")
+    assert (port.sent, port.closed, line.lost) == ([], 2, True)
+
+
+def test_what_is_read_of_a_bus_is_that_of_the_line_within(port):
+    line = LastingLine(endpoints.parse("serial:/dev/x,baud=38400"), lambda: False)
+    line._line.acceptance = Acceptance()
+    assert line.acceptance is line._line.acceptance

@@ -10,6 +10,7 @@ import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import can
 import pytest
@@ -20,7 +21,7 @@ from analyzer.encoder import build
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import parse
 from analyzer.records import CanFrame, Chunk
-from conformance.bus import open_line, serial
+from conformance.bus import open_line, serial, tcp
 from conformance.bus.echo import WAIT_NS, EchoFilter, could_be_reply
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.line import Line, LineLost
@@ -267,7 +268,7 @@ def test_why_a_port_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyP
         open_line(parse(f"serial:{tmp_path}/none"))
     with pytest.raises(UsageError, match="cannot be opened"):
         open_line(parse(f"serial:{tmp_path}"))
-    with pytest.raises(UsageError, match="no adapter has the serial number A50285BI"):
+    with pytest.raises(UsageError, match="no adapter with serial number A50285BI"):
         open_line(parse("serial:,serial=A50285BI"))
     with pytest.raises(UsageError, match="the speed is missing"):
         open_line(parse("serial:/dev/ttyUSB0,baud=auto"))
@@ -316,6 +317,32 @@ def test_a_tcp_line():
         line = open_line(parse(f"tcp:{place},baud=9600"))
         assert line.byte_ns == 10 * SECOND_NS // 9600
         line.close()
+
+
+def test_a_server_that_resets_a_connection_is_tried_again(monkeypatch):
+    """One that has no room says so; and for so long only, for what is asked to stop must not wait for ever."""
+    now, tried = [0.0], []
+
+    def connect(host, timeout):
+        tried.append(now[0])
+        if now[0] < there:
+            raise ConnectionResetError(errno.ECONNRESET, "Connection reset by peer")
+        return ours
+
+    def sleep(seconds):
+        now[0] += seconds
+
+    monkeypatch.setattr(tcp.socket, "create_connection", connect)
+    monkeypatch.setattr(tcp, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=sleep))
+    there, ours = 2.0, socket.socket()
+    with ours:
+        assert tcp._connection(("127.0.0.1", 5)) is ours
+    assert there <= now[0] < there + 1
+    there = 1e9
+    with pytest.raises(UsageError, match="Connection reset by peer"):
+        open_line(parse("tcp:127.0.0.1:5"))
+    assert len(tried) < 100
+    assert now[0] < 10
 
 
 def test_a_tcp_line_that_is_closed_by_the_other_end():

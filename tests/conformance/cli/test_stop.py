@@ -6,9 +6,14 @@ import io
 import os
 import select
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import uuid
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import pytest
 
@@ -22,6 +27,7 @@ from conformance.cli import stop
 from conformance.drives.can_bus import CanBus
 from conformance.drives.serial_bus import SerialBus
 from conformance.safety import stopping
+from conformance.serve.pty import PtyPort
 from tests.conformance.drives.served import LoggedPty, drives, on_can, on_port, wait_for
 
 MKS, LK, MKS_CAN = (dialects.get(name) for name in ("mks-rs485", "lk-rs485", "mks-can"))
@@ -191,3 +197,70 @@ def test_on_a_flooded_can_bus_the_drive_is_proved_to_stand(capsys):
         assert drive.motor.speed(drive.now_ns) == 0
     host.close()
     assert "mks-can@1: stands at" in capsys.readouterr().out
+
+
+class Resetting:
+    """A server whose connections are reset: the first at once, the next after so many bytes of the host, the last never."""
+
+    def __init__(self, bus: SerialBus, *after: int | None) -> None:
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.place = f"tcp:127.0.0.1:{self._listening.getsockname()[1]},baud=38400"
+        self._after = after
+        self.connections = 0
+        self._pty = PtyPort(speed=bus.stations[0].speed)
+        self._bus = bus
+
+    @contextmanager
+    def serving(self) -> Iterator[Resetting]:
+        with on_port(self._bus, self._pty) as path, ThreadPoolExecutor(1) as pool:
+            line = os.open(path, os.O_RDWR | os.O_NOCTTY)
+            done = pool.submit(self._serve, line)
+            try:
+                yield self
+            finally:
+                self._listening.shutdown(socket.SHUT_RDWR)
+                done.result(10)
+                self._listening.close()
+                os.close(line)
+
+    def _serve(self, line: int) -> None:
+        while True:
+            try:
+                client = self._listening.accept()[0]
+            except OSError:
+                return
+            left = self._after[min(self.connections, len(self._after) - 1)]
+            self.connections += 1
+            while left is None or left > 0:
+                for ready in select.select([client, line], [], [])[0]:
+                    if ready is line:
+                        client.sendall(os.read(line, 64))
+                        continue
+                    data = client.recv(64)
+                    os.write(line, data)
+                    left = 0 if not data else None if left is None else left - len(data)
+            # A close with this is a reset.
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            client.close()
+
+
+@pytest.mark.parametrize("words", [["mks-rs485@2"], ["--addresses", "1-3"]], ids=["named", "looked for"])
+def test_a_connection_that_is_reset_is_made_anew(words, capsys):
+    bus = SerialBus(drives("mks-rs485@2,work_mode=sr_vfoc"))
+    with Resetting(bus, 0, 3, 20, None).serving() as server:
+        assert run(server.place, *words) == 0
+    assert server.connections == 4
+    assert "mks-rs485@2: stands at" in capsys.readouterr().out
+
+
+def test_a_connection_that_is_reset_for_good_ends_with_the_deadline(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(stop, "_LOST_NS", 1_000_000_000)
+    bus = SerialBus(drives("mks-rs485@2,work_mode=sr_vfoc"))
+    with Resetting(bus, 0).serving() as server:
+        assert run(server.place, "mks-rs485@2", "--cut-power", f"touch {tmp_path / 'cut'}") == 20
+    # At most ten tries a second, for five seconds at the opening, for one until the deadline, and for five at its end.
+    assert 2 <= server.connections <= 110
+    told = capsys.readouterr().err
+    assert told.count("NOT STOPPED") == 1
+    assert "127.0.0.1" in told
+    assert (tmp_path / "cut").exists()
