@@ -33,6 +33,11 @@ def hall(folder: Path, count: int, first: int = 0) -> Path:
     return folder
 
 
+def lake(folder: Path) -> Lake:
+    """Return a new lake in a folder."""
+    return Lake(Place(str(folder)), make=True)
+
+
 def options() -> argparse.Namespace:
     """Return the options of reading as they are by default."""
     parser = argparse.ArgumentParser()

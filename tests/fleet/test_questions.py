@@ -1,0 +1,201 @@
+"""A question reads the lake alone, within bounds; what stands in its way is told in a line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from analyzer.cli import main
+from analyzer.errors import UnreadableError
+from analyzer.fleet import ask
+from analyzer.fleet.ask import Question
+from analyzer.fleet.lake import Lake
+from analyzer.fleet.place import Place
+from tests.fleet.lakes import ingest, lake
+
+
+@pytest.mark.parametrize(
+    ("query", "told"),
+    [
+        ("", "empty"),
+        ("how many", "expected SQL, as in: select"),
+        ("select error('x')", "x"),
+        ("select 'x'::int", "convert"),
+        ("select 'infinity'::timestamp", "range"),
+        ("junk", "no table junk (servotap ask"),
+        ("captuers", "no table captuers; did you mean captures?"),
+        ("mks-can.read_speed_reply", "no table mks-can.read_speed_reply"),
+        ("not a table", "expected SQL, as in: select"),
+    ],
+)
+def test_a_question_without_an_answer_is_told(tmp_path, capsys, query, told):
+    lake(tmp_path / "lake")
+    assert main(["ask", str(tmp_path / "lake"), query]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_lists_and_intervals_are_text_in_csv(tmp_path):
+    lake(tmp_path / "lake")
+    target = tmp_path / "answer.csv"
+    assert main(["ask", str(tmp_path / "lake"), "select [1, 2] l, interval 1 day i, 1.5 n", "-o", str(target)]) == 0
+    assert target.read_text().splitlines()[1] == '"[1, 2]","1 day","1.5"'
+
+
+@pytest.mark.parametrize("name", ["captures/_delta_log/00000000000000000000.json", "journal/batch.json"])
+def test_a_damaged_lake_is_told_in_a_line(tmp_path, name):
+    made = lake(tmp_path / "lake")
+    damaged = tmp_path / "lake" / name
+    damaged.parent.mkdir(exist_ok=True)
+    damaged.write_text("}{")
+    with pytest.raises(UnreadableError, match=damaged.parts[-2] if "journal" in name else "captures cannot be read"):
+        Question(Lake(made.place)).dataset("captures")
+
+
+def changed_in_log(made, table, old, new):
+    """Write a word of the log of a table anew."""
+    commits = Path(made.place.path(f"{table}/_delta_log")).glob("*.json")
+    changed = 0
+    for path in commits:
+        text = path.read_text()
+        changed += text.count(old)
+        path.write_text(text.replace(old, new))
+    assert changed
+    return Lake(Place(made.place.url))
+
+
+@pytest.mark.parametrize("path", ["../secret.parquet", "states/../../../secret.parquet"])
+def test_a_lake_whose_log_names_a_file_outside_of_it_is_not_read(captures, tmp_path, path, capsys):
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    parquet.write_table(pa.table({"capture": ["is-to-read-this"]}), tmp_path / "lake" / "secret.parquet")
+    parquet.write_table(pa.table({"capture": ["is-to-read-this"]}), tmp_path / "secret.parquet")
+    (own,) = {each.name for each in (tmp_path / "lake" / "captures").glob("*.parquet")}
+    again = changed_in_log(made, "captures", own, path)
+    with pytest.raises(UnreadableError, match="captures cannot be read"):
+        Question(again).dataset("captures")
+    assert main(["ask", str(tmp_path / "lake"), "select capture from captures"]) == 2
+    assert "is-to-read-this" not in "".join(capsys.readouterr())
+
+
+def test_the_stack_of_a_library_is_not_told(tmp_path):
+    made = lake(tmp_path / "lake")
+    with pytest.raises(UnreadableError, match=r"states cannot be read: damaged: expected a number$"), made.reading("states"):
+        raise OSError(
+            "damaged:\n\x1b[31mexpected a number\x1b[0m\n\n   0: <unknown>\n   1: start_thread\n             at x.c:1\n"
+        )
+
+
+def test_what_a_damaged_lake_would_be_partitioned_by_is_told(captures, tmp_path):
+    made = lake(tmp_path / "lake")
+    with pytest.raises(UnreadableError, match="expected partitions by date or machine, got date,rogue"):
+        changed_in_log(made, "captures", "date,machine", "date,rogue")
+
+
+@pytest.mark.parametrize("output", [[], ["-o", "answer.csv"]])
+@pytest.mark.parametrize(
+    "query",
+    [
+        "select * from read_csv('{file}')",
+        "select content from read_text('{file}')",
+        "from glob('{file}')",
+        "from '{file}'",
+        "copy (select 1) to '{file}'",
+        "attach '{file}.db'",
+        "set enable_external_access = true",
+        "install httpfs",
+        "from secret",
+    ],
+)
+def test_a_question_reads_the_lake_alone(tmp_path, capsys, monkeypatch, query, output):
+    lake(tmp_path / "lake")
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "other.csv"
+    file.write_text("a\nkeep out\n")
+    secret = pa.table({"a": ["keep out"]})  # noqa: F841 (DuckDB would find it by its name)
+    assert main(["ask", "lake", query.format(file=file), *output]) == 2
+    told = capsys.readouterr()
+    assert "keep out" not in told.out + told.err
+    assert file.read_text() == "a\nkeep out\n"
+    assert not (tmp_path / "answer.csv").exists()
+
+
+def test_the_memory_of_a_question_is_bounded(tmp_path, capsys, monkeypatch):
+    resource = pytest.importorskip("resource")
+    if not Path("/proc/self/status").exists():
+        pytest.skip("what this process has already taken is not known")
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    lake(tmp_path / "lake")
+    used = int(re.search(r"VmData:\s+(\d+)", Path("/proc/self/status").read_text())[1]) << 10
+    monkeypatch.setattr(ask, "_memory", lambda: used + (64 << 20))
+    assert main(["ask", str(tmp_path / "lake"), "select sum(length(repeat('x', 99000000 + range::int))) from range(9)"]) == 2
+    assert "memory" in capsys.readouterr().err.lower()
+    assert main(["ask", str(tmp_path / "lake"), "select repeat('x', 5000) as long"]) == 0
+    assert "(5000 characters)" in capsys.readouterr().out
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+def test_the_time_of_a_question_is_bounded(tmp_path, capsys):
+    lake(tmp_path / "lake")
+    endless = "with recursive t(n) as (select 1 union all select n + 1 from t) select count(*) from t"
+    assert main(["ask", str(tmp_path / "lake"), endless, "--seconds", "1", "-o", str(tmp_path / "answer.csv")]) == 2
+    assert "takes more than 1 s" in capsys.readouterr().err
+    assert not (tmp_path / "answer.csv").exists()
+
+
+def test_a_question_that_is_nested_too_deeply_is_told(tmp_path, capsys):
+    lake(tmp_path / "lake")
+    assert main(["ask", str(tmp_path / "lake"), "select " + "[" * 600 + "1" + "]" * 600]) == 2
+    assert "nested too deeply" in capsys.readouterr().err
+
+
+def test_a_commit_that_was_emptied_is_told(captures, tmp_path, capsys):
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    commits = sorted((tmp_path / "lake" / "captures" / "_delta_log").glob("*.json"))
+    commits[-1].write_bytes(b"")
+    for words in (["select count(*) from captures"], ["captures"], []):
+        assert main(["ask", str(tmp_path / "lake"), *words]) == 2
+        assert f"{commits[-1].name} is empty" in capsys.readouterr().err
+
+
+_DOCS = Path(__file__).parents[2] / "docs" / "fleet.md"
+_INDENTED = re.findall(r"\n\n((?: {4}.+\n)+)", _DOCS.read_text())
+_QUESTIONS = [" ".join(block.split()) for block in _INDENTED if block.lstrip().startswith("select")]
+
+
+@pytest.mark.parametrize("question", _QUESTIONS, ids=lambda question: question[:40])
+def test_questions_of_the_docs_are_answered(question, captures, tmp_path):
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    answer = Question(made).sql(question)
+    answer.fetchall()
+    assert answer.description
+
+
+def test_the_docs_ask_for_the_slowest_drives(captures, tmp_path):
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    answer = Question(made).sql(_QUESTIONS[0]).fetchall()
+    assert {row[0] for row in answer} == {"m0", "m1"}
+    assert len(_QUESTIONS) == 5
+
+
+def test_nothing_works_on_for_an_answer_that_is_given_up(tmp_path):
+    """It would outlive the program, and bring it down: a disk is full, and the answer is not written."""
+    duckdb = pytest.importorskip("duckdb")
+    question = Question(lake(tmp_path / "lake"))
+    answers = []
+
+    def gives_up():
+        with question.bounded(60):
+            answers.append(question.sql("select repeat('abcdefg', 100000) from range(200)"))
+            raise OSError("full")
+
+    with pytest.raises(OSError, match="full"):
+        gives_up()
+    with pytest.raises(duckdb.Error):
+        answers[0].fetchall()
