@@ -50,6 +50,7 @@ FAULTS = (
     "conformance.drives.faults.mks_sequences",
     "conformance.drives.faults.mks_effects",
     "conformance.drives.faults.lk",
+    "conformance.drives.faults.lk_motion",
     "conformance.drives.faults.lk_conditions",
 )
 QUIRKS = ("conformance.drives.mks.quirks", "conformance.drives.lk.quirks")

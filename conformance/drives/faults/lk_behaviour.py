@@ -31,6 +31,16 @@ def lk(drive: Drive) -> LkDrive:
     return cast(LkDrive, drive)
 
 
+def turns(drive: LkDrive) -> bool:
+    """Say whether the shaft turns, by a degree a second at least."""
+    return abs(drive.motor.motion.speed) >= 1
+
+
+def backwards(drive: LkDrive) -> bool:
+    """Say whether the shaft turns counter-clockwise."""
+    return drive.motor.motion.speed <= -1
+
+
 def tuned(change: Callable[[LkDrive], None]) -> Change:
     """Change the drive itself, once."""
     return Change(lambda hooks: hooks.setup.append(lambda drive: change(lk(drive))), LK)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from analyzer.catalogue import Role
@@ -66,3 +67,14 @@ class Bench:
     def speed(self) -> int:
         speed: int = self.read("read_state_2")["speed"]
         return speed
+
+
+#: Exchanges with a drive on its bench.
+Script = Callable[[Bench], None]
+
+
+def look(bench: Bench) -> None:
+    """Read what changes with motion."""
+    bench.ask("read_state_2")
+    bench.ask("read_position")
+    bench.ask("read_single_turn")
