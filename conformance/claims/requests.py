@@ -23,7 +23,7 @@ from analyzer.catalogue import Command, Dialect, Form, Risk, Role, Verb
 from analyzer.encoder import Built
 from conformance.claim import Inconclusive
 from conformance.model.limits import with_bits
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.talk import samples
 from conformance.talk.exchange import Completion, Exchange
 from conformance.talk.probe import Until
@@ -119,7 +119,7 @@ def put_to_rest(probe: Probe, command: Command) -> None:
 def _rest(probe: Probe) -> None:
     """Stop by a ramp. The end of the stop is told by a reply of its own, which a read at once would run into."""
     stopped = motion.stop(probe)
-    if motion.tells_end(probe.dialect) and stopped.completion is Completion.RUNNING:
+    if arriving.tells_end(probe.dialect) and stopped.completion is Completion.RUNNING:
         probe.listen(200 * motion.MS, Until.REPLY)
     motion.wait_standing(probe)
 

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Command, MotionKind, Verb
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import QUICK, SECOND_NS
 from conformance.talk.probe import Until
 
@@ -49,7 +49,7 @@ def answers(probe: Probe) -> bool:
 
 def tells_ends(probe: Probe) -> bool:
     """Say whether a drive tells the end of a short move, there or back, or refuses it. Raises Inconclusive."""
-    if not motion.tells_end(probe.dialect):
+    if not arriving.tells_end(probe.dialect):
         return True
     motion.ready_to_move(probe)
     return any(_tells_end(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), degrees) for degrees in (_DEGREES, -_DEGREES))
@@ -57,7 +57,7 @@ def tells_ends(probe: Probe) -> bool:
 
 def _tells_end(probe: Probe, move: Command, degrees: float) -> bool:
     exchange = motion.ask(probe, move, degrees, rpm=_RPM, acceleration=QUICK, until=Until.DONE, timeout_ns=_LISTEN_NS)
-    statuses, replies = motion.statuses([exchange], move), move.replies
+    statuses, replies = arriving.statuses([exchange], move), move.replies
     return any(status in (*replies.final, *replies.failed) for status in statuses)
 
 

@@ -3,8 +3,6 @@
     ready_to_move(probe)                        a bus work mode and enabled (MKS), switched on (LK)
     position(probe), speed(probe)               in degrees and rpm, whatever the dialect counts in
     begin(probe, run, rpm=60)                   a run at 60 rpm, by the dialect's own command and units
-    move = follow(probe, command, 90)           a move by 90 degrees, relative, absolute or within the turn, to its end
-    move.degrees, move.statuses                 how far the shaft went, and what was answered
     wait_standing(probe)                        until speed 0 and a position that does not change
     stand_still(probe)                          a stop by a ramp that keeps the torque, verified
 
@@ -12,9 +10,9 @@ Rules kept here:
 - What a command does is the catalogue's word (`Motion`), and so is what a read means (`StatePart`); nothing here knows a code.
 - Distances are degrees, signed: positive raises the position. Speeds are rpm of the shaft.
 - A move to a place goes from where the drive says that it is, so that nothing depends on its zero.
-- A dialect that tells the end of a move by a reply is listened to; with one that does not the shaft is watched.
 - A value is known to have been true at some moment between the end of the request and the begin of the reply (`Sample`).
 - A motion that does not work raises Inconclusive: a claim of its own judges it.
+- A move that is followed to its end stands in `arriving`.
 - Nothing here disables a motor or goes faster than it is told.
 
 Not known here: in which work mode a native MKS drive is, since none can be read. A drive that refuses to be enabled is in
@@ -32,8 +30,7 @@ from analyzer.layout import Effect, Field
 from conformance.claim import Inconclusive
 from conformance.gate.gate import Refused
 from conformance.motion import ramp
-from conformance.talk.exchange import Answer, Exchange
-from conformance.talk.noise import TOLD_LATE_NS
+from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Until
 
 if TYPE_CHECKING:
@@ -65,16 +62,12 @@ _ROOM = 400_000
 #: What a move takes longer than the law at most before it is given up.
 _PATIENCE = 1.5
 _GRACE_NS = 3 * SECOND_NS
-#: How long a move without a known ramp has to get going before the shaft is watched.
-_SET_OFF_NS = 500 * MS
 #: Between two looks at a shaft that may still turn; one that does not tremble shows each count.
-_LOOK_NS, _FAST_LOOK_NS, _QUIET_LOOK_NS = 50 * MS, 150 * MS, 25 * MS
+_LOOK_NS, _FAST_LOOK_NS, QUIET_LOOK_NS = 50 * MS, 150 * MS, 25 * MS
 #: What a look at the speed takes at most of that time.
 _SPEED_NS = 10 * MS
 #: How long a shaft may take to come to rest.
 _REST_NS = 30 * SECOND_NS
-#: And one whose motion is over, by its time.
-_SOON_NS = SECOND_NS // 2
 #: After this time a shaft with an unchanged speed is not on a ramp, and the wait for the ramp's end stops.
 NO_RAMP_NS, AS_FAST = 3 * SECOND_NS, 0.95
 #: How often a measurement is taken again whose reply cannot be read.
@@ -350,6 +343,13 @@ def sampled(probe: Probe, duration_ns: int, every_ns: int, what: str = "position
         probe.wait(min(every_ns - (now_ns - begun_ns), until_ns - now_ns))
 
 
+def wait_until(probe: Probe, is_so: Callable[[], bool], *, every_ns: int = 20 * MS, limit_ns: int = 20 * SECOND_NS) -> None:
+    """Wait until something is so, asking again and again, or until the time is over."""
+    until_ns = probe.gate.now_ns() + limit_ns
+    while not is_so() and probe.gate.now_ns() < until_ns:
+        probe.wait(every_ns)
+
+
 # --- asking for motion ------------------------------------------------------------------------------------------------
 
 
@@ -577,7 +577,7 @@ def wait_standing(probe: Probe, *, limit_ns: int = _REST_NS, stopped: bool = Fal
     until_ns, no_ramp_ns = begun_ns + limit_ns, begun_ns + NO_RAMP_NS
     before, rpm, first = position(probe), 0.0, 0.0
     # The look at the speed is a part of the time between two at the position; what is told unasked comes in the other part.
-    least_ns = (_LOOK_NS if probe.noise.live else _QUIET_LOOK_NS) - min(_SPEED_NS, probe.gate.now_ns() - begun_ns)
+    least_ns = (_LOOK_NS if probe.noise.live else QUIET_LOOK_NS) - min(_SPEED_NS, probe.gate.now_ns() - begun_ns)
     while True:
         # A fast shaft takes as long as its ramp, which may be steep: there is little to see before.
         probe.wait(max(least_ns, min(int(rpm * ramp.step_ns(QUICK)), _FAST_LOOK_NS, limit_ns)))
@@ -600,112 +600,3 @@ def stand_still(probe: Probe, *, limit_ns: int = _REST_NS) -> Sample:
     """
     stop(probe)
     return wait_standing(probe, limit_ns=limit_ns, stopped=True)
-
-
-def come_to_rest(probe: Probe, exchange: Exchange, least_ns: int, most_ns: int) -> Sample:
-    """Wait until a motion of at least and at most so long, from its request on, is over; return where the shaft stands.
-
-    Nothing is asked before its end is told, where it is: a request could run into that. A shaft that goes on is stopped.
-    """
-    command = exchange.command
-    assert command is not None  # it was asked for
-    until_ns, since = exchange.sent_ns + most_ns + TOLD_LATE_NS, len(probe.traffic)
-    if of(command).tells_end:
-        final = command.replies.final
-        while not final.intersection(statuses([exchange, *probe.traffic[since:]], command)) and probe.gate.now_ns() < until_ns:
-            probe.listen(until_ns - probe.gate.now_ns(), Until.REPLY)
-    probe.wait(exchange.sent_ns + least_ns - probe.gate.now_ns())
-    while abs(speed(probe).value) >= CALM / 2:
-        if probe.gate.now_ns() >= until_ns:
-            return stand_still(probe)
-        probe.wait(_QUIET_LOOK_NS)
-    try:
-        return wait_standing(probe, limit_ns=max(0, until_ns - probe.gate.now_ns()) + _SOON_NS)
-    except Inconclusive:
-        return stand_still(probe)
-
-
-# --- a move and its end -----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Move:
-    """A move that was followed to its end.
-
-    `asked`: by how many degrees, after rounding to the command's unit. `start`, `end`: where the shaft stood.
-    """
-
-    command: Command
-    exchange: Exchange
-    asked: float
-    start: Sample
-    end: Sample
-
-    @property
-    def degrees(self) -> float:
-        """How far the shaft went, signed."""
-        return self.end.value - self.start.value
-
-    @property
-    def statuses(self) -> list[int]:
-        """What the replies said, in order."""
-        return self.exchange.status(self.command.replies.status)
-
-
-def follow(
-    probe: Probe,
-    command: Command,
-    degrees: float,
-    *,
-    rpm: float = CALM,
-    acceleration: int = QUICK,
-    subdivision: int = SUBDIVISION,
-    **how: Any,
-) -> Move:
-    """Move by so many degrees and follow the shaft until it stands.
-
-    Raises Inconclusive where the move is refused or the shaft does not come to rest.
-    """
-    start = position(probe)
-    tells = of(command).tells_end
-    turn = units_per_turn(probe.dialect, command, subdivision)
-    asked = round(degrees * turn / 360) * 360 / turn
-    how |= {"rpm": rpm, "acceleration": acceleration, "subdivision": subdivision}
-    exchange = ask(probe, command, degrees, until=Until.DONE if tells else Until.REPLY, **how)
-    if refused(probe, exchange) and not (tells and len(exchange.answers) > 1):
-        raise Inconclusive(f"{command.name} was refused")
-    if not tells and probe.dialect.ramp is None:
-        _wait_set_off(probe, start, asked)
-    elif not tells:
-        probe.wait(int(ramp.move_ns(asked / 360, rpm, acceleration)))
-    return Move(command, exchange, asked, start, wait_standing(probe))
-
-
-def _wait_set_off(probe: Probe, start: Sample, degrees: float) -> None:
-    """Wait until a shaft is on its way: a degree from where it stood, or half of what it was asked for."""
-    least = min(1.0, abs(degrees) / 2) + same(probe)
-    wait_until(probe, lambda: abs(position(probe).value - start.value) > least, limit_ns=_SET_OFF_NS)
-
-
-def replies(exchanges: Iterable[Exchange], command: Command) -> list[Answer]:
-    """Return the answers with a status to a command in several exchanges, in the order in which they came."""
-    code, status = command.code, command.replies.status
-    found = (a for e in exchanges for a in e.answers if a.command is not None and a.command.code == code and status in a.values)
-    return sorted(found, key=lambda answer: answer.last_ns)
-
-
-def statuses(exchanges: Iterable[Exchange], command: Command) -> list[int]:
-    """Return the statuses of those answers."""
-    return [answer.values[command.replies.status] for answer in replies(exchanges, command)]
-
-
-def tells_end(dialect: Dialect) -> bool:
-    """Say whether the end of a move is told by a reply of its own."""
-    return any(of(command).tells_end for command in dialect.motions(*MOVES))
-
-
-def wait_until(probe: Probe, is_so: Callable[[], bool], *, every_ns: int = 20 * MS, limit_ns: int = 20 * SECOND_NS) -> None:
-    """Wait until something is so, asking again and again, or until the time is over."""
-    until_ns = probe.gate.now_ns() + limit_ns
-    while not is_so() and probe.gate.now_ns() < until_ns:
-        probe.wait(every_ns)

@@ -10,7 +10,7 @@ from analyzer.protocols.lk_rs485 import ERROR_BITS, BrakeControl, BrakeState
 from analyzer.protocols.mks_shared import Protection
 from conformance.claim import Claim, Inconclusive
 from conformance.gate.gate import Refused
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.talk import restarts
 from conformance.talk.noise import LOOP_DEGREES, QUIET, Noise
 from conformance.talk.probe import Until
@@ -128,7 +128,7 @@ def in_motion(probe: Probe) -> Noise:
 
 def _arriving(probe: Probe) -> list[float]:
     """Wait until a move is told as complete; return where the shaft is then, again and again. Empty where no end is told."""
-    if not motion.tells_end(probe.dialect):
+    if not arriving.tells_end(probe.dialect):
         return []
     probe.listen(3 * motion.SECOND_NS, Until.REPLY)
     return [motion.position(probe).value for _ in range(_SWINGS)]

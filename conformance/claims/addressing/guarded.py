@@ -26,7 +26,7 @@ from conformance.claims.motion.motion_claim import command_of
 from conformance.claims.motion.protection import protect
 from conformance.claims.settings.known_settings import ReadableSetting, needs, readable_settings
 from conformance.model import lk_parameters
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import MOVES, MS, SAME
 from conformance.talk import restarts
 from conformance.talk.exchange import Exchange, hex_of
@@ -99,7 +99,7 @@ def _away(probe: Probe) -> None:
     """Bring the shaft away from zero: what makes its place zero then shows."""
     motion.ready_to_move(probe)
     at = motion.position(probe).value
-    motion.follow(probe, motion.any_move(probe.dialect), _OFF_ZERO if at > -_OFF_ZERO / 2 else -_OFF_ZERO)
+    arriving.follow(probe, motion.any_move(probe.dialect), _OFF_ZERO if at > -_OFF_ZERO / 2 else -_OFF_ZERO)
 
 
 def _turn(probe: Probe) -> None:

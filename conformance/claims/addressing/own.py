@@ -22,7 +22,7 @@ from conformance.claims.control_reads import ask_first, expect_silence, judge_ne
 from conformance.claims.declare import Case, claim, commands, described_in, needing
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import by_bus, expect_not_turned, expect_stays, of_motion, risks_by
-from conformance.motion import effects, motion
+from conformance.motion import arriving, effects, motion
 from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
@@ -184,12 +184,12 @@ def _setting_of_another(probe: Probe, command: Command) -> None:
         sent = probe.ask(Verb.ENABLE, {"enabled": 0}, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
         text = f"disabling {address} switches the motor of {own} off"
         probe.expect("off", holds=motion.is_on(probe) is not False, expected="on", refutes=text, exchange=sent)
-    went = motion.follow(probe, move, _DEGREES, acceleration=motion.QUICK)
+    went = arriving.follow(probe, move, _DEGREES, acceleration=motion.QUICK)
     text = f"{command.name} to other addresses changes the pulses of {own}"
     # Which way is not judged: it may be set.
     probe.expect(abs(went.degrees), near=went.asked, unit="degrees", refutes=text, exchange=went.exchange)
     probe.do(command, {"subdivision": _FINER})
-    if abs(motion.follow(probe, move, _DEGREES, acceleration=motion.QUICK).degrees) > went.asked * 3 / 4:
+    if abs(arriving.follow(probe, move, _DEGREES, acceleration=motion.QUICK).degrees) > went.asked * 3 / 4:
         raise Inconclusive(f"{command.name} to the drive itself changes nothing either")
 
 

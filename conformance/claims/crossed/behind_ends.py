@@ -20,7 +20,7 @@ from conformance.claims.crossed.course import motions_of
 from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.model import covering
-from conformance.motion import motion, ramp
+from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SUBDIVISION, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -106,7 +106,7 @@ def _try(probe: Probe, row: Row, rest: Sample) -> Tried:
     exchange = motion.ask(probe, move, _WAY, rpm=_RPM, acceleration=QUICK, quiet_ns=0)
     refused = motion.refused(probe, exchange)
     law_ns = int(ramp.move_ns(_WAY / 360, _RPM, QUICK))
-    end = motion.come_to_rest(probe, exchange, law_ns, law_ns + _LATE_NS)
+    end = arriving.come_to_rest(probe, exchange, law_ns, law_ns + _LATE_NS)
     return Tried(row, exchange, refused, start.value - rest.value, start, end)
 
 

@@ -29,7 +29,7 @@ from conformance.claims.crossed.looks import Look, place
 from conformance.claims.declare import Case
 from conformance.gate.gate import Refused
 from conformance.model import covering
-from conformance.motion import course, motion, ramp
+from conformance.motion import arriving, course, motion, ramp
 from conformance.motion.course import Course, Span
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SUBDIVISION
 from conformance.talk.exchange import Exchange
@@ -345,14 +345,14 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
         if motion.of(asked).tells_end:
             until_ns = last.sent_ns + int(lasts_ns - slack_ns) - _UNASKED_NS - 2 * probe.noise.latency_ns
             during += looks.on_the_way(probe, reads, _LOOK_NS, until_ns)
-            if 2 not in motion.statuses(probe.traffic[since:], asked):
+            if 2 not in arriving.statuses(probe.traffic[since:], asked):
                 left_ns = _ends(last, lasts_ns, slack_ns) - probe.gate.now_ns()
                 probe.listen(max(0, left_ns) + TOLD_LATE_NS + _SETTLES_NS, Until.REPLY)
         else:
             during += looks.on_the_way(probe, reads, _LOOK_NS, _ends(last, lasts_ns, slack_ns))
         probe.wait(_SETTLES_NS)
     after = looks.at_rest(probe, reads_of(probe.dialect))
-    told = tuple(motion.statuses(probe.traffic[since:], command)) if command.replies.status else ()
+    told = tuple(arriving.statuses(probe.traffic[since:], command)) if command.replies.status else ()
     damaged = any(exchange.damaged for exchange in probe.traffic[since:])
     told, of_stop = (told[:1], told[1:]) if stopped is not None else (told, ())
     return Tried(

@@ -22,7 +22,7 @@ from conformance.claims.declare import Case
 from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.model import covering
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import CALM, MS, QUICK
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
@@ -187,6 +187,6 @@ def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str
         most = motion.same(probe) + probe.noise.swing
         text = f"{command.name} does not end homing"
         probe.expect(abs(went), at_most=most, unit="degrees", refutes=text, exchange=exchange)
-        told = motion.statuses(probe.traffic[since:], home) if motion.tells_end(probe.dialect) else []
+        told = arriving.statuses(probe.traffic[since:], home) if arriving.tells_end(probe.dialect) else []
         text = f"homing that {command.name} ended is told as success"
         probe.expect(told, holds=homing.HOMED not in told, expected="no 2", refutes=text, exchange=exchange)

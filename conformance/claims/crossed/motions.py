@@ -18,7 +18,7 @@ from conformance.claims.crossed.looks import place
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import expect_between, of_motion, that_tell_their_end
 from conformance.claims.motion.ramps import LATE, TOO_LATE_NS
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE, COUNT
@@ -169,7 +169,7 @@ def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
 def _first(probe: Probe, command: Command) -> None:
     """{command} is taken, ends where asked and keeps its course and speed in a few motions, each condition once."""
     rows = first_of(probe, command)
-    told = (_replies_in,) if motion.tells_end(probe.dialect) else ()
+    told = (_replies_in,) if arriving.tells_end(probe.dialect) else ()
     for judge in (_taken_in, *told, _ends_in, _course_in, _speed_in):
         judge(probe, command, rows)
 

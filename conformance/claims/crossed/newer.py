@@ -26,7 +26,7 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import expect_between, expect_row_taken, expect_speed, of_motion
 from conformance.claims.motion.told import expect_states, states
 from conformance.model import covering
-from conformance.motion import course, motion, ramp
+from conformance.motion import arriving, course, motion, ramp
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
 from conformance.talk import settings
 from conformance.talk.exchange import Exchange
@@ -172,7 +172,7 @@ def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
         far = since + (abs(before.value - zero) if row.zero else near + back)
         least_ns = far / 6 / row.rpm * SECOND_NS
         most_ns = (far + _SPARE) / 6 / row.rpm * (1 + CLOCK_SHARE) * SECOND_NS + 2 * change_ns
-        end = motion.come_to_rest(probe, exchange, int(least_ns), int(most_ns))
+        end = arriving.come_to_rest(probe, exchange, int(least_ns), int(most_ns))
     return Tried(row, exchange, refused, zero, start, before, on_ramp, degrees, seen, end)
 
 

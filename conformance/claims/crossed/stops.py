@@ -25,7 +25,7 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import expect_between, expect_row_taken, of_motion
 from conformance.gate.gate import Refused
 from conformance.model import covering
-from conformance.motion import motion, ramp
+from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import MS, SECOND_NS, SUBDIVISION, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
@@ -172,7 +172,7 @@ def _try(probe: Probe, row: Row) -> Tried:
     over_ns = exchange.sent_ns + int(ramp.ramp_ns(row.rpm, 0, max(row.stop, 0)) * (1 + ramp.SLOW_QUIRK))
     if motion.of(stop).tells_end and not refused and row.stop != _EMERGENCY:
         left_ns = over_ns - probe.gate.now_ns()
-        if 2 not in motion.statuses(probe.traffic[since:], stop):
+        if 2 not in arriving.statuses(probe.traffic[since:], stop):
             probe.listen(max(0, left_ns) + TOLD_LATE_NS, Until.REPLY)
     probe.wait(over_ns + _LAG_NS - probe.gate.now_ns())
     # A shaft that settles swings behind a halt.
@@ -181,7 +181,7 @@ def _try(probe: Probe, row: Row) -> Tried:
     probe.wait(_LOOK_NS)
     end = motion.position(probe)
     pulses += [probe.read(Verb.READ_PULSES)] if counted else []
-    told = tuple(motion.statuses(probe.traffic[since:], stop)) if stop.replies.status else ()
+    told = tuple(arriving.statuses(probe.traffic[since:], stop)) if stop.replies.status else ()
     went = before.value - start.value
     sense = 0 if abs(went) < 2 else 1 if went > 0 else -1
     return Tried(row, exchange, refused, start, before, sense, at, end, told, tuple(pulses))

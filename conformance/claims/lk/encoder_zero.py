@@ -18,7 +18,7 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import expect_speed, expect_stays, of_motion, risks_by
 from conformance.claims.motion.reads import PLACES, angle, around, turn_by
 from conformance.model.lk_parameters import need_room
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import CALM, MS, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import Noise
@@ -97,7 +97,7 @@ def _and_moves(probe: Probe, command: Command) -> None:
     for value, degrees in ((100_000, 45), (-100_000, -45)):
         exchange = probe.do(command, {"position": value})
         before = angle(probe)
-        motion.follow(probe, probe.command("move_multi_turn_limited"), degrees, rpm=45, start=value)
+        arriving.follow(probe, probe.command("move_multi_turn_limited"), degrees, rpm=45, start=value)
         _expect_angle(probe, before, degrees, "a move does not go by the position that 95 set", exchange)
 
 

@@ -16,7 +16,7 @@ from conformance.claims.declare import commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import of_motion, that_tell_their_end
 from conformance.claims.motion.stops import expect_standing
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import MS, SECOND_NS
 from conformance.talk.probe import Probe, Until
 
@@ -52,7 +52,7 @@ def _status(probe: Probe, command: Command) -> None:
 
 
 def _statuses(probe: Probe, since: int, command: Command) -> list[int]:
-    return motion.statuses(probe.traffic[since:], command)
+    return arriving.statuses(probe.traffic[since:], command)
 
 
 def _calibrate(probe: Probe, command: Command) -> tuple[list[int], bool]:

@@ -17,7 +17,7 @@ from conformance.claims.declare import Case
 from conformance.claims.known_quirks import known
 from conformance.claims.motion.motion_claim import expect_speed, of_motion, that_tell_their_end
 from conformance.claims.motion.ramps import LATE, time_of, too_late
-from conformance.motion import motion, ramp
+from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.noise import TOLD_LATE_NS
 from conformance.talk.probe import Probe, Until
@@ -85,9 +85,9 @@ def _told_in_time(probe: Probe, command: Command) -> None:
     exchange = motion.begin(probe, command, 90, rpm=120, acceleration=QUICK, quiet_ns=0)
     # The move takes a sixth of a second.
     seen = motion.sampled(probe, 400 * MS, 40 * MS)
-    if 2 not in motion.statuses(probe.traffic[since:], command):
+    if 2 not in arriving.statuses(probe.traffic[since:], command):
         probe.listen(3 * SECOND_NS, Until.REPLY)
-    ends = [a for a in motion.replies(probe.traffic[since:], command) if a.values[command.replies.status] == 2]
+    ends = [a for a in arriving.replies(probe.traffic[since:], command) if a.values[command.replies.status] == 2]
     if not ends:
         raise Inconclusive(f"{command.name} did not say that it was complete")
     place = seen[-1].value

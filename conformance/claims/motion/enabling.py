@@ -18,7 +18,7 @@ from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import expect_not_turned, expect_stays, expect_taken, of_motion, risks_by
 from conformance.claims.motion.stops import expect_standing, set_going
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import MOVES, MS, SECOND_NS
 from conformance.talk.probe import Probe
 
@@ -175,7 +175,7 @@ def _on_holds_here(probe: Probe) -> None:
         probe.wait(_WATCH_NS)
         text = "enabling turns a shaft that a hand has turned"
         expect_stays(before, motion.position(probe), exchange, text, motion.same(probe))
-        went = motion.follow(probe, move, 45)
+        went = arriving.follow(probe, move, 45)
         text = f"{move.name} does not begin where a hand has turned the shaft"
         within = motion.near(probe.dialect) + motion.same(probe)
         probe.expect(abs(went.degrees), near=45, within=within, unit="degrees", refutes=text, exchange=went.exchange)
@@ -183,7 +183,7 @@ def _on_holds_here(probe: Probe) -> None:
 
 def expect_obeys(probe: Probe, refutes: str) -> None:
     """Refute unless a move turns the shaft."""
-    move = motion.follow(probe, motion.any_move(probe.dialect), 45)
+    move = arriving.follow(probe, motion.any_move(probe.dialect), 45)
     probe.expect(abs(move.degrees), near=45, within=1, unit="degrees", refutes=refutes, exchange=move.exchange)
 
 
@@ -236,7 +236,7 @@ def _expect_turns_kept_turning(probe: Probe, command: Command) -> None:
 def _keeps_turns(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe)
     for _ in range(2):
-        motion.follow(probe, motion.any_move(probe.dialect), 420)
+        arriving.follow(probe, motion.any_move(probe.dialect), 420)
     before = motion.position(probe)
     exchange = probe.do(command)
     motion.switch(probe, True)

@@ -23,7 +23,7 @@ from conformance.claims.known_quirks import known, may_meet
 from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import expect_stays, of_motion, risks_by, that_tell_their_end
 from conformance.model import covering
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
@@ -95,7 +95,7 @@ def _homed(probe: Probe, end_limit: int = 1, side: int = -1, mode: str = "", tri
     probe.wait(500 * MS)
     # Homing may have let the shaft go.
     probe.do(Verb.ENABLE, {"enabled": 1})
-    move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), -side * _degrees(probe, _HALF))
+    move = arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), -side * _degrees(probe, _HALF))
     if end_limit:
         text = "a move away from the end limit that homing found is not carried out"
         probe.expect(abs(move.degrees), at_least=1, unit="degrees", refutes=text, exchange=move.exchange)
@@ -128,7 +128,7 @@ def _sense(probe: Probe, command: Command) -> int:
         probe.wait(200 * MS)
         after = motion.stand_still(probe)
     else:
-        after = motion.follow(probe, command, 7.2, acceleration=QUICK).end
+        after = arriving.follow(probe, command, 7.2, acceleration=QUICK).end
     return 1 if after.value > before.value else -1
 
 
@@ -249,7 +249,7 @@ def _told(probe: Probe, run: Command) -> None:
     since = len(probe.traffic)
     exchange = probe.ask(run, values, until=Until.DONE, timeout_ns=10 * SECOND_NS)
     probe.wait(2 * SECOND_NS)
-    statuses = motion.statuses(probe.traffic[since:], run)
+    statuses = arriving.statuses(probe.traffic[since:], run)
     text = f"{run.name} that an end limit stops is not answered 1 and 3"
     probe.expect(statuses, equal=[1, 3], refutes=text, exchange=exchange)
 
@@ -268,7 +268,7 @@ def _not_told(probe: Probe, run: Command) -> None:
     since = len(probe.traffic)
     exchange = probe.ask(run, values)
     probe.wait(3 * SECOND_NS)
-    statuses = motion.statuses(probe.traffic[since:], run)
+    statuses = arriving.statuses(probe.traffic[since:], run)
     probe.do(Verb.SET_RESPOND, {"respond": 1, "active": 1})
     text = f"{run.name} that an end limit stops is told although active is 0"
     probe.expect(statuses, equal=[1], refutes=text, exchange=exchange)
@@ -358,7 +358,7 @@ def _off_passes(probe: Probe) -> None:
     """With the end limit off, the end stop does not stop the shaft."""
     _homed(probe, end_limit=0)
     amount = -_HALF - 4000
-    move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _degrees(probe, amount))
+    move = arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _degrees(probe, amount))
     text = "an end stop stops the shaft although the end limit is off"
     near = _degrees(probe, amount)
     probe.expect(move.degrees, near=near, unit="degrees", refutes=text, exchange=move.exchange)

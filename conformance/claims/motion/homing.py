@@ -19,7 +19,7 @@ from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.model import covering
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange
@@ -83,7 +83,7 @@ def set_home(probe: Probe, **values: int) -> Exchange:
 def find_home(probe: Probe, limit_ns: int = _LIMIT_NS) -> Exchange:
     """Ask for homing and follow it to its end. Raises Inconclusive where it is refused."""
     home = probe.command(Verb.HOME)
-    telling = motion.tells_end(probe.dialect)
+    telling = arriving.tells_end(probe.dialect)
     exchange = probe.ask(home, until=Until.DONE if telling else Until.REPLY, timeout_ns=limit_ns if telling else None)
     probe.reply(exchange)
     if probe.refused(exchange):
@@ -111,7 +111,7 @@ def _prepared(probe: Probe, mode: str = "", **values: int) -> float:
     """Make a drive ready for homing; return where the shaft stands (counts of its own)."""
     motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
     # Away from where it was made, so that its zero is not by chance where homing ends.
-    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 216)
+    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 216)
     set_home(probe, **values)
     return bench.shaft(probe)
 
@@ -370,7 +370,7 @@ def _disabled(probe: Probe, command: Command) -> None:
 
 
 def _statuses(probe: Probe, since: int, command: Command) -> list[int]:
-    return motion.statuses(probe.traffic[since:], command)
+    return arriving.statuses(probe.traffic[since:], command)
 
 
 @_of_homing("a shaft that goes on, or success", at_best=Certainty.LIKELY)
@@ -383,7 +383,7 @@ def _stopped(probe: Probe, command: Command) -> None:
     _expect_going_on(probe, since, command)
     _halt(probe)
     _expect_still(probe, exchange, 3 * SECOND_NS, "an emergency stop does not end homing")
-    if motion.tells_end(probe.dialect):
+    if arriving.tells_end(probe.dialect):
         statuses = _statuses(probe, since, command)
         text = "homing that was stopped is told as done"
         probe.expect(statuses, holds=2 not in statuses, expected="no status 2", refutes=text, exchange=exchange)

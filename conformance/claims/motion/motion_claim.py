@@ -17,7 +17,7 @@ from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Aspect, Inconclusive, Refuted, Theme
 from conformance.claims.declare import Case, Cases, claim, motions
 from conformance.model.lk_parameters import need_room
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import SAME, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
@@ -106,7 +106,7 @@ def has_sign(command: Command) -> bool:
 
 def that_tell_their_end(each: Cases) -> Cases:
     """Return those of some cases whose dialect tells the end of a motion by a reply of its own."""
-    return lambda dialect: each(dialect) if motion.tells_end(dialect) else ()
+    return lambda dialect: each(dialect) if arriving.tells_end(dialect) else ()
 
 
 def expect_stays(before: Sample, after: Sample, exchange: Exchange | None, text: str, within: float = SAME) -> None:

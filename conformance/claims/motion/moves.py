@@ -33,8 +33,9 @@ from conformance.claims.motion.motion_claim import (
     that_tell_their_end,
 )
 from conformance.claims.motion.stops import endless
-from conformance.motion import motion
-from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Move, takes_pulses
+from conformance.motion import arriving, motion
+from conformance.motion.arriving import Move
+from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, takes_pulses
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -121,11 +122,11 @@ def there_and_back(probe: Probe, command: Command) -> tuple[Move, Move, tuple[in
     """Move there, listen for what comes late, and move back; return both moves and all statuses of the first."""
     motion.prepare(probe, command)
     since = len(probe.traffic)
-    there = motion.follow(probe, command, _THERE)
+    there = arriving.follow(probe, command, _THERE)
     if motion.of(command).tells_end:
         probe.wait(700 * MS)
-    statuses = motion.statuses(probe.traffic[since:], command)
-    return there, motion.follow(probe, command, _BACK), tuple(statuses)
+    statuses = arriving.statuses(probe.traffic[since:], command)
+    return there, arriving.follow(probe, command, _BACK), tuple(statuses)
 
 
 @of_motion(
@@ -181,7 +182,7 @@ def _far(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe, subdivision=motion.finest(probe) if takes_pulses(command) else None)
     degrees = _FAR * 360 / motion.units_per_turn(probe.dialect, command, subdivision)
     for way in (degrees, -degrees):
-        move = motion.follow(probe, command, way, rpm=240, acceleration=QUICK, subdivision=subdivision)
+        move = arriving.follow(probe, command, way, rpm=240, acceleration=QUICK, subdivision=subdivision)
         _expect_way(probe, move, False, f"{command.name} does not go by {_FAR} units")
 
 
@@ -190,7 +191,7 @@ def _widest(probe: Probe, command: Command) -> None:
     """{command} as far as its field can say begins the way that it was told, and does not end soon."""
     motion.prepare(probe, command)
     field = motion.field_of(command, motion.of(command).distance)
-    short = motion.follow(probe, command, 36)
+    short = arriving.follow(probe, command, 36)
     ends = {0: field.high} if has_direction(command) else {0: field.high, 1: field.low}
     for side, value in ends.items():
         before = motion.position(probe)
@@ -245,7 +246,7 @@ def _wide(probe: Probe, command: Command) -> None:
 )
 def _again(probe: Probe, command: Command, signed: bool) -> None:
     motion.prepare(probe, command)
-    moves = [motion.follow(probe, command, 11.18, acceleration=QUICK) for _ in range(5)]
+    moves = [arriving.follow(probe, command, 11.18, acceleration=QUICK) for _ in range(5)]
     whole = Move(command, moves[-1].exchange, sum(m.asked for m in moves), moves[0].start, moves[-1].end)
     _expect_way(probe, whole, signed, f"{command.name}: {len(moves)} moves do not add up", times=len(moves))
 
@@ -297,7 +298,7 @@ def _steps(probe: Probe, command: Command) -> None:
 )
 def _same_place(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
-    there = motion.follow(probe, command, _THERE)
+    there = arriving.follow(probe, command, _THERE)
     exchange = motion.ask(probe, command, until=Until.DONE if motion.of(command).tells_end else Until.REPLY)
     expect_taken(probe, exchange, f"{command.name} to the same place is refused")
     probe.wait(300 * MS)
@@ -315,7 +316,7 @@ def _reads_as_asked(probe: Probe, command: Command) -> None:
     turn = motion.units_per_turn(probe.dialect, command)
     for degrees in (108, -216):
         target = motion.place(probe, command) + round(degrees * turn / 360)
-        move = motion.follow(probe, command, degrees)
+        move = arriving.follow(probe, command, degrees)
         text = f"{command.name}: the drive reads another place than was asked for"
         unit = "counts" if probe.dialect.counts_per_turn else "0.01 degrees"
         seen = motion.place(probe, command)
@@ -346,7 +347,7 @@ def _after_stop(probe: Probe, command: Command) -> None:
         ramped = "acceleration" in stop.request_forms[0].layout.named
         probe.ask(stop, {"acceleration": QUICK} if ramped else {}, quiet_ns=0)
         motion.wait_standing(probe)
-        move = motion.follow(probe, command, (-1) ** number * _SHORT)
+        move = arriving.follow(probe, command, (-1) ** number * _SHORT)
         _expect_way(probe, move, False, f"{command.name} after a stop of {ended.name} does not go as far as it was asked to")
 
 
@@ -362,7 +363,7 @@ def _after_new_position(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
     for number, position in enumerate((12_345, -234_567, None)):
         exchange = probe.do("clear_turns") if position is None else probe.do("set_position", {"position": position})
-        move = motion.follow(probe, command, (-1) ** number * _SHORT)
+        move = arriving.follow(probe, command, (-1) ** number * _SHORT)
         assert exchange.command is not None  # it was asked for
         text = f"{command.name} after {exchange.command.name} does not go where it was asked to"
         _expect_way(probe, move, False, text)
@@ -401,10 +402,10 @@ def _across_zero(probe: Probe, command: Command) -> None:
     here = motion.place(probe, command)
     turn = motion.units_per_turn(probe.dialect, command)
     # To 300 degrees, then to 60 and back: 120 degrees each time.
-    motion.follow(probe, command, (300 - here * 360 / turn) % 360, start=here)
+    arriving.follow(probe, command, (300 - here * 360 / turn) % 360, start=here)
     for way in (1, -1):
         start = motion.place(probe, command)
-        move = motion.follow(probe, command, way * 120, start=start)
+        move = arriving.follow(probe, command, way * 120, start=start)
         _expect_way(probe, move, True, f"{command.name} goes another way across zero")
 
 
@@ -412,10 +413,10 @@ def both_ways(probe: Probe, command: Command) -> tuple[float, float, Exchange]:
     """Go to one angle clockwise, back to where that began, and to it again the other way; return both ways (degrees)."""
     motion.ready_to_move(probe)
     start = motion.place(probe, command)
-    cw = motion.follow(probe, command, 120, start=start)
-    motion.follow(probe, command, -360, start=start)
-    ccw = motion.follow(probe, command, -240, start=start)
-    motion.follow(probe, command, 360, start=start)
+    cw = arriving.follow(probe, command, 120, start=start)
+    arriving.follow(probe, command, -360, start=start)
+    ccw = arriving.follow(probe, command, -240, start=start)
+    arriving.follow(probe, command, 360, start=start)
     return cw.degrees, ccw.degrees, ccw.exchange
 
 

@@ -27,7 +27,7 @@ from conformance.claims.motion.motion_claim import (
 )
 from conformance.claims.motion.moves import takes_angle, takes_counts, with_max_speed, without_max_speed
 from conformance.claims.motion.stops import expect_standing
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import CALM, FORCE, MOVES, MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -152,7 +152,7 @@ def _superseded(probe: Probe, command: Command) -> None:
     probe.wait(1500 * MS)
     motion.wait_standing(probe)
     text = f"{command.name}: what comes after a newer one is not its two replies"
-    probe.expect(motion.statuses(probe.traffic[before:], command), equal=[1, 2], refutes=text, exchange=exchange)
+    probe.expect(arriving.statuses(probe.traffic[before:], command), equal=[1, 2], refutes=text, exchange=exchange)
 
 
 @of_motion(

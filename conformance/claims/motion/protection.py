@@ -22,7 +22,7 @@ from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, Cases, commands, motions, needing
 from conformance.claims.motion.motion_claim import expect_stays, of_motion, risks_by, that_tell_their_end
 from conformance.claims.motion.refusals import expect_refused
-from conformance.motion import motion, ramp
+from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -150,7 +150,7 @@ def _off_holds_on(probe: Probe) -> None:
 def _at_first(probe: Probe) -> None:
     """A motor that was never held is not protected: 3E reads 0."""
     _prepare(probe, 1)
-    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
+    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
     _expect(probe, probe.traffic[-1], 0, "3E reads protected although the shaft was never held")
 
 
@@ -198,7 +198,7 @@ def _held(probe: Probe, command: Command) -> None:
     exchange = _held_move(probe)
     if not _is_protected(probe):
         raise Inconclusive("the drive does not protect itself from a held shaft")
-    statuses = motion.statuses(probe.traffic, command)
+    statuses = arriving.statuses(probe.traffic, command)
     text = "a move that a held shaft ended is told as complete"
     probe.expect(statuses, holds=2 not in statuses, expected="no status 2", refutes=text, exchange=exchange)
     probe.measured["status"] = float(statuses[-1])
@@ -339,7 +339,7 @@ def _limp(probe: Probe, command: Command) -> None:
     expect_stays(before, motion.position(probe), exchange, text, _MISSING)
     for move in probe.dialect.motions(MotionKind.MOVE_BY):
         motion.prepare(probe, move)
-        moved = motion.follow(probe, move, 45)
+        moved = arriving.follow(probe, move, 45)
         text = f"{move.name} behind 3D does not begin where the shaft stands"
         within = motion.miss(probe) + motion.same(probe)
         probe.expect(abs(moved.degrees), near=45, within=within, unit="degrees", refutes=text, exchange=moved.exchange)

@@ -22,7 +22,7 @@ from conformance.claim import Curve, Inconclusive, Theme
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import of_motion
-from conformance.motion import motion, ramp
+from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import MS, QUICK, SECOND_NS, Sample
 from conformance.motion.ramp import Fit, Judgement
 from conformance.talk.exchange import Exchange
@@ -255,7 +255,7 @@ def _ramp_is_even(probe: Probe, command: Command) -> None:
     rpm, acceleration = 120, 56
     motion.prepare(probe, command)
     # What another command was given is not what counts here.
-    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 18, acceleration=QUICK)
+    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 18, acceleration=QUICK)
     exchange = motion.ask(probe, command, 4 * 360, rpm=rpm, acceleration=acceleration, quiet_ns=0)
     if motion.refused(probe, exchange):
         raise Inconclusive(f"{command.name} was refused")

@@ -21,7 +21,7 @@ from conformance.claims import bench
 from conformance.claims.declare import Case, claim, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import of_motion, risks_by
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
 from conformance.talk import settings
 from conformance.talk.probe import Probe
@@ -49,7 +49,7 @@ def _counts(probe: Probe) -> int:
 
 
 def _move_by_pulses(probe: Probe, turns: float) -> None:
-    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), turns * 360, rpm=_QUICK_RPM, acceleration=QUICK)
+    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), turns * 360, rpm=_QUICK_RPM, acceleration=QUICK)
 
 
 def _counted_positions(dialect: Dialect) -> Iterable[Case]:
@@ -176,7 +176,7 @@ def _wide_pulses(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe, subdivision=motion.finest(probe))
     for turns in (2, -4):
         before = probe.read(command, "pulses")
-        motion.follow(probe, move, turns * 360, rpm=180, acceleration=QUICK, subdivision=finest)
+        arriving.follow(probe, move, turns * 360, rpm=180, acceleration=QUICK, subdivision=finest)
         change = abs(probe.read(command, "pulses") - before)
         wanted = abs(turns) * motion.units_per_turn(probe.dialect, move, finest)
         probe.expect(change, near=wanted, within=1, refutes="the count of pulses does not change by those of a long move")
@@ -187,7 +187,7 @@ def _wide_pulses(probe: Probe, command: Command) -> None:
 
 def turn_by(probe: Probe, degrees: float) -> None:
     """Turn the shaft by an angle and wait until it stands."""
-    motion.follow(probe, probe.command("move_increment_limited"), degrees, rpm=180)
+    arriving.follow(probe, probe.command("move_increment_limited"), degrees, rpm=180)
 
 
 def angle(probe: Probe) -> float:
@@ -360,7 +360,7 @@ def _give_ports_back(probe: Probe) -> None:
 def _in_position_at_rest(probe: Probe, command: Command) -> None:
     """PEND is 1 when the shaft has come to its target, and ALM is 1 without an alarm."""
     _give_ports_back(probe)
-    motion.follow(probe, motion.any_move(probe.dialect), 90)
+    arriving.follow(probe, motion.any_move(probe.dialect), 90)
     for port, text in (("pend", "the shaft is in place, and PEND says that it is not"), ("alm", "ALM tells an alarm at rest")):
         probe.expect(probe.read(command, port), equal=1, refutes=text, exchange=probe.traffic[-1])
 
@@ -465,7 +465,7 @@ def _divided(probe: Probe) -> tuple[tuple[_Look, ...], ...]:
                 probe.do(Verb.SET_ZERO)
             degrees = way * _PART * period * 360 / motion.units_per_turn(probe.dialect, move, subdivision)
             rpm = min(_QUICK_RPM, _FINE_RPM)
-            motion.follow(probe, move, degrees, rpm=rpm, acceleration=QUICK, subdivision=subdivision)
+            arriving.follow(probe, move, degrees, rpm=rpm, acceleration=QUICK, subdivision=subdivision)
             pulses = abs(probe.read(Verb.READ_PULSES, "pulses"))
             looks.append(_Look(level, period, anew, pulses, probe.read(Verb.READ_IO, "pend")))
         found.append(tuple(looks))

@@ -20,7 +20,7 @@ from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands, needing
 from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import of_motion, risks_by, risks_of
-from conformance.motion import motion, ramp
+from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import TOLD_LATE_NS
@@ -141,7 +141,7 @@ def _stops_answered(probe: Probe, respond: int, runs: bool) -> dict[str, _Shown]
 def _listened(probe: Probe, sent: Sequence[tuple[Command, Exchange, int, float, float]]) -> dict[str, _Shown]:
     probe.wait(_LISTEN_NS)
     found = {
-        command.name: _Shown(exchange, tuple(motion.statuses(probe.traffic[since:], command)), before, after)
+        command.name: _Shown(exchange, tuple(arriving.statuses(probe.traffic[since:], command)), before, after)
         for command, exchange, since, before, after in sent
     }
     _set(probe, 1, 1)
@@ -221,7 +221,7 @@ def _silent_refusals(probe: Probe) -> None:
         probe.expect(
             "another answer", holds=aloud, expected="a refusal", refutes=text, exchange=inactive, key="not refused aloud"
         )
-        text, told = f"{silent.command.name} is refused aloud with respond 0", motion.statuses((silent,), silent.command)
+        text, told = f"{silent.command.name} is refused aloud with respond 0", arriving.statuses((silent,), silent.command)
         probe.expect(told, equal=[], expected="silence", refutes=text, exchange=silent, key="refused aloud")
 
 
@@ -274,7 +274,7 @@ def _silent_after_restart(probe: Probe) -> None:
     motion.ready_to_move(probe)
     since, run = len(probe.traffic), probe.command(Verb.RUN_SPEED)
     exchange = motion.ask(probe, run, rpm=_RPM, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=_LISTEN_NS)
-    statuses = motion.statuses(probe.traffic[since:], run)
+    statuses = arriving.statuses(probe.traffic[since:], run)
     _set(probe, 1, 1)
     motion.stand_still(probe)
     text = "a run is answered after a restart, and respond was 0"
@@ -319,7 +319,7 @@ def _inactive_home(probe: Probe) -> None:
     exchange = probe.ask(home, until=Until.TIMEOUT, timeout_ns=3 * SECOND_NS)
     motion.wait_standing(probe)
     text = "homing with active 0 is not answered at its begin alone"
-    probe.expect(motion.statuses(probe.traffic[since:], home), equal=[1], refutes=text, exchange=exchange)
+    probe.expect(arriving.statuses(probe.traffic[since:], home), equal=[1], refutes=text, exchange=exchange)
 
 
 @_of_respond("other replies", each=_settings, name="{command}/1-answers-again")
@@ -331,6 +331,6 @@ def _answered_again(probe: Probe) -> None:
     since, move = len(probe.traffic), probe.command(Verb.MOVE_RELATIVE_AXIS)
     exchange = _ask(probe, move, Until.DONE)
     probe.wait(_LISTEN_NS)
-    statuses = motion.statuses(probe.traffic[since:], move)
+    statuses = arriving.statuses(probe.traffic[since:], move)
     text = "a move is not answered 1 and 2 after respond and active were set to 1 again"
     probe.expect(statuses, equal=[1, 2], refutes=text, exchange=exchange)

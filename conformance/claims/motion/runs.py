@@ -15,7 +15,7 @@ from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, commands, motions
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import expect_speed, has_direction, has_sign, of_motion, risks_by, risks_of
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, SUBDIVISION
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
@@ -93,7 +93,7 @@ def _way(probe: Probe, rpm: float) -> float:
 
 def _relative_way(probe: Probe) -> float:
     """Return how far a relative move of direction 0 turns the shaft, in degrees."""
-    return motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), 36).degrees
+    return arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), 36).degrees
 
 
 def _expect_ways(probe: Probe, ways: tuple[float, float], opposite: bool, refutes: str) -> None:
@@ -222,7 +222,7 @@ def _and_moves(probe: Probe, command: Command, move: Command, turns: bool) -> No
     ways = []
     for value in (0, 1):
         exchange = probe.do(command, {"motor_direction": value})
-        ways.append(motion.follow(probe, move, 45).degrees)
+        ways.append(arriving.follow(probe, move, 45).degrees)
     text = f"the setting of the motor's direction {'does not turn' if turns else 'turns'} {move.name}"
     shown, expected = f"{ways[0]:+.1f} and {ways[1]:+.1f} degrees", "opposite ways" if turns else "one way"
     probe.expect(shown, holds=(ways[0] * ways[1] < 0) is turns, expected=expected, refutes=text, exchange=exchange)

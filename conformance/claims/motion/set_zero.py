@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claims.declare import Case, commands, needing
 from conformance.claims.motion.motion_claim import expect_stays, of_motion, risks_by
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import CALM, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -28,7 +28,7 @@ _ZEROED = {
 
 def _away(probe: Probe, degrees: float = 468) -> None:
     motion.ready_to_move(probe)
-    motion.follow(
+    arriving.follow(
         probe, probe.command(Verb.MOVE_RELATIVE_AXIS), degrees, rpm=360 if abs(degrees) < 720 else 900, acceleration=QUICK
     )
 
@@ -83,7 +83,7 @@ def _stands(probe: Probe, command: Command) -> None:
     probe.wait(SECOND_NS // 3)
     exchange = probe.traffic[-1]
     expect_stays(before, motion.position(probe), exchange, "92 turns the shaft")
-    move = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
+    move = arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90)
     text = "a move after 92 goes another way than was asked"
     probe.expect(abs(move.degrees), near=90, unit="degrees", refutes=text, exchange=move.exchange)
 
@@ -129,7 +129,7 @@ def _is_target(probe: Probe, command: Command, move: Command) -> None:
         text = f"{move.name} to {degrees} degrees goes elsewhere after 92"
         within = 2 * probe.noise.step("degrees")
         probe.expect(went * sense, near=degrees, within=within, unit="degrees", refutes=text, exchange=exchange)
-    there = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 144)
+    there = arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 144)
     exchange = motion.begin(probe, move, rpm=120, acceleration=QUICK, start=0)
     probe.wait(SECOND_NS)
     went = motion.wait_standing(probe).value - there.end.value

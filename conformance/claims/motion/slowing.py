@@ -21,7 +21,7 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import expect_between, expect_row_taken, of_motion
 from conformance.gate.gate import Refused
 from conformance.model import covering
-from conformance.motion import motion, ramp
+from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
@@ -140,7 +140,7 @@ def _try(probe: Probe, row: Row, start: Sample) -> Tried:
         probe.wait(exchange.sent_ns + 2 * _LAG_NS - probe.gate.now_ns())
         if newer is command:
             most_ns = (_WAY + _NEWER + 12) / 6 / CALM * (1 + CLOCK_SHARE) * SECOND_NS
-            soon, end = before, motion.come_to_rest(probe, exchange, int(_NEWER / 6 / CALM * SECOND_NS), int(most_ns))
+            soon, end = before, arriving.come_to_rest(probe, exchange, int(_NEWER / 6 / CALM * SECOND_NS), int(most_ns))
         else:
             soon = motion.position(probe)
             probe.wait(_LOOK_NS)

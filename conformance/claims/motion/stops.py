@@ -27,7 +27,7 @@ from conformance.claims.motion.motion_claim import (
     risks_of,
     that_tell_their_end,
 )
-from conformance.motion import motion, ramp
+from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
@@ -145,7 +145,7 @@ def stopped_by_ramp(probe: Probe, run: Command, stop: Command) -> StopOnRamp:
     probe.wait(exchange.sent_ns + _RAMP_NS * 2 // 5 - probe.gate.now_ns())
     midway, at_once = motion.speed(probe), motion.position(probe)
     over_ns = exchange.sent_ns + _RAMP_NS + 200 * MS
-    tells = motion.tells_end(probe.dialect)
+    tells = arriving.tells_end(probe.dialect)
     if tells and len(_replies(probe, since, stop)) < _BOTH:
         probe.listen(over_ns - probe.gate.now_ns(), Until.REPLY)
         at_once = motion.position(probe)
@@ -171,7 +171,7 @@ def stopped_by_ramp(probe: Probe, run: Command, stop: Command) -> StopOnRamp:
 
 
 def _replies(probe: Probe, since: int, stop: Command) -> tuple[int, ...]:
-    return tuple(motion.statuses(probe.traffic[since:], stop))
+    return tuple(arriving.statuses(probe.traffic[since:], stop))
 
 
 def _at_rest(seen: StopOnRamp) -> Sample:
@@ -265,7 +265,7 @@ def _emergency_replies(probe: Probe, command: Command) -> None:
         # Longer than the move would have gone on.
         probe.wait(begun.sent_ns + int(_HALF * SECOND_NS) + _TOLD_NS - probe.gate.now_ns())
         text = f"{move.name} that the emergency stop ended is told as complete"
-        told = motion.statuses(probe.traffic[since:], move)
+        told = arriving.statuses(probe.traffic[since:], move)
         probe.expect(told, equal=[1], refutes=text, exchange=exchange, key="told as complete")
 
 

@@ -26,7 +26,7 @@ from conformance.claims.crossed.course import motions_of
 from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.gate.gate import Refused
-from conformance.motion import course, motion, ramp
+from conformance.motion import arriving, course, motion, ramp
 from conformance.motion.motion import CALM, MS, QUICK, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
@@ -135,7 +135,7 @@ def _try(probe: Probe, subdivision: int, command: Command, way: int, start: Samp
     else:
         law_ns = int((ramp.move_ns(_WAY / 360, real, _STEEP) + slack_ns) * (1 + ramp.SLOW_QUIRK))
         # A slow one is judged by where it was on its way.
-        end = motion.come_to_rest(probe, exchange, law_ns, law_ns)
+        end = arriving.come_to_rest(probe, exchange, law_ns, law_ns)
     return Tried(subdivision, command, exchange, refused, way, real, slack_ns, start, on, end)
 
 

@@ -28,7 +28,7 @@ from conformance.claims.settings import setting_effects
 from conformance.claims.settings.known_settings import ReadableSetting, Setting, every_setting, needs
 from conformance.claims.settings.setting_effects import STEEP, by_action
 from conformance.model import covering, lk_parameters
-from conformance.motion import motion, ramp
+from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import MS, SUBDIVISION
 from conformance.talk.acceptance import Acceptance, can_refuse, without_repeats
 from conformance.talk.exchange import Exchange
@@ -294,7 +294,7 @@ def _leave_motion(probe: Probe, chosen: list[Setting]) -> None:
         text = "a run turns the shaft at another speed with other settings that say nothing of it"
         within = _NEARLY * _SPEED_SHARE
         probe.expect(abs(seen.value), near=_NEARLY, within=within, unit="rpm", refutes=text, exchange=exchange)
-        moved = motion.follow(probe, move, -way * _MOVED_TURNS * 360, rpm=_MOVED_RPM, acceleration=_STEEPEST)
+        moved = arriving.follow(probe, move, -way * _MOVED_TURNS * 360, rpm=_MOVED_RPM, acceleration=_STEEPEST)
         text = "a move goes elsewhere with other settings that say nothing of it"
         probe.expect(moved.degrees, near=moved.asked, unit="degrees", refutes=text, exchange=moved.exchange)
 
@@ -375,7 +375,7 @@ def _expect_move(probe: Probe, shown: Mapping[Verb, Mapping[str, int]], when: st
     if Verb.SET_RESPOND in shown:
         effect = setting_effects.BY_VERB[Verb.SET_RESPOND]
         assert effect.expected is not None  # it decides what a motion is answered with
-        statuses = without_repeats(motion.statuses((exchange,), command))
+        statuses = without_repeats(arriving.statuses((exchange,), command))
         seen = " then ".join(map(str, statuses)) or "silence"
         _expect_shown(probe, seen, effect.expected(probe.dialect, shown[Verb.SET_RESPOND]), "what a move is answered", when)
 
@@ -504,7 +504,7 @@ def _switches_cases(dialect: Dialect) -> Iterator[Case]:
 def _switches(probe: Probe, condition: Condition, deeds: list[_Deed]) -> None:
     """What switches a drive, sets its zero or writes its ports does so {when}."""
     motion.ready_to_move(probe, condition.mode)
-    motion.follow(probe, motion.any_move(probe.dialect, at_speed=True), 100, rpm=120)
+    arriving.follow(probe, motion.any_move(probe.dialect, at_speed=True), 100, rpm=120)
     condition.enter(probe)
     for deed in deeds:
         command = probe.command(deed.name)

@@ -32,7 +32,7 @@ from conformance.claims.settings.link_changes import NEW_ADDRESS_ANSWERS, OTHER_
 from conformance.claims.settings.read_back import fields_of, of_read_back
 from conformance.claims.settings.setting_effects import SettingEffect
 from conformance.model import limits
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import MOVES, MS
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange
@@ -405,7 +405,7 @@ def _stays(probe: Probe, command: Command, deeds: list[Command]) -> None:
                     motion.stop(probe)
                     motion.wait_standing(probe)
                 else:
-                    motion.follow(probe, each, 10, acceleration=motion.QUICK)
+                    arriving.follow(probe, each, 10, acceleration=motion.QUICK)
             elif each.verb is Verb.ENABLE:
                 motion.switch(probe, False)
                 _expect_levels(probe, wanted, each, "while the motor is off")

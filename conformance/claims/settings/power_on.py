@@ -21,7 +21,7 @@ from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.probe import Probe
 from conformance.talk.restarts import need_axis_lock, wait_for_answer
@@ -55,11 +55,11 @@ def _keep_zero(probe: Probe, mode: int, direction: int, turns: float, speed: int
     """Keep where the shaft is as zero, go away from it and cut the power; return where the zero is (counts of its own)."""
     motion.ready_to_move(probe)
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    motion.follow(probe, move, 36)
+    arriving.follow(probe, move, 36)
     zero = bench.shaft(probe)
     values = {"zero_mode": mode, "set_zero": keep, "zero_speed": speed, "zero_direction": direction}
     probe.do(Verb.SET_ZERO_MODE, values)
-    motion.follow(probe, move, turns * 360)
+    arriving.follow(probe, move, turns * 360)
     bench.power_cycle(probe)
     return zero
 

@@ -43,7 +43,7 @@ from conformance.claims.settings.read_back import expect_values, fields_of, of_r
 from conformance.claims.settings.setting_effects import STEEP, SettingEffect
 from conformance.model import lk_parameters
 from conformance.model.lk_parameters import number_of, read_parameter
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import MS
 from conformance.talk import settings
 from conformance.talk.acceptance import answers, need_reliable_replies
@@ -463,7 +463,7 @@ _ON_WAY_NS, _TURNS_RPM = 25 * MS, 10
 def _returns_to_zero(probe: Probe, command: Command) -> None:
     """With a zero kept, the shaft goes back to it after a restart: the way that was set, and faster by a higher speed."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    clockwise = motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), -18)
+    clockwise = arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), -18)
     sense = 1 if clockwise.degrees > 0 else -1
     try:
         every = [_come_back(probe, command, back, sense) for back in _BACKS]
@@ -601,7 +601,7 @@ def _each_motion(probe: Probe) -> dict[str, float]:
             found[command.name] = motion.speed(probe).value
             motion.stand_still(probe)
         else:
-            found[command.name] = motion.follow(probe, command, 90, rpm=120, **how).degrees
+            found[command.name] = arriving.follow(probe, command, 90, rpm=120, **how).degrees
     return found
 
 

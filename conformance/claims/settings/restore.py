@@ -35,7 +35,7 @@ from conformance.claims.settings.link_changes import (
 from conformance.claims.settings.read_back import of_read_back
 from conformance.claims.settings.restart import RESTORED_NS, move_away, stored_effect
 from conformance.claims.settings.setting_effects import SettingEffect
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.talk.acceptance import answers
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -219,7 +219,7 @@ def _restored_power_on(probe: Probe, command: Command, keeper: Command, values: 
         motion.run_at(probe, -60)
     probe.do(keeper, values)
     motion.stand_still(probe)
-    motion.follow(probe, motion.any_move(probe.dialect), 75)
+    arriving.follow(probe, motion.any_move(probe.dialect), 75)
     before = motion.position(probe)
     exchange = _restore(probe, command)
     for when in ("after a restore", "after a restart behind a restore"):

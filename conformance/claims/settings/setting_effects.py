@@ -27,7 +27,7 @@ from analyzer.catalogue import Command, Dialect, Form, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Inconclusive
 from conformance.model import limits
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.motion.motion import MS
 from conformance.talk import settings
 from conformance.talk.acceptance import Acceptance, acceptance, answers, need_reliable_replies, without_repeats
@@ -268,7 +268,7 @@ def _statuses(probe: Probe) -> str:
     if exchange.damaged:
         raise Inconclusive("the replies to a move cannot be read")
     # A late reply to the setting before it tells nothing of the move.
-    statuses = motion.statuses((exchange,), probe.command(Verb.MOVE_RELATIVE_PULSES))
+    statuses = arriving.statuses((exchange,), probe.command(Verb.MOVE_RELATIVE_PULSES))
     return " then ".join(map(str, without_repeats(statuses))) or "silence"
 
 

@@ -8,7 +8,7 @@ from analyzer.catalogue import Risk, Verb
 from conformance.claim import Claim, Inconclusive, Theme
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.talk.probe import Probe
 
@@ -83,12 +83,12 @@ def test_a_move_goes_as_far_as_it_was_asked_to(drive, name):
     probe = probe_of(drive)
     command = probe.command(name)
     motion.prepare(probe, command)
-    there, back = motion.follow(probe, command, 111.1), motion.follow(probe, command, -33.3)
+    there, back = arriving.follow(probe, command, 111.1), arriving.follow(probe, command, -33.3)
     near = motion.near(probe.dialect)
     assert there.asked == pytest.approx(111.1, abs=0.06)
     assert abs(there.degrees) == pytest.approx(there.asked, abs=near)
     assert back.degrees == pytest.approx(back.asked * there.degrees / there.asked, abs=near)
-    assert there.statuses == ([1, 2] if motion.tells_end(probe.dialect) else [])
+    assert there.statuses == ([1, 2] if arriving.tells_end(probe.dialect) else [])
 
 
 def test_what_is_sent_is_in_the_units_of_each_command():
@@ -115,7 +115,7 @@ def test_a_move_from_a_place_that_no_move_reaches_is_inconclusive():
     motion.ready_to_move(probe)
     probe.drive.memory.zero = -(2**31)  # the encoder reads beyond what a move can be told
     with pytest.raises(Inconclusive, match="from where"):
-        motion.follow(probe, probe.command(Verb.MOVE_ABSOLUTE_AXIS), 36)
+        arriving.follow(probe, probe.command(Verb.MOVE_ABSOLUTE_AXIS), 36)
 
 
 def test_a_target_whose_bytes_begin_another_frame_is_asked_for_beside_it():

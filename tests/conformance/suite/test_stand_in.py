@@ -9,7 +9,7 @@ from analyzer.records import CanFrame
 from conformance.claim import Outcome, RigFault, Verdict
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
-from conformance.motion import motion
+from conformance.motion import arriving, motion
 from conformance.suite import engine, target
 from conformance.suite import plan as suite
 from conformance.suite.plan import Plan
@@ -110,7 +110,7 @@ def test_a_zero_that_a_restart_forgets_is_no_way_back_to_it() -> None:
     claim = next(c for c in suite.every_claim(port) if c.id.endswith("read-back/set_zero_mode/clean"))
     probe = rig.probe(claim)
     motion.ready_to_move(probe, subdivision=16)
-    motion.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 40)
+    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 40)
     probe.do(Verb.SET_ZERO)
     rig.settle(probe)
     verdict = engine.run_claim(claim, rig)
