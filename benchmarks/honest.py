@@ -56,7 +56,7 @@ _OF_THE_LINE = ("resilience/reads/good", "traffic/reply_checks")
 
 
 #: Of a hundred settings that a drive can store, how many are not the usual ones; how many drives keep a zero or a run.
-STORED, _KEEP = 20, 10
+STORED, _KEEP = 15, 10
 #: What a number that is stored is of its default, or of its range where that is 0.
 _SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(5, 4), Fraction(2))
 #: Without any current no shaft turns.
@@ -92,9 +92,9 @@ def drawn(number: int, seed: int, share: int = STORED) -> str:
         words.append(f"model={chance.choice(dialect.models)}")
     noise = chance.choice((0, 1, 1, 1, 2))
     words += [f"encoder-noise={noise}"] if noise else []
-    for name, share, values in TRAITS:
+    for name, of_hundred, values in TRAITS:
         value = chance.choice(values)
-        if chance.randrange(100) < share:
+        if chance.randrange(100) < of_hundred:
             words.append(f"{name}={value}" if value else name)
     model = next((word.partition("=")[2] for word in words if word.startswith("model=")), "")
     # Its own chance: the traits of a drive stay those that they were.

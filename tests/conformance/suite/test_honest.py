@@ -17,7 +17,7 @@ from conformance.drives import make
 from conformance.drives.can_bus import CanBus
 from conformance.motion import motion, resting
 from conformance.safety import stopping
-from conformance.suite import engine
+from conformance.suite import engine, set_otherwise
 from conformance.suite.plan import Plan, every_claim, open_rig
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.suite.target import parse
@@ -341,6 +341,15 @@ def test_settings_excuse_no_fault(drive, claim, told):
     rig = EmulatedRig(target.specification, told=told)
     found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claim)]
     assert [v.outcome for v in found] == [Outcome.REFUTED], [v.reason for v in found]
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_a_drawn_drive_has_as_many_stored_settings_as_are_asked_for(number):
+    none, usual, all_of_them = (honest.drawn(number, 2, *share).split(",") for share in ((0,), (), (100,)))
+    assert len(none) <= len(usual) < len(all_of_them)
+    assert usual[: len(none)] == all_of_them[: len(none)] == none
+    settings = set_otherwise.names(dialects.get(none[0].partition("@")[0]))
+    assert not {word.partition("=")[0] for word in none} & set(settings)
 
 
 @pytest.mark.parametrize("number", range(4))
