@@ -44,6 +44,8 @@ STEEP = 248
 PULSES = 200
 #: Homing is watched for so long.
 _WATCH_NS = 100 * MS
+#: How long a move that shows a setting takes at most, with a reserve.
+_MOVE_NS = 1000 * MS
 #: Right after a move a real shaft may still settle.
 SETTLING_NS = 150 * MS
 #: Positions that are one, in counts: a motor holds so well.
@@ -232,7 +234,8 @@ def shift(probe: Probe, verb: Verb, values: Mapping[str, Any]) -> int:
     Raises Inconclusive where the drive refuses it or does not come to rest.
     """
     start = counts(probe)
-    exchange = probe.ask(verb, values)
+    # A read before the end is told may collide with that.
+    exchange = probe.ask(verb, values, until=Until.DONE, timeout_ns=_MOVE_NS, quiet_ns=0)
     if exchange.answers and probe.refused(exchange):
         raise Inconclusive(f"{probe.command(verb).name} was refused")
     motion.wait_standing(probe)
