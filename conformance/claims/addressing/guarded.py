@@ -24,6 +24,7 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_reads import every_read, is_stored, plain_reads
 from conformance.claims.motion.motion_claim import command_of
 from conformance.claims.motion.protection import protect
+from conformance.claims.settings import setting_effects
 from conformance.claims.settings.known_settings import ReadableSetting, needs, readable_settings
 from conformance.model import lk_parameters
 from conformance.motion import arriving, motion
@@ -42,6 +43,8 @@ _POWER_OFF, _RELEASED, _READ_BRAKE = 0x00, 0x01, 0x10
 _POSITION_STEP = 4_321
 #: A position beyond three turns, the status of a calibration, and what lets a port be written.
 _TURNS_AWAY, _CALIBRATING, _WRITE = 123_400, 6, 1
+#: The shorter way back to a kept zero, at the highest speed.
+_NEAR, _FASTEST = 2, 4
 
 
 def _switch_on(probe: Probe) -> object:
@@ -53,7 +56,7 @@ class Guarded:
     """A command that must not be executed. `ready`: makes it tell; `values`: what is sent; `see`: what it would change.
 
     `within`: by how much that differs by itself. `after`: puts back what it changed. `again`: sent whole, it shows; what ends a
-    connection or takes long is sent whole by other claims alone.
+    connection or takes long is sent whole by other claims alone. `sends`: what `see` sends beside motion.
     """
 
     ready: Callable[[Probe], object]
@@ -62,6 +65,7 @@ class Guarded:
     within: float = 0.0
     after: Callable[[Probe], object] = _switch_on
     again: bool = True
+    sends: tuple[Verb, ...] = ()
 
 
 def _shaft(probe: Probe) -> float:
@@ -167,6 +171,35 @@ def _moves_by_bus(probe: Probe) -> float:
     return float(not motion.refused(probe, probe.ask(Verb.ENABLE, {"enabled": 1})))
 
 
+def _another_group(probe: Probe) -> int:
+    return next(group for group in setting_effects.GROUPS[2:] if group not in (probe.address, probe.rig.group))
+
+
+def _is_in_another_group(probe: Probe) -> float:
+    return float(setting_effects.hears(probe, _another_group(probe)))
+
+
+def _forget_zero(probe: Probe) -> object:
+    return probe.do(Verb.SET_ZERO_MODE, {"zero_mode": 0, "set_zero": 0, "zero_speed": 0, "zero_direction": 0})
+
+
+def _without_zero(probe: Probe) -> None:
+    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    _forget_zero(probe)
+
+
+def _goes_back(probe: Probe) -> float:
+    """Bring the shaft away, restart, and return how far it is then from where it was left, in degrees within the turn."""
+    motion.ready_to_move(probe)
+    arriving.follow(probe, motion.any_move(probe.dialect), _OFF_ZERO)
+    left = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
+    restarts.restart(probe)
+    motion.wait_standing(probe)
+    turn = probe.dialect.counts_per_turn
+    went = (probe.read(Verb.READ_ENCODER_CARRY, "encoder") - left) % turn
+    return min(went, turn - went) * 360 / turn
+
+
 def _halt(probe: Probe) -> object:
     return probe.ask(Verb.EMERGENCY_STOP)
 
@@ -201,6 +234,26 @@ _MORE: Mapping[str, tuple[Guarded, Mapping[str, Any]]] = {
 _TO_MANY: Mapping[str, tuple[Guarded, Mapping[str, Any]]] = {
     **{name: _MORE[name] for name in ("calibrate", "write_io", "release_protection")},
     "set_work_mode": (Guarded(motion.ready_to_move, _pulse_mode, _moves_by_bus, after=motion.ready_to_move), {}),
+    "set_group_address": (
+        Guarded(
+            motion.ready_to_move,
+            lambda probe, command: {"group_address": _another_group(probe)},
+            _is_in_another_group,
+            sends=(Verb.ENABLE,),
+        ),
+        {"settings": ("group_address",)},
+    ),
+    "set_zero_mode": (
+        Guarded(
+            _without_zero,
+            lambda probe, command: {"zero_mode": _NEAR, "set_zero": 1, "zero_speed": _FASTEST, "zero_direction": 0},
+            _goes_back,
+            _OFF_ZERO / 2,
+            after=_forget_zero,
+            sends=(Verb.RESTART,),
+        ),
+        {"settings": ("zero_mode", "set_zero", "zero_speed", "zero_direction")},
+    ),
 }
 _MOTIONS = (*MOVES, MotionKind.RUN, MotionKind.TORQUE)
 
@@ -231,6 +284,7 @@ def risks(case: Case) -> frozenset[Risk]:
     run = case.dialect.by_verb.get(Verb.RUN_SPEED)
     if run is not None and case["guarded"].ready is _turn:
         switching |= run.all_risks - {Risk.UNKNOWN}
+    switching |= {risk for verb in case["guarded"].sends for risk in case.dialect.by_verb[verb].all_risks - {Risk.UNKNOWN}}
     # A damaged frame with a head may be read as another one, where nothing tells its length.
     if case.dialect.link.first_bytes and not case.dialect.link.tells_length:
         switching.add(Risk.UNKNOWN)

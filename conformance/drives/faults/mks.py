@@ -61,6 +61,7 @@ from conformance.drives.faults.places import (
     byte,
     faults,
     frames,
+    having,
     limit,
     reply,
     request,
@@ -156,6 +157,18 @@ HEARING: Rows = {
             "broadcast-mode-ignored",
             "82 by broadcast is not executed",
             deaf_to(mks_frames.of(mks_frames.to_all, Verb.SET_WORK_MODE)),
+        ),
+        Row(
+            "broadcast-group-ignored",
+            "8D by broadcast is not executed",
+            deaf_to(mks_frames.of(mks_frames.to_all, Verb.SET_GROUP_ADDRESS)),
+            having(Verb.SET_GROUP_ADDRESS),
+        ),
+        Row(
+            "broadcast-zero-ignored",
+            "9A by broadcast is not executed",
+            deaf_to(mks_frames.of(mks_frames.to_all, Verb.SET_ZERO_MODE)),
+            having(Verb.SET_ZERO_MODE),
         ),
     ),
     "group": (

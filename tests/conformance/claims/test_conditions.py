@@ -119,6 +119,8 @@ REFUTED_BY = {
     "package-without-run-kept": "read-back/save_speed/package",
     "broadcast-run-not-kept": "read-back/save_speed/broadcast",
     "broadcast-mode-ignored": "addressing/broadcast/set_work_mode",
+    "broadcast-group-ignored": "addressing/broadcast/set_group_address",
+    "broadcast-zero-ignored": "addressing/broadcast/set_zero_mode",
     "group-restart-ignored": "read-back/save_speed/group",
     "group-ports-ignored": "addressing/group/write_io",
     "group-homing-ignored": "read-back/settings/restart-group",
