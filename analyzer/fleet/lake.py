@@ -370,7 +370,10 @@ class Lake:
 
     def _compact(self, days: float) -> tuple[int, int]:
         joined = removed = 0
-        for name in self.tables():
+        tables = self.tables()
+        if link := self.place.link_in(tables):
+            raise UsageError(f"{link} is a link to a folder, whose files would be removed: put what it leads to in its place")
+        for name in tables:
             opened = self.open(name)
             joined += opened.optimize.compact()["numFilesRemoved"]
             removed += len(opened.vacuum(int(days * 24), dry_run=False, enforce_retention_duration=False, full=True))

@@ -11,7 +11,7 @@ import os
 import posixpath
 import stat
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -103,6 +103,15 @@ class Place:
     def path(self, name: str) -> str:
         """Return the store's path of what has a name below this place."""
         return posixpath.join(self.root, name) if name else self.root
+
+    def link_in(self, folders: Iterable[str]) -> str:
+        """Return a link to a folder in one of these folders, or nothing. Stores other than a disk have none."""
+        for folder in folders if self.local else ():
+            for here, names, _ in os.walk(self.path(folder)):
+                for name in sorted(names):
+                    if os.path.islink(path := os.path.join(here, name)):
+                        return path
+        return ""
 
     def files(self, folder: str = "") -> list[Found]:
         """Return all files below this place, or a folder of it, by name. Raises UnreadableError where it is not there."""

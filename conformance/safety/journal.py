@@ -24,6 +24,10 @@ from analyzer.values import value_text
 from conformance.claim import RigFault
 
 
+#: How each line begins.
+_BEGIN = b'{"event":'
+
+
 class Entry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One line. `values`: integers as sent, by field, as they were before; `sent`: those that were sent since."""
 
@@ -110,10 +114,16 @@ def read(path: Path) -> list[Entry]:
         try:
             entries.append(msgspec.json.decode(line, type=Entry))
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-            if number == len(lines):
+            if number == len(lines) and _is_torn(line):
                 break
             raise UnreadableError(f"{path}: line {number}: expected a line of a journal, got: {error}") from None
     return entries
+
+
+def _is_torn(line: bytes) -> bool:
+    """Say whether a line is the beginning of one that was being written; a disk that lost its power leaves zeros after it."""
+    begun = line.rstrip(b"\0")
+    return begun.startswith(_BEGIN) or _BEGIN.startswith(begun)
 
 
 def open_changes(entries: list[Entry]) -> list[Entry]:

@@ -413,7 +413,7 @@ class Probe:
         if answer is None:
             raise Inconclusive(f"{asked} was not answered")
         if answer.command is None or answer.message.form is None or not answer.message.frame.checksum_ok:
-            raise Inconclusive(f"the answer to {asked} cannot be read: {answer.data.hex(' ').upper()}")
+            raise Inconclusive(f"the answer to {asked} cannot be read: {answer.data.hex(' ').upper() or 'it has no data'}")
         return answer
 
     def sound(self, exchange: Exchange) -> Exchange:

@@ -265,6 +265,22 @@ def test_what_a_later_version_adds_or_changes_stands_beside_what_was_there(captu
     assert first > second > none == no == 0
 
 
+def test_compacting_removes_nothing_behind_a_link(captures, tmp_path, capsys):
+    """Delta Lake follows links, and takes what no table names for left: files of others, anywhere."""
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "mine.parquet").write_bytes(b"x")
+    link = tmp_path / "lake" / "findings" / "date=2020-01-01"
+    link.symlink_to(outside)
+    assert main(["compact", made.place.url, "--keep", "0"]) == 2
+    assert f"{link} is a link to a folder" in capsys.readouterr().err
+    assert (outside / "mine.parquet").exists()
+    link.unlink()
+    assert main(["compact", made.place.url, "--keep", "0"]) == 0
+
+
 def test_compacting_keeps_the_rows(captures, clean, tmp_path):
     made = lake(tmp_path / "lake")
     for number in range(4):
