@@ -23,7 +23,6 @@ from analyzer.system.whole_file import read_whole
 from analyzer.values import value_text
 from conformance.claim import RigFault
 
-
 #: How each line begins.
 _BEGIN = b'{"event":'
 

@@ -15,6 +15,7 @@ import pytest
 from analyzer import dialects
 from analyzer.catalogue import Risk
 from analyzer.cli.boundary import FOLDER
+from analyzer.errors import UnreadableError
 from analyzer.live import endpoint as endpoints
 from conformance.bus import open_line
 from conformance.claim import RigFault
@@ -148,6 +149,22 @@ def test_a_killed_guard_leaves_a_journal_for_restore(tmp_path):
         speed, enabled = looked_at(path)
         assert speed == 0
         assert not enabled
+
+
+@pytest.mark.parametrize("text", [b"\xff{", b"[]", b"[" * 200_000, b"notes of mine", b'{"at":"', b'{"event":"end"}\n[]'])
+def test_what_is_no_journal_is_not_taken_for_a_torn_line(text, tmp_path):
+    """Else restoring it would say that nothing is left to be put back."""
+    path = tmp_path / "run.journal"
+    path.write_bytes(text)
+    with pytest.raises(UnreadableError, match="expected a line of a journal"):
+        journal.read(path)
+
+
+@pytest.mark.parametrize("torn", [b"{", b'{"ev', b'{"event":"cha', b'{"event":"ch\0\0\0', b"\0" * 400])
+def test_each_way_in_which_a_line_is_torn_off_is_known(torn, tmp_path):
+    path = tmp_path / "run.journal"
+    path.write_bytes(b'{"event":"end"}\n' + torn)
+    assert [entry.event for entry in journal.read(path)] == ["end"]
 
 
 def test_a_torn_last_line_of_a_journal_is_left_out(tmp_path):
