@@ -43,6 +43,7 @@ class Chunk(msgspec.Struct, frozen=True, gc=False):
 
     `t_ns`: arrival of the last byte, or None where the capture has no times. `direction`: who sent them where the
     capture says so, else `unknown`. `burst`: the capture itself delimits these bytes (a line of a log, a packet).
+    `torn`: the reader says that some of them are missing, or of those right before.
     """
 
     t_ns: int | None
@@ -50,6 +51,7 @@ class Chunk(msgspec.Struct, frozen=True, gc=False):
     data: bytes
     direction: Role = Role.UNKNOWN
     burst: bool = False
+    torn: bool = False
 
 
 class CanFrame(msgspec.Struct, frozen=True, gc=False):

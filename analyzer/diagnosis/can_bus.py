@@ -81,14 +81,25 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         return
     errors = [(p, can) for p, can in frames if can.error]
     data = [(p, can) for p, can in frames if not can.error]
+    again = _sent_again(scene)
     # What came from others shows that speed and wires are right; what the adapter sent itself shows nothing.
-    heard = [p for p, can in data if p.is_reply or (can.direction is not Role.REQUEST and not p.is_request)]
+    heard = [
+        p for p, can in data
+        if p not in again and (p.is_reply or (can.direction is not Role.REQUEST and not p.is_request))
+    ]  # fmt: skip
     if errors:
         yield from _errors(scene, _sorted(errors), heard)
     dialects = [d for d in scene.reader.dialects if d.bus == "can"]
     # A reply whose sum is wrong may be the frame of another make.
-    if not any(p.is_reply and p.sound and p.message is not None and p.message.command is not None for p, _ in data):
+    replies = [p for p, _ in data if p.is_reply and p not in again]
+    if not any(p.sound and p.message is not None and p.message.command is not None for p in replies):
         yield from _others(scene, data, dialects)
+
+
+def _sent_again(scene: Scene) -> list[Piece]:
+    """Return requests that were taken for the late reply to the same request before: they are its very bytes."""
+    late = {p.asked_by: p for p in scene.pieces if "late_reply" in p.rules and p.is_reply and p.can is not None}
+    return [late[p.sequence] for p in scene.pieces if p.sequence in late and p.data == late[p.sequence].data]
 
 
 def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:
@@ -394,7 +405,8 @@ _STATES, _COMMANDS = (0x00, 0x04, 0x05, 0x7F), (0x01, 0x02, 0x80, 0x81, 0x82)
 def _wrong_identifier(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> Iterator[Suspicion]:
     """Suspect requests that go to a number which CANopen makes of an address, or whose sums are those of another."""
     own = [(p, can) for p, can in frames if can.direction is not Role.REPLY and len(p.data) > 1]
-    fitting = [(p, can) for p, can in own if p.is_request and p.sound]
+    again = _sent_again(scene)
+    fitting = [(p, can) for p, can in own if (p.is_request or p in again) and p.sound]
     for group, meant in ((fitting, _node), (own, _summed)):
         for dialect in dialects:
             found = [(p, can, node) for p, can in group if (node := meant(scene, p, can, dialect)) is not None]
@@ -410,7 +422,7 @@ def _wrong_identifier(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialec
             )
             right = [shown(dialect.link.completed(p.data[:-1], node), node) for p, _, _ in found]
             yield Suspicion(
-                "can_wrong_id", Confidence.LIKELY, scene.of("damaged", "unanswered", "silent_address"),
+                "can_wrong_id", Confidence.LIKELY, scene.of("damaged", "unanswered", "silent_address", "late_reply"),
                 f"No drive answers at identifier {identifier(can.id)}: {why}",
                 f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(found), 'frame')}, no reply",
                 f"Send to the drive's address (1 by default): {right[0]}",

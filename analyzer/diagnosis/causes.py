@@ -287,7 +287,7 @@ CAUSES = {
             "firmware_quirk",
             "The drive does what its manual does not say.",
             "A second reply to the same command, a byte count that is not that of the bytes, or an exception without its code; "
-            "the check fits.",
+            "the check fits. Or an exception with 00 00 for its check, or no word of the end of a motion.",
             "Firmware differs from the manual, and from version to version.",
             "Note the version; let the program tolerate it.",
             "> FA 01 82 05 82    < FB 01 82 01 7F    < FB 01 82 01 7F",
@@ -382,10 +382,10 @@ CAUSES = {
         ),
         Cause(
             "can_extended_id",
-            "Frames have identifiers of 29 bits; the drives take 11 bits.",
-            "The data and the sum fit a standard frame of the same number.",
-            "The program sets the extended flag: python-can does by default.",
-            "Send standard frames: is_extended_id=False.",
+            "The flag for identifiers of 29 bits is not as the receiver needs it: set for a drive, or missing.",
+            "The data and the sum fit a standard frame of the same number; or of a number above 7FF only 11 bits go out.",
+            "The program sets the extended flag, as python-can does by default; or it gives 29 bits and does not set the flag.",
+            "Send standard frames to these drives: is_extended_id=False. Set the flag (CAN_EFF_FLAG) for a device of 29 bits.",
             "00000001#3031",
         ),
     )

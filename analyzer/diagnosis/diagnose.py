@@ -30,7 +30,7 @@ from analyzer.diagnosis import (
     wrapped,
 )
 from analyzer.diagnosis.ranking import Ranked, ranked
-from analyzer.diagnosis.scene import Scene, Suspicion
+from analyzer.diagnosis.scene import SILENT, Scene, Suspicion
 from analyzer.diagnosis.watch import Watch
 from analyzer.errors import PluginError
 from analyzer.pipeline import Pipeline
@@ -91,8 +91,8 @@ class Diagnosis:
 
 
 _MOST_FRAMES = 20
-#: Silent addresses that are a search, and the rules of their findings.
-_SEARCHED, _SILENT = 3, frozenset(("unanswered", "silent_address"))
+#: Silent addresses that are a search.
+_SEARCHED = 3
 
 
 def suspected(scene: Scene) -> Iterator[Suspicion]:
@@ -116,13 +116,14 @@ def weighed(scenes: Sequence[Scene]) -> Diagnosis:
     suspicions = [each for scene in scenes for each in suspected(scene)]
     causes = tuple(ranked(suspicions, troubles))
     known = any(p.message is not None and p.message.command is not None for scene in scenes for p in scene.pieces)
-    well = known and all(not scene.troubles or _is_search(scene) for scene in scenes)
-    return Diagnosis("trouble" if causes else "ok" if well else "unknown", causes, len(troubles))
+    lost = sum(scene.lost for scene in scenes)
+    well = known and not lost and all(not scene.troubles or _is_search(scene) for scene in scenes)
+    return Diagnosis("trouble" if causes else "ok" if well else "unknown", causes, len(troubles) + lost)
 
 
 def _is_search(scene: Scene) -> bool:
     """Say whether all that is wrong is that addresses are silent, of which each was asked once, and others answer."""
-    asked = [t.piece.message.address for t in scene.troubles if t.rule in _SILENT and t.piece and t.piece.message]
+    asked = [t.piece.message.address for t in scene.troubles if t.rule in SILENT and t.piece and t.piece.message]
     answers = any(piece.is_reply and piece.sound for piece in scene.pieces)
     return answers and len(asked) == len(scene.troubles) >= _SEARCHED and len(set(asked)) == len(asked)
 

@@ -262,6 +262,9 @@ def _in_parts(scene: Scene) -> Iterator[Suspicion]:
     """Suspect frames that are received in several reads, where a log shows that of most of them, or words ask about it."""
     asked = any(_ASKS_OF_PARTS.search(words) for words in scene.words)
     waits = any(_WAITS.search(words) for words in scene.words)
+    # The program that wrote the log judges each read alone.
+    failed = any(_FAILED.search(words) for words in scene.words)
+    asked |= failed
     if not asked and (scene.troubles or not scene.directed):
         return
     at, whole = 0, 0
@@ -281,7 +284,7 @@ def _in_parts(scene: Scene) -> Iterator[Suspicion]:
             found.append((piece, parts))
         else:
             whole += 1
-    if len(found) < (1 if asked or waits else _SHIFTED) or len(found) <= whole:
+    if len(found) < (1 if asked or waits else _SHIFTED) or (len(found) <= whole and not failed):
         return
     piece, parts = found[0]
     data = [piece.data[read.offset - piece.offset : read.stop - piece.offset] for read in parts]
@@ -297,6 +300,10 @@ def _in_parts(scene: Scene) -> Iterator[Suspicion]:
     )  # fmt: skip
 
 
+#: Words of a program that checks what it has read.
+_FAILED = re.compile(
+    r"\b(?:bad|wrong|invalid)[ _-]?(?:crc|checksum)\b|\b(?:crc|checksum)[ _-]?(?:error|fail\w*|mismatch)", re.IGNORECASE
+)
 #: Words of a library that has got a part of a frame.
 _WAITS = re.compile(r"\bframe\b[^\n]{0,20} not ready\b", re.IGNORECASE)
 #: Words of people who get a frame in parts.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from bisect import bisect_right
 from collections.abc import Iterator
 
-from analyzer.catalogue import Role
+from analyzer.catalogue import Risk, Role, Verb
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link import READS, modbus_crc
+from analyzer.link import FUNCTIONS, READS, modbus_crc
+from analyzer.protocols.mks_shared import MotorStatus
 from analyzer.values import counted
 
 #: So often something has to happen to be a habit.
@@ -16,11 +19,15 @@ _MOST_REGISTERS = 125
 _REQUEST = 8
 _MODBUS_LAST = 247
 _SHORTEST = 7
+#: Risks of what is set once, and not read again and again.
+_SETTINGS = frozenset((Risk.SETTING, Risk.LINK))
+#: The size of an exception, and its last code.
+_EXCEPTION, _LAST_CODE = 5, 0x0B
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the firmware."""
-    for part in (_second_reply, _byte_count, _never_answered):
+    for part in (_second_reply, _byte_count, _no_check, _no_end, _never_answered):
         yield from part(scene)
 
 
@@ -43,7 +50,10 @@ def _second_reply(scene: Scene) -> Iterator[Suspicion]:
         elif piece.asked_by is not None:
             last = piece
             once.add(message.command.name)
-    if len(found) < _HABIT or not once - again:
+    # Reads that are all answered twice are answered by two drives.
+    settings = all(t.piece.message.command.all_risks & _SETTINGS for t in found
+                   if t.piece is not None and t.piece.message is not None and t.piece.message.command is not None)  # fmt: skip
+    if len(found) < _HABIT or not (once - again or (settings and scene.directed)):
         return
     names = ", ".join(sorted(again))
     yield _said(
@@ -81,6 +91,84 @@ def _byte_count(scene: Scene) -> Iterator[Suspicion]:
             (Shown(piece.offset, shown(data)),),
         )  # fmt: skip
         return
+
+
+def _no_check(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect exceptions whose check is 00 00: no line makes two such bytes of a CRC."""
+    found = [
+        t for t in scene.damaged
+        if t.stretch is not None and t.stretch.can_id is None and t.stretch.direction is not Role.REQUEST
+        and t.stretch.opens and t.stretch.ends and _is_unchecked(t.stretch.data)
+    ]  # fmt: skip
+    if not found:
+        return
+    first = found[0].stretch
+    assert first is not None  # chosen so
+    yield Suspicion(
+        "firmware_quirk", Confidence.LIKELY, found,
+        "The device sends exceptions with 00 00 for their CRC.",
+        f"{shown(first.data)} at byte {first.offset}; right is {shown(first.data[:-2])} "
+        f"{shown(modbus_crc(first.data[:-2]).to_bytes(2, 'little'))}; {counted(len(found), 'time')}",
+        "Take an exception of this device without its check, or ask the maker for other firmware; then see why it refuses",
+        tuple(Shown(t.offset, shown(t.stretch.data)) for t in found if t.stretch is not None),
+    )  # fmt: skip
+
+
+def _is_unchecked(data: bytes) -> bool:
+    """Say whether bytes are an exception of Modbus whose check is 00 00."""
+    return (
+        len(data) == _EXCEPTION and data[1] ^ 0x80 in FUNCTIONS and 0 < data[2] <= _LAST_CODE and data[3:] == b"\0\0"
+        and 0 < data[0] <= _MODBUS_LAST and modbus_crc(data) != 0
+    )  # fmt: skip
+
+
+def _no_end(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect motions that began and of whose end no reply came: it stands, or words say so."""
+    begun: list[Piece] = []
+    told = False
+    for piece in scene.requests:
+        command = None if piece.message is None else piece.message.command
+        if command is None or command.motion is None or not command.motion.tells_end:
+            continue
+        last = [r.message.values.get(command.replies.status) for r in scene.replies.get(piece.sequence, ()) if r.message][-1:]
+        begun += [piece] if command.replies.interim.issuperset(last) and last else []
+        told |= bool(last) and command.replies.final.issuperset(last)
+    said = next((found[0] for words in scene.words if (found := _NO_END.search(words)) is not None), "")
+    shows = f" ({said!r} in the text)" if said else ", and the motor stands"
+    own = begun[-1:] if said else [piece for piece in begun if told and _stands(scene, piece)]
+    if not own:
+        return
+    yield _said(
+        Confidence.LIKELY, [Trouble("no_end", piece.offset, None, piece) for piece in own],
+        "A motion began, and the drive never reports its end.",
+        f" was answered by its start alone{shows}",
+        "Read the status (F1) or the position until the motor stands, and wait for no report; see whether 8C has switched "
+        "replies off, and look for other firmware",
+    )  # fmt: skip
+
+
+def _stands(scene: Scene, motion: Piece) -> bool:
+    """Say whether a drive tells more than once that it stands, before it is asked for anything but readings."""
+    standing = 0
+    for piece in scene.requests[bisect_right(scene.requests, motion.offset, key=lambda p: p.offset) :]:
+        message = piece.message
+        if message is None or message.command is None or motion.message is None or message.address != motion.message.address:
+            continue
+        if message.command.all_risks != {Risk.READ}:
+            break
+        if message.command.verb is Verb.READ_STATUS:
+            replies = [r.message.values for r in scene.replies.get(piece.sequence, ()) if r.message is not None]
+            standing += any(values.get("status") == MotorStatus.STOPPED for values in replies)
+    return standing >= _HABIT
+
+
+#: How people write that the report of an end is missing.
+_NO_END = re.compile(
+    r"\b(?:not|n't|never|no)\b[^.\n]{0,30}\b(?:run[ _-]complete|complet\w+|finish\w*|arriv\w+|done)\b[^.\n]{0,12}"
+    r"\b(?:stat\w+|response|reply|message|report|feedback)|\b(?:not|n't|never)\b[^.\n]{0,12}\b(?:send|sent|report|return|get|got)\w*\b"
+    r"[^.\n]{0,20}\b(?:run[ _-]complete|complet\w+|finish\w*)",
+    re.IGNORECASE,
+)
 
 
 def _never_answered(scene: Scene) -> Iterator[Suspicion]:

@@ -121,7 +121,7 @@ def _failing(scene: Scene) -> Iterator[tuple[list[Trouble], Piece, Piece | None]
         refusal = refusals.get(piece.sequence)
         message = piece.message
         if message is None or not piece.is_request or not message.frame.checksum_ok:
-            if piece.is_reply and piece.asked_by is None and "modbus_exception" in piece.rules:
+            if piece.is_reply and piece.asked_by is None and piece.sound and "modbus_exception" in piece.rules:
                 yield own[piece.sequence], piece, piece
             continue
         troubles = own[piece.sequence] + (own[refusal.sequence] if refusal is not None else [])

@@ -149,6 +149,8 @@ class Suspicion:
 
 #: Rules of findings that say that the bytes of a frame are not as the manual has them.
 DAMAGED = frozenset(("bad_checksum", "unknown_command", "wrong_length", "short_package", "foreign_can_frame"))
+#: Rules of findings that no reply came.
+SILENT = frozenset(("unanswered", "silent_address"))
 #: Rules of findings that are a trouble by themselves, apart from damaged bytes.
 _TROUBLE = frozenset(
     ("unanswered", "silent_address", "unsolicited_reply", "duplicate_reply", "late_reply", "failed_status", "modbus_exception",
@@ -161,7 +163,8 @@ class Scene:
     """One bus: its pieces near trouble in their order, the limits of its reads, and what is found wrong.
 
     `frames`: all that came by, kept or not. `timed`: the capture has times. `noted`: the bytes stand among words, and these
-    neither ask nor say that anything is wrong. `words`: the first of them.
+    neither ask nor say that anything is wrong. `words`: the first of them. `lost`: findings that are left out, since the reader
+    of the capture has lost bytes there.
     """
 
     bus: str
@@ -173,6 +176,7 @@ class Scene:
     timed: bool
     noted: bool = False
     words: tuple[str, ...] = ()
+    lost: int = 0
     reader: Reader = field(init=False)
     explained: set[Trouble] = field(default_factory=set)
 

@@ -21,6 +21,8 @@ _STRAY_BYTES = 3
 _HIGH, _INSTEAD = 7, 3
 #: Bytes that a receiver misses while it wakes up.
 _LOST_BYTES = 3
+#: Sound frames that damaged ones are compared with.
+_MOST_FRAMES = 200
 #: Bytes that a reply must show before it is one that only lacks its end.
 _LEAST_OF_REPLY = 5
 #: A request to read registers.
@@ -75,6 +77,23 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         behind = parts[number + 1] if number + 1 < len(parts) else None
         if (edge := _glitch(scene, part, before, behind)) is not None:
             (leading if edge[0] else trailing).append(edge[1])
+    # What stands between frames and within one is no matter of their edges.
+    among = [edge for edge in (*leading, *trailing) if edge.stray]
+    inside = list(_inside(scene, {edge.stray for edge in among})) if among else []
+    if inside:
+        strays = {edge.stray for edge in inside}
+        among = [edge for edge in among if edge.stray in strays]
+        leading, trailing = ([edge for edge in edges if edge not in among] for edges in (leading, trailing))
+        yield Suspicion(
+            "noise", Confidence.CERTAIN if len(inside) > 1 else Confidence.LIKELY,
+            list(dict.fromkeys(edge.trouble for edge in (*inside, *among))),
+            "Noise on the line: stray bytes come between frames, and within a frame.",
+            f"{shown(inside[0].stray)} stands within {shown(inside[0].frame)} at byte {inside[0].trouble.offset}, and between "
+            f"frames at byte {among[0].trouble.offset}; {counted(len(inside) + len(among), 'time')}",
+            "Try another USB adapter; check the ground between host and drives, the termination (120 Ohm at both ends only) "
+            "and the bias; repeat what fails",
+            tuple(Shown(e.trouble.offset, shown(_stretch(e).data), shown(e.frame)) for e in inside),
+        )  # fmt: skip
     # Noise takes a start away here and there.
     most = (
         2 * len(lost)
@@ -103,6 +122,20 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             f"{shown(trailing[0].stray)} stands behind the whole frame {shown(trailing[0].frame)}",
             "Release the driver only after the last stop bit and bias the line; take as many bytes as the frame has",
         )  # fmt: skip
+
+
+def _inside(scene: Scene, strays: set[bytes]) -> Iterator[_Edge]:
+    """Yield sound frames of the bus that came once more with a stray byte within them; the end may be cut off by it."""
+    frames = list(dict.fromkeys(p.data for p in scene.pieces if p.sound and p.can is None))[:_MOST_FRAMES]
+    for trouble in scene.damaged:
+        data = trouble.stretch.data if trouble.stretch is not None else b""
+        for frame in frames:
+            at = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(data, frame, strict=False)))
+            behind = data[at + 1 :]
+            whole = len(data) >= len(frame) and len(behind) >= _LEAST_OF_REPLY - 1 and frame[at:].startswith(behind)
+            if at and whole and data[at : at + 1] in strays:
+                yield _Edge(trouble, data[at : at + 1], frame, Role.UNKNOWN)
+                break
 
 
 def _floating(scene: Scene) -> Iterator[Suspicion]:

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect
 from analyzer.columns.block import ByteBlock
-from analyzer.diagnosis.scene import Piece, Read, Scene
+from analyzer.diagnosis.scene import SILENT, Piece, Read, Scene
 from analyzer.pipeline import Entry, Item
 from analyzer.records import Chunk, Comment, Finding, Frame, Junk, Lane, Message
 
@@ -215,16 +215,20 @@ class Watch:
         if not pieces and self._said and not self.found:
             # Words alone may tell what went wrong.
             pieces["serial"] = []
-        return [
-            Scene(
-                bus, tuple(dialects), found,
-                [
-                    Read(offset, offset + len(chunk.data), chunk.t_ns, chunk.direction, chunk.burst)
-                    for chunk, offset in self._reads
-                    if chunk.port == bus
-                ],
-                [f for f in self._findings if f.port == bus],
-                self.frames, self.timed, self._words and not self._asks, tuple(self._said),
-            )
-            for bus, found in pieces.items()
-        ]  # fmt: skip
+        return [self._scene(bus, found, tuple(dialects)) for bus, found in pieces.items()]
+
+    def _scene(self, bus: str, pieces: list[Piece], dialects: tuple[Dialect, ...]) -> Scene:
+        """Return a bus without what rests on bytes that the reader of the capture could not read."""
+        reads = [(chunk, offset) for chunk, offset in self._reads if chunk.port == bus]
+        torn = [(offset, offset + len(chunk.data)) for chunk, offset in reads if chunk.torn]
+        kept = [p for p in pieces if p.sound or not any(p.offset < stop and p.stop >= start for start, stop in torn)]
+        # The reply to what was asked before may be among what is missing.
+        asked = {max((p.sequence for p in kept if p.is_request and p.stop <= start), default=-1) for start, _ in torn}
+        lost = {p.sequence for p in pieces} - {p.sequence for p in kept} | asked
+        findings = [f for f in self._findings if f.port == bus]
+        told = [f for f in findings if f.sequence not in lost or (f.sequence in asked and f.rule not in SILENT)]
+        return Scene(
+            bus, dialects, kept,
+            [Read(offset, offset + len(c.data), c.t_ns, c.direction, c.burst) for c, offset in reads],
+            told, self.frames, self.timed, self._words and not self._asks, tuple(self._said), len(findings) - len(told),
+        )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
@@ -190,6 +191,30 @@ def _of_header(scene: Scene) -> Iterator[Suspicion]:
             )  # fmt: skip
 
 
+def _split_headers(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect reads that end within a reply of Modbus TCP: what is read next has as many bytes as its header still promises."""
+    found: list[tuple[Stretch, Stretch]] = []
+    behind = {one.offset: other for one, other in pairwise(scene.bursts)}
+    for header in _headers(scene):
+        rest = behind.get(header.burst.offset)
+        if rest is None or rest.direction is not header.burst.direction or header.burst.direction is Role.REQUEST:
+            continue
+        if 0 < len(rest.data) == header.promised - len(header.body):
+            found.append((header.burst, rest))
+    if not found:
+        return
+    one, other = found[0]
+    parts = {part.offset for pair in found for part in pair}
+    yield Suspicion(
+        "split_frame", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY,
+        [t for t in scene.troubles if t.offset in parts] or [Trouble("damaged", one.offset)],
+        "A reply of Modbus TCP comes in several reads: TCP carries a stream of bytes, and no frames.",
+        f"{shown(one.data)} + {shown(other.data)} at byte {one.offset} are one reply; {counted(len(found), 'time')}",
+        "Join what is read until as many bytes are there as the header promises: its bytes 4 and 5 are the length of the rest",
+        tuple(Shown(a.offset, shown(a.data), shown(a.data + b.data)) for a, b in found),
+    )  # fmt: skip
+
+
 #: Requests back that a late reply can be of.
 _BACK = 8
 #: Words of a program that speaks Modbus TCP itself.
@@ -199,6 +224,7 @@ _SPEAKS_TCP = re.compile(r"\bmodbus\w*?[-_ ]?tcp|\btransaction[_ ]?id|\bmbap\b|\
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the dress."""
     yield from _of_header(scene)
+    yield from _split_headers(scene)
     yield from _told_twice(scene)
     for dress in DRESSES:
         found: list[tuple[Trouble, bytes, bytes]] = []
@@ -283,7 +309,16 @@ def _all_answered(scene: Scene, dress: Dress) -> bool:
     )
     # A log that is cut may begin with a reply and end with a request.
     begun = bool(sent) and bool(came) and len(came) + 1 >= len(sent)
-    return (bool(sent) and sent <= came) or begun or _numbers_return(scene)
+    return (bool(sent) and sent <= came) or begun or _numbers_return(scene) or _replies_alone(scene)
+
+
+def _replies_alone(scene: Scene) -> bool:
+    """Say whether whole replies with a header were received, and nothing shows requests: the device has put it there."""
+    replies = [
+        h for h in _headers(scene)
+        if h.burst.direction is Role.REPLY and h.body[1] in READS and h.promised == _LEAST_COUNT + h.body[2]
+    ]  # fmt: skip
+    return bool(replies) and not scene.shows_sent and not scene.requests
 
 
 def _numbers_return(scene: Scene) -> bool:

@@ -12,6 +12,7 @@ one module of its own.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -244,15 +245,27 @@ def _find(source: Source) -> str:
         raise UnreadableError(_unknown(source, scores))
 
 
+#: Words of a text on CAN, and two bytes or more in a row.
+_CAN_WORD = re.compile(r"\bcan(?: ?bus|[ _-]?(?:message|frame|id|rsp)s?)\b|\bCAN\b(?!')|\bCan\w*(?:RSP|ID)\b")
+_FEW_BYTES = re.compile(r"\b0[xX][0-9A-Fa-f]{1,2}[ ,]+0[xX][0-9A-Fa-f]{1,2}\b")
+
+
 def _unknown(source: Source, scores: dict[str, float]) -> str:
     """Return why nothing fits, with what came nearest."""
     best = max(scores, key=scores.__getitem__)
     lines = head_lines(source.head)
     seems = "text" if is_text(source.head) else "binary data"
     shown = f", beginning {quote(lines[0].strip())!r}" if lines else ""
+    # Bytes of CAN without an identifier say neither whose they are nor what their sum is made of.
+    text = source.head.decode("utf-8", "replace") if is_text(source.head) else ""
+    lacks = (
+        "The text speaks of CAN and its bytes stand without an identifier: put that of each frame before it (001#FFCACA). "
+        if _CAN_WORD.search(text) and _FEW_BYTES.search(text)
+        else ""
+    )
     near = f"the nearest is {FORMATS[best].title} ({scores[best]:.0%})" if scores[best] > 0 else "no format comes close"
     return (
-        f"{source.name} is not a recognised capture format ({seems}{shown}). Tried: {', '.join(scores)}; {near}. "
+        f"{source.name} is not a recognised capture format ({seems}{shown}). Tried: {', '.join(scores)}; {near}. {lacks}"
         "In text, frames are expected as FA 01 30 2B, FA:01:30:2B, 0xFA, 0x01, [FA][01], \\xFA\\x01 or 250, 1, 48, 43, and "
         "on CAN as 001#3031. --format NAME reads it as that format anyway"
     )

@@ -92,7 +92,7 @@ def _records(source: Source) -> Iterator[Chunk]:
     port = source.port()
     before, end = b"", 0
     first = True
-    starred = False
+    starred = torn = False
     packet = bytearray()
     for line in lines:
         text = line.strip()
@@ -107,7 +107,8 @@ def _records(source: Source) -> Iterator[Chunk]:
         offset, data = row
         if packets and (offset == 0 or len(packet) >= _LONGEST_PACKET):
             if packet:
-                yield Chunk(None, port, bytes(packet), burst=True)
+                yield Chunk(None, port, bytes(packet), burst=True, torn=torn)
+            torn = False
             packet.clear()
         elif not first and offset > end:
             missing = offset - end
@@ -118,6 +119,7 @@ def _records(source: Source) -> Iterator[Chunk]:
                 else:
                     yield Chunk(None, port, before * (missing // len(before)))
             else:
+                torn = True
                 source.problem(f"{counted(missing, 'byte')} missing before offset {offset:X}", line=lines.number)
         elif not first and 0 < offset < end:
             source.problem(f"expected offset {end:X}, got {offset:X}; the bytes are kept", line=lines.number)
@@ -126,6 +128,7 @@ def _records(source: Source) -> Iterator[Chunk]:
         if packets:
             packet += data
         elif data:
-            yield Chunk(None, port, data)
+            yield Chunk(None, port, data, torn=torn)
+            torn = False
     if packet:
-        yield Chunk(None, port, bytes(packet), burst=True)
+        yield Chunk(None, port, bytes(packet), burst=True, torn=torn)

@@ -19,6 +19,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 
+import msgspec
+
 from analyzer.catalogue import Role
 from analyzer.diagnosis.reports import speaks
 from analyzer.link import modbus_crc
@@ -34,6 +36,8 @@ from analyzer.sources.stamps import StampClock
 from analyzer.sources.written import Radix
 from analyzer.values import counted
 
+#: What a program notes beside bytes whose check failed.
+_JUDGED = re.compile(r"\berr(?:or)?\s*[=:]\s*\w*(?:crc|checksum)\w*", re.IGNORECASE)
 #: Lines of a head that are looked at to find the format.
 _SAMPLE_LINES = 400
 #: Traffic lines, as a share of all, below which a text is no log.
@@ -238,6 +242,8 @@ class _Reader:
                 self._check_count(line)
                 if line.passed and self._lines.number <= _SAMPLE_LINES and speaks(line.passed):
                     yield source.comment(t_ns, line.passed)
+                elif self._lines.number <= _SAMPLE_LINES and (judged := _JUDGED.search(text)) is not None:
+                    yield source.comment(t_ns, judged[0])
                 if line.declared and not self._declared:
                     # Once shows that these are bytes of a program.
                     self._declared = True
@@ -415,7 +421,7 @@ class _Reader:
         self._source.problem(
             f"expected at most {_PIECES} frames on a line, got more: {quote(line.note)!r} is not read", line=self._lines.number
         )
-        yield self._chunk(t_ns, line, line.data)
+        yield msgspec.structs.replace(self._chunk(t_ns, line, line.data), torn=True)
 
     def _is_reprint(self, t_ns: int | None, line: HexLine) -> bool:
         """Say whether another layer of a program prints at once what the line before has."""

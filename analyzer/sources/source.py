@@ -429,7 +429,7 @@ def _joins(record: Record | CanBlock) -> bool:
     """Say whether a record can stand in a block."""
     if isinstance(record, CanFrame):
         return CanBlock.takes(record) and 0 <= (record.t_ns or 0) < FAR_NS
-    return isinstance(record, Chunk) and bool(record.data)
+    return isinstance(record, Chunk) and bool(record.data) and not record.torn
 
 
 def _follows(held: Chunk | CanFrame, other: Record | CanBlock) -> bool:

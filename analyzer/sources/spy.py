@@ -23,8 +23,8 @@ from analyzer.values import counted
 _ROW_BYTES = 16
 #: Where the characters of a row stand, behind its first byte.
 _CHARACTERS = 50
-#: Sixteen columns of three characters, a gap after the eighth, a gap, and the bytes as characters.
-_ROW = re.compile(r"(\d{6,}\.\d{3}) (TX|RX)   ([0-9A-F]{4,})  ((?:[0-9A-F]{2} ){1,8}(?: (?:[0-9A-F]{2} ){1,8})?)")
+#: Sixteen columns of three characters, a gap after the eighth (some logs have none), a gap, and the bytes as characters.
+_ROW = re.compile(r"(\d{6,}\.\d{3}) (TX|RX)   ([0-9A-F]{4,})  ((?:[0-9A-F]{2} ){1,8}(?: ?(?:[0-9A-F]{2} ){1,8})?)")
 _EMPTY = re.compile(r"(\d{6,}\.\d{3}) RX   <empty>\s*$")
 _CONTROL = re.compile(r"(\d{6,}\.\d{3}) (?![TR]X )([A-Z][A-Z-]{1,5}) +(\S.*)$")
 _EITHER = re.compile(f"(?:{_ROW.pattern})|(?:{_EMPTY.pattern})|(?:{_CONTROL.pattern})")
@@ -48,12 +48,12 @@ def _records(source: Source) -> Iterator[Chunk | Comment]:
     lines = Lines(source)
     port = source.port()
     held = b""
-    held_ns, held_mark = 0, ""
+    held_ns, held_mark, torn = 0, "", False
     for line in lines:
         found = _ROW.match(line)
         if found is None:
             if held:
-                yield _chunk(held_ns, port, held, held_mark)
+                yield _chunk(held_ns, port, held, held_mark, torn)
                 held = b""
             other = None if _EMPTY.match(line) else _CONTROL.match(line)
             if other is not None:
@@ -68,27 +68,30 @@ def _records(source: Source) -> Iterator[Chunk | Comment]:
         place = int(offset[:8], 16)
         # A blank may be a byte or fill the row up, so fewer characters than bytes are no damage.
         shown = len(line[found.start(4) + _CHARACTERS :].rstrip())
-        if shown > len(data):
+        lacks = shown > len(data)
+        if lacks:
             source.problem(
                 f"expected {counted(shown, 'byte')}, as many as the characters show, got {len(data)}", line=lines.number
             )
         continues = bool(held) and mark == held_mark and place == len(held) < _JOINED
         if not continues and place and place < _JOINED:
+            lacks = True
             source.problem(f"the rows before offset {offset} are missing", line=lines.number)
         if held and not continues:
-            yield _chunk(held_ns, port, held, held_mark)
+            yield _chunk(held_ns, port, held, held_mark, torn)
             held = b""
         if not continues:
-            held_ns, held_mark = number_ns(stamp), mark
+            held_ns, held_mark, torn = number_ns(stamp), mark, False
         held += data
+        torn |= lacks
         # A row that is not full is the last of its call; waiting for the next line would hold up a live log.
         if len(data) < _ROW_BYTES:
-            yield _chunk(held_ns, port, held, held_mark)
+            yield _chunk(held_ns, port, held, held_mark, torn)
             held = b""
     if held:
-        yield _chunk(held_ns, port, held, held_mark)
+        yield _chunk(held_ns, port, held, held_mark, torn)
     cut_note(source, lines)
 
 
-def _chunk(t_ns: int, port: str, data: bytes, mark: str) -> Chunk:
-    return Chunk(t_ns, port, data, _ROLES[mark], mark == "TX")
+def _chunk(t_ns: int, port: str, data: bytes, mark: str, torn: bool) -> Chunk:
+    return Chunk(t_ns, port, data, _ROLES[mark], mark == "TX", torn)
