@@ -270,6 +270,10 @@ class Walk:
         kind = command.motion.kind if command.motion is not None else None
         if verb is Verb.RESTART:
             wait_for_answer(probe)
+            if Verb.SAVE_SPEED in self.dialect.by_verb and abs(motion.speed(probe).value) >= 1 + probe.noise.rpm:
+                # A run that is kept begins at power-on; no read tells whether one is, and other claims judge it.
+                motion.stand_still(probe)
+                self._since = len(probe.traffic)
             twin.wait(self._twin_ns(probe.gate.now_ns()))
             while not twin.drive.listening:
                 twin.wait(twin.now_ns + 10 * MS)

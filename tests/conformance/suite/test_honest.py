@@ -262,6 +262,28 @@ ONCE_ACCUSED = [
         912004,
         "move_multi_turn/takes-over",
     ),
+    # At its subdivision the shaft was faster than was sent, and was there before its speed had been looked at often enough.
+    (
+        "mks-rs485@20,model=28D,encoder-noise=2,loop-error=3,speed-noise=1.5%,stall=10ms,clock=+1%,latency=0.3..8ms,"
+        "turnaround-noise=FF,warm,home_trigger=1,key_lock=1,subdivision=12",
+        60600002,
+        "and-the-bus",
+    ),
+    # A run that was kept began when the walk restarted the drive.
+    (
+        "mks-can@22,model=57E,encoder-noise=1,loop-error=1,speed-noise=1.5%,hysteresis=2,clock=-1%,latency=0.3..8ms,"
+        "voltage-noise=0.3,home_current=150,home_trigger=1,return_angle=16384,saved_run=1,saved_speed=100,"
+        "saved_acceleration=100,saved_direction=1",
+        60600002,
+        "state/walk/2",
+    ),
+    # The speed in a reply and the speeds before and after it trembled, each by itself.
+    (
+        "lk-rs485@1,model=MH,speed-noise=0.5%,hysteresis=1,overshoot=2,latency=0.3..1ms,latency-timer=2ms,warm,"
+        "line-errors=0.5%,speed_ki=0",
+        60600004,
+        "crossed-tells",
+    ),
 ]
 
 
