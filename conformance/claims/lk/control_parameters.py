@@ -70,6 +70,8 @@ _SPEED_LIMITS = ((-1, _LIMIT, False), (1, _LIMIT, False), (-1, _LIMIT, True), (1
 _ANGLE_LIMITS = ((1, 60), (-1, 60), (-1, 400))
 #: How far a move goes under a speed limit: less than a turn, for some stay within one.
 _WAY = 345
+#: How often a motion is tried of which the line damages something.
+_TRIES = 3
 #: A speed reaches its limit within the first time, and is measured for the second.
 _HOLDS_NS, _SEEN_NS = 300 * MS, 300 * MS
 
@@ -137,20 +139,34 @@ def limited_speeds(probe: Probe, move: Command) -> tuple[_Limited, ...]:
 def _limited_speeds(probe: Probe, begin: Callable[[int], object]) -> tuple[_Limited, ...]:
     kept = parameter(probe, "speed_limit")
     found = []
-    for way, limit, under_way in _SPEED_LIMITS if kept is not None else ():
-        motion.ready_to_move(probe)
-        exchange = set_parameter(probe, "speed_limit", _WIDER if under_way else limit)
-        begin(way)
-        probe.wait(_HOLDS_NS)
-        if under_way:
-            exchange = set_parameter(probe, "speed_limit", limit)
-            probe.wait(_HOLDS_NS)
-        rpm, uncertain = motion.mean_speed(probe, _SEEN_NS)
-        motion.stand_still(probe)
-        set_parameter(probe, "speed_limit", kept or 0)
-        within = _LIMIT_NEAR + limit / 600 * CLOCK_SHARE + uncertain
-        found.append(_Limited(way, abs(rpm), limit / 600, within, exchange, under_way))
+    for one in _SPEED_LIMITS if kept is not None else ():
+        for _ in range(_TRIES):
+            since = len(probe.traffic)
+            seen = _limited_speed(probe, begin, *one)
+            damaged = any(exchange.damaged for exchange in probe.traffic[since:])
+            motion.stand_still(probe)
+            set_parameter(probe, "speed_limit", kept or 0)
+            if not damaged:
+                break
+            # While a reply is waited for that the line damaged, a move comes to its end.
+        else:
+            raise Inconclusive("the line damages replies while a speed limit is tried")
+        found.append(seen)
     return tuple(found)
+
+
+def _limited_speed(probe: Probe, begin: Callable[[int], object], way: int, limit: int, under_way: bool) -> _Limited:
+    """Begin a motion under a speed limit, or write that under way, and measure its speed."""
+    motion.ready_to_move(probe)
+    exchange = set_parameter(probe, "speed_limit", _WIDER if under_way else limit)
+    begin(way)
+    probe.wait(_HOLDS_NS)
+    if under_way:
+        exchange = set_parameter(probe, "speed_limit", limit)
+        probe.wait(_HOLDS_NS)
+    rpm, uncertain = motion.mean_speed(probe, _SEEN_NS)
+    within = _LIMIT_NEAR + limit / 600 * CLOCK_SHARE + uncertain
+    return _Limited(way, abs(rpm), limit / 600, within, exchange, under_way)
 
 
 def limited_places(probe: Probe, move: Command) -> tuple[_Limited, ...]:

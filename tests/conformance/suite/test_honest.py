@@ -262,6 +262,20 @@ ONCE_ACCUSED = [
         912004,
         "move_multi_turn/takes-over",
     ),
+    # A move under a speed limit came to its end likewise, before its speed was measured.
+    (
+        "lk-rs485@30,model=MH,loop-error=3,speed-noise=2%,tremble=1,speed-lag=20ms,dip=0.3,latency=0.3..8ms,angle_kd=65535,"
+        "current_ramp=200000,line-errors=1%",
+        60600007,
+        "speed-limit-move_increment-each-way",
+    ),
+    # A short move had its highest speed between looks: means over them are near each other, and beyond that of its ramp.
+    (
+        "lk-rs485@25,model=MG,encoder-noise=2,speed-noise=1%,first-late=200ms,settle=10ms,overshoot=6,latency=0.3..3ms,warm,"
+        "current_kp=0,speed_limit=144000",
+        60600006,
+        "read_state_2/crossed",
+    ),
 ]
 
 
