@@ -68,12 +68,18 @@ def test_a_client_that_is_killed_before_any_step(mortal, captures, clean, tmp_pa
 
 
 def test_a_client_that_is_killed_at_any_instant(mortal, captures, clean, tmp_path):
-    _, _, cpu, *_ = mortal(tmp_path / "whole")
-    chance, ends = random.Random(5), []
-    for number in range(12):
-        ends.append(mortal(tmp_path / str(number), cpu=chance.uniform(0.2, 1) * cpu)[0])
+    _, _, work, *_ = mortal(tmp_path / "whole")
+    chance, killed = random.Random(5), 0
+    for number in itertools.count():
+        ended, _, cpu, *_ = mortal(tmp_path / str(number), cpu=chance.uniform(0.2, 1) * work)
         healed(tmp_path / str(number), captures, clean)
-    assert ends.count(signal.SIGPROF) > 5
+        killed += ended == signal.SIGPROF
+        if killed == 6:
+            break
+        if not ended:
+            # It needed less than was thought: how much work it is depends on what else the machine does.
+            work = min(work, cpu)
+            assert number < 100
 
 
 def test_a_disk_that_is_full_is_told_and_costs_no_rows(mortal, captures, clean, tmp_path):

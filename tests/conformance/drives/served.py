@@ -184,6 +184,15 @@ class Bridge:
             end.close()
 
 
+def read_from(fd: int, count: int, seconds: float = 5.0) -> bytes:
+    """Read exactly that many bytes, or what came within the time."""
+    data = b""
+    deadline = time.monotonic() + seconds
+    while len(data) < count and select.select([fd], [], [], max(0.0, deadline - time.monotonic()))[0]:
+        data += os.read(fd, count - len(data))
+    return data
+
+
 def wait_for(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
     """Wait until something outside this process is so. It never looks for longer than it leaves the processor to others."""
     deadline = time.monotonic() + seconds

@@ -27,7 +27,7 @@ from conformance.serve.clock import Clock
 from conformance.serve.line_speed import line_speed
 from conformance.serve.pty import PtyPort
 from tests.conformance.drives.plain_drive import PlainDrive
-from tests.conformance.drives.served import drives, on_port, on_pty, wait_for
+from tests.conformance.drives.served import drives, on_port, on_pty, read_from, wait_for
 
 MKS = dialects.get("mks-rs485")
 TIMEOUT = 0.5
@@ -79,7 +79,7 @@ def test_a_client_that_sets_no_speed_is_at_the_drives() -> None:
         client = os.open(path, os.O_RDWR | os.O_NOCTTY)
         try:
             os.write(client, read())
-            assert os.read(client, 6) == reply()
+            assert read_from(client, 6) == reply()
         finally:
             os.close(client)
 

@@ -33,7 +33,7 @@ from conformance.tap.passing import Passing
 from conformance.tap.settings import LineSettings, of_endpoint, of_terminal, set_terminal
 from conformance.tap.storing import REPLY, REQUEST, Storing, Taken
 from conformance.tap.terminal import Terminal
-from tests.conformance.drives.served import wait_for
+from tests.conformance.drives.served import read_from, wait_for
 
 
 class Far:
@@ -63,15 +63,6 @@ class Far:
         """Speed, odd parity, two stop bits."""
         control = termios.tcgetattr(self.slave)[2]
         return line_speed(self.slave), bool(control & termios.PARODD), bool(control & termios.CSTOPB)
-
-
-def read_from(fd: int, count: int, seconds: float = 5.0) -> bytes:
-    """Read exactly that many bytes, or what came within the time."""
-    data = b""
-    deadline = time.monotonic() + seconds
-    while len(data) < count and select.select([fd], [], [], max(0.0, deadline - time.monotonic()))[0]:
-        data += os.read(fd, count - len(data))
-    return data
 
 
 class Tapped:
