@@ -143,7 +143,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "Single motor command/data-sum",
         "Where there are data, a last byte is the low byte of their sum; without data there is none.",
-        ("shape/*/data_checksum", "shape/*/length", "motion/move_multi_turn_limited/sums", "resilience/moves/good"),
+        ("shape/*/data_checksum", "shape/*/length", "motion/move_multi_turn_limited/sums"),
     ),
     S(
         "Single motor command/data-sum-guards",

@@ -59,6 +59,7 @@ MODULES = (
     "motion.durations",
     # motion
     "motion.moves",
+    "motion.sums",
     "motion.runs",
     "motion.newer_motion",
     "motion.speed_limits",

@@ -21,8 +21,6 @@ PAUSE_NS = 60_000_000
 LISTEN_NS = 300_000_000
 #: This many good reads in quiet must be answered before a drive counts as deaf.
 _CONTROLS = 6
-#: So many times the replies in which a line damages one: as many without damage are of a line that damages none.
-_SURELY = 7
 #: Reads that carry data, by verb: a drive must check these data besides the head.
 _WITH_DATA: tuple[Verb, ...] = (Verb.READ_PARAMETER, Verb.BRAKE)
 
@@ -98,16 +96,6 @@ def ask_first(probe: Probe) -> None:
 def answered_by(probe: Probe, sent: Exchange, *commands: Command) -> bool:
     """Say whether a good reply to each of these commands came back, in this order, and nothing else."""
     return in_order(sent, probe.dialect, commands, probe.address)
-
-
-def judge_alone(probe: Probe, damaged: int, of: int) -> None:
-    """Look whether reads are damaged too, where some of the replies to one command are: then it is not that command's fault.
-
-    Raises Inconclusive where they are.
-    """
-    read = plain_read(probe.dialect)
-    if not all(is_answered(probe.ask(read, quiet_ns=0)) for _ in range(_SURELY * of // max(1, damaged))):
-        raise Inconclusive(f"replies to {read.name} are damaged too, which another claim judges")
 
 
 def expect_checked(probe: Probe, bad: Sequence[Exchange], of: Sequence[Exchange], refutes: str) -> None:

@@ -11,7 +11,7 @@ Rules kept here:
 - What is discrete must be the same: whether there is a reply, its status, settings, flags. It is compared away from changes.
 - Places, speeds and errors are compared through the resolution and the measured noise, of a shaft that stands or has its speed.
 - Where the manual leaves open what becomes of the shaft (it is stopped, let go, its mode changes), the twin takes the word
-  of the drive. So it does of what differs at the very begin, which no request of the walk has set.
+  of the drive. So it does of what differs at the very begin, which no request of the walk has set, and of what power-on does.
 - No manual promises currents, voltages or temperatures.
 - A number that differs is read again when the shaft surely rests. The twin has a known quirk that explains a reply from
   then on: other claims name it.
@@ -53,6 +53,8 @@ _AGAIN_NS, _AT_ONCE_NS = (200 * MS, 1_200 * MS), (0, 20 * MS)
 _WORTH_NS = 60 * MS
 #: How late a reply to a motion was seen to come.
 _BEHIND_NS, _SLOW_REPLY_NS = 800 * MS, 250 * MS
+#: By then a run that a drive keeps turns the shaft.
+_BEGINS_NS = 100 * MS
 #: By then a run has its speed.
 _LONG_NS = 100_000 * MS
 #: How long a shaft may take to come to rest that its twin's has, and the speed of one that surely turns.
@@ -114,7 +116,7 @@ class Walk:
         self.running = self._loose = False
         #: Whether the motion under way is a move that began at rest, of which the law tells each place.
         self._from_rest = False
-        #: Fields that differed at the begin: the drive's own.
+        #: Fields that differed at the begin, and what is told of power-on: the drive's own.
         self._own: set[tuple[str, str]] = set()
         self._missing: set[Verb] = set()
         #: Settings, by field, that the drive does not tell and the walk has not set.
@@ -148,7 +150,7 @@ class Walk:
         for step in beginning(self.dialect):
             self.do(step)
         self._place(anywhere=True)
-        self._learn_own()
+        self._learn_own(*self.reads)
         self.steps.clear()
         self._expected, self._since = [], len(self.probe.traffic)
 
@@ -173,8 +175,9 @@ class Walk:
                 told |= self.probe.reply(self.probe.ask(read, quiet_ns=0)).values
             self._take(told)
 
-    def _learn_own(self) -> None:
-        for command in self.reads:
+    def _learn_own(self, *commands: Command) -> None:
+        """Take what these reads tell otherwise than the twin as the drive's own from now on."""
+        for command in commands:
             answer, told = self._asked(command)
             if answer is not None and told is not None:
                 self._own |= {(command.name, name) for name in self._different(command, answer, told)}
@@ -270,10 +273,7 @@ class Walk:
         kind = command.motion.kind if command.motion is not None else None
         if verb is Verb.RESTART:
             wait_for_answer(probe)
-            if Verb.SAVE_SPEED in self.dialect.by_verb and abs(motion.speed(probe).value) >= 1 + probe.noise.rpm:
-                # A run that is kept begins at power-on; no read tells whether one is, and other claims judge it.
-                motion.stand_still(probe)
-                self._since = len(probe.traffic)
+            self._end_kept_run()
             twin.wait(self._twin_ns(probe.gate.now_ns()))
             while not twin.drive.listening:
                 twin.wait(twin.now_ns + 10 * MS)
@@ -309,6 +309,20 @@ class Walk:
             self._place(anywhere=was_turning or verb in (Verb.RESTART, Verb.CLEAR_TURNS))
             if (verb is Verb.SET_WORK_MODE and self._open_enabling(before)) or verb is Verb.RESTART:
                 self._take_enabled()
+            if verb is Verb.RESTART and Verb.READ_ZERO_STATUS in self.dialect.by_verb:
+                # Whether a zero is kept for power-on no read tells, and a motor that is off does not go back to it.
+                self._learn_own(self.dialect.by_verb[Verb.READ_ZERO_STATUS])
+
+    def _end_kept_run(self) -> None:
+        """Stop a run that was kept for power-on: no read tells whether one is, and other claims judge it."""
+        probe = self.probe
+        if Verb.SAVE_SPEED not in self.dialect.by_verb:
+            return
+        # Behind the way back to a kept zero it has just begun.
+        probe.wait(_BEGINS_NS)
+        if abs(motion.speed(probe).value) >= 1 + probe.noise.rpm:
+            motion.stand_still(probe)
+            self._since = len(probe.traffic)
 
     def _on_its_way(self) -> None:
         """Look at a move before its end is told: how fast it goes no place at its end tells."""

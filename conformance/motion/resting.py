@@ -48,7 +48,7 @@ _HIDDEN_RPM = 0.5
 
 
 def measure(probe: Probe) -> Noise:
-    """Return the noise of a drive that rests; none where it turns or its reads do not work."""
+    """Return the noise of a drive that rests; that of its line alone where it turns or its reads do not work."""
     try:
         probe.noise = _of_line(probe)
         places = [motion.position(probe).value for _ in range(_TIMES)]
@@ -56,7 +56,7 @@ def measure(probe: Probe) -> Noise:
         loop = [_angle_error(probe) for _ in range(_FEWER)]
         supply = _supply(probe)
     except Inconclusive:
-        return QUIET
+        return probe.noise
     if max(map(abs, speeds)) > _RESTS:
         return probe.noise
     latency_ns = max((ns for _, ns in probe.latencies), default=0)
@@ -243,8 +243,10 @@ def _of_line(probe: Probe) -> Noise:
     repeated: set[int] = set()
     checked = False
     # The replies end in different bytes.
-    for command in (motion.reads_position(probe.dialect), motion.reads_speed(probe.dialect)) * (_FEWER // 2):
-        exchange = probe.ask(command, quiet_ns=0)
+    reads = (motion.reads_position(probe.dialect), motion.reads_speed(probe.dialect)) * (_FEWER // 2)
+    asked = [probe.ask(command, quiet_ns=0) for command in reads]
+    # What the line damaged now and then does not show what it adds each time.
+    for exchange in [e for e in asked if e.is_read] or asked:
         answer = exchange.reply
         if answer is None:
             return QUIET

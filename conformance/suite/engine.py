@@ -5,6 +5,9 @@ reason says so. Where the claim was a sequence of steps (a walk), emulated drive
 manual has it, and one with each known fault. Where the steps refute one of them in the same way, they are shortened there,
 which costs no motion. What is left is confirmed on the real drive.
 
+A line may damage what it carries, and what a claim then takes for the drive's doing. So a refutation during which something
+came damaged is tried again, also on an emulated drive. It counts where it comes again without damage, or each time alike.
+
 A user's settings may spoil a claim that was written for others. A claim that refutes a drive is therefore tried on ideal
 drives. These have the drive's settings where they are known, and likely ones where not. If the claim refutes an ideal drive
 too, it is inconclusive and says what to set.
@@ -21,7 +24,6 @@ import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from analyzer.catalogue import Certainty, Risk
 from conformance import claims as registry
@@ -42,6 +44,8 @@ _OF_BYTES = (Theme.SHAPE, Theme.FRAMING, Theme.TRAFFIC)
 _LATE, _SHOWS_LATE, _LATE_NS = "slow-replies-in-motion", "timing/read_speed/while-moving", 100_000_000
 #: How many emulated drives with a quirk are tried: what a quirk does may depend on chance.
 _SEEDS = 6
+#: How often a refutation has to come alike where the line damaged something each time.
+_ALIKE = 3
 #: What is said of a refutation that did not come again.
 ONCE = "1 of 2 times"
 
@@ -54,7 +58,7 @@ def run_claim(claim: Claim, rig: ClaimRig) -> Verdict:
     missing = rig.missing(claim)
     if missing:
         return Verdict(claim, Outcome.NOT_RUN, missing)
-    verdict = _once(claim, rig)
+    verdict = _unless_damaged(claim, rig, _once(claim, rig))
     if verdict.outcome is Outcome.REFUTED and not rig.emulated:
         verdict = _confirmed(claim, rig, verdict)
     if claim.hasty and verdict.outcome is Outcome.CONFIRMED:
@@ -134,7 +138,7 @@ def _of_quirks(verdict: Verdict, rig: Rig, quirks: Sequence[str]) -> Verdict:
     outcome = Outcome.OBSERVED if accepted or claim.certainty is Certainty.OPEN else Outcome.REFUTED
     text = f"{'accepted' if accepted else 'known'} quirk of real drives: {named}"
     if outcome is Outcome.OBSERVED:
-        return replace(verdict, outcome=outcome, reason=text, expected="", got="", key="", exchange=None, quirks=tuple(quirks))
+        return replace(_not_refuted(verdict, outcome, text), quirks=tuple(quirks))
     expected, got = verdict.expected or claim.statement, verdict.got or named
     key, quirks = " ".join(quirks), tuple(quirks)
     return replace(verdict, outcome=outcome, reason=text, expected=expected, got=got, key=key, quirks=quirks)
@@ -157,7 +161,32 @@ def _verdict(claim: Claim, probe: Probe, outcome: Outcome, reason: str, error: R
         dict(probe.series),
         tuple(probe.latencies),
         error.steps if error is not None else (),
+        any(exchange.damaged for exchange in probe.traffic),
     )
+
+
+def _not_refuted(verdict: Verdict, outcome: Outcome, reason: str) -> Verdict:
+    """Return a verdict whose refutation counts for nothing."""
+    return replace(verdict, outcome=outcome, reason=reason, expected="", got="", key="", exchange=None, steps=())
+
+
+# --- a refutation on a line that damages replies ----------------------------------------------------------------------
+
+
+def _unless_damaged(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
+    """Return the verdict of a claim, tried again where it refutes and the line damaged something meanwhile."""
+    first = verdict
+    for attempt in range(1, _ALIKE):
+        if claim.of_line or verdict.outcome is not Outcome.REFUTED or not verdict.damaged:
+            break
+        # It is done again, not looked at again.
+        rig.recordings.clear()
+        with rig.trying_again(attempt):
+            verdict = _once(claim, rig)
+        if verdict.outcome is Outcome.REFUTED and verdict.key != first.key:
+            text = f"the line damages replies, and each time something else is refuted: {first.reason}; {verdict.reason}"
+            return _not_refuted(verdict, Outcome.INCONCLUSIVE, text)
+    return verdict
 
 
 # --- a refutation on a real drive -------------------------------------------------------------------------------------
@@ -253,8 +282,7 @@ def _unless_set_otherwise(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verd
                 if held.known
                 else f"a drive with {held} does so too: say in --settings FILE what it is set to"
             )
-            nothing: dict[str, Any] = {"expected": "", "got": "", "key": "", "exchange": None, "steps": ()}
-            verdict = replace(verdict, outcome=Outcome.INCONCLUSIVE, reason=f"{text} ({verdict.reason})", **nothing)
+            verdict = _not_refuted(verdict, Outcome.INCONCLUSIVE, f"{text} ({verdict.reason})")
             break
     rig.searched += time.monotonic() - begun
     return verdict

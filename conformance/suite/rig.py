@@ -7,7 +7,8 @@ put back behind it (`conformance.safety`).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping
+from contextlib import contextmanager
 
 from analyzer.catalogue import Dialect, Risk
 from conformance.claim import Claim
@@ -65,6 +66,11 @@ class ClaimRig(Rig, ABC):
         if lacking:
             return f"it needs --allow {','.join(lacking)}"
         return ""
+
+    @contextmanager
+    def trying_again(self, attempt: int) -> Iterator[None]:
+        """Try a claim again: what a real drive and its line do by chance falls otherwise by itself."""
+        yield
 
     def drop_write_gap(self) -> None:
         """Send settings one after the other without a gap from now on: the drive executes them."""

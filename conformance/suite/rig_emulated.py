@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -60,7 +60,7 @@ class EmulatedRig(ClaimRig):
         self.specification = specification
         self.name = specification.name
         self.model = specification.model
-        self.seed = seed
+        self.seed, self._attempt = seed, 0
         #: Whether its drive answers motion only after it is set to.
         self._to_set = False
         given, self._settings = specification, settings or {}
@@ -80,7 +80,16 @@ class EmulatedRig(ClaimRig):
 
     def make_drive(self) -> Drive:
         """Return a new drive of the specification."""
-        return make.make(self.specification, settings=self._settings, seed=self.seed)
+        return make.make(self.specification, settings=self._settings, seed=self.seed + self._attempt)
+
+    @contextlib.contextmanager
+    def trying_again(self, attempt: int) -> Iterator[None]:
+        """Let chance fall otherwise for the drives of a claim that is tried again."""
+        self._attempt = attempt
+        try:
+            yield
+        finally:
+            self._attempt = 0
 
     @property
     def held(self) -> Mapping[str, int]:

@@ -60,6 +60,7 @@ def claim_of(dialect: Dialect, row: Row, check: Callable[[Probe], None] | None =
         at_best=row.certainty,
         parameters={"rule": row.rule, "about": row.about.value},
         quirks=known(dialect, NO_CHECKSUM) if check is not None else (),
+        of_line=row.rule == "bad_checksum",
     )
 
 

@@ -17,8 +17,6 @@ import math
 from collections.abc import Iterable, Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk
-from conformance.claim import Inconclusive
-from conformance.claims.control_reads import judge_alone
 from conformance.claims.declare import Case, motions, with_values
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import (
@@ -50,8 +48,6 @@ _OVERSHOOT = 2.0
 #: Short moves, in units, and their way; how often each is asked for, and how long one takes.
 _STEPS = ((1, 1), (1, -1), (2, -1), (3, 1), (5, -1), (7, 1), (7, -1), (14, 1))
 _SO_MANY, _STEP_NS = 4, 25 * MS
-#: Moves whose replies are looked at for their sums.
-_MANY = 300
 
 
 def takes_angle(command: Command) -> bool:
@@ -64,7 +60,8 @@ def takes_counts(command: Command) -> bool:
     return not takes_angle(command)
 
 
-def _takes_place(command: Command) -> bool:
+def takes_place(command: Command) -> bool:
+    """Say whether a move goes to a place, and not by a distance."""
     return motion.of(command).kind is MotionKind.MOVE_TO
 
 
@@ -86,7 +83,7 @@ def without_max_speed(dialect: Dialect) -> Iterator[Case]:
 def keeps_position(case: Case) -> tuple[str, ...]:
     """Return the settings that hold where the turns are counted from, for moves that go by them."""
     command = command_of(case)
-    return ("position",) if _takes_place(command) and takes_angle(command) else ()
+    return ("position",) if takes_place(command) and takes_angle(command) else ()
 
 
 # --- where a move ends ------------------------------------------------------------------------------------------------
@@ -95,7 +92,7 @@ def keeps_position(case: Case) -> tuple[str, ...]:
 def _distances(dialect: Dialect) -> Iterator[Case]:
     for command in filter(takes_counts, dialect.motions(*MOVES)):
         unit = motion.field_of(command, motion.of(command).distance).unit
-        where = "to a place" if _takes_place(command) else "by a distance"
+        where = "to a place" if takes_place(command) else "by a distance"
         yield Case(dialect, command, {"signed": False, "unit": unit, "where": where}, {"parameters": {}})
 
 
@@ -109,10 +106,10 @@ def _expect_way(probe: Probe, move: Move, signed: bool, refutes: str, *, times: 
     """Refute unless a move, or several, went as far as was asked, the way that was asked where it is `signed`."""
     seen, asked = (move.degrees, move.asked) if signed else (abs(move.degrees), abs(move.asked))
     within = times * motion.near(probe.dialect)
-    if _takes_place(move.command) and takes_pulses(move.command):
+    if takes_place(move.command) and takes_pulses(move.command):
         # The shaft may have stood between two pulses, of which the drive read one.
         within += 180 / motion.units_per_turn(probe.dialect, move.command)
-    if _takes_place(move.command):
+    if takes_place(move.command):
         # Each of several goes from where the shaft was read to be: what that is off by adds up.
         within += (times - 1) * probe.noise.place
     probe.expect(seen, near=asked, within=within, unit="degrees", refutes=refutes, exchange=move.exchange)
@@ -265,13 +262,13 @@ def _steps(probe: Probe, command: Command) -> None:
         begin = motion.place(probe, command)
         for number in range(_SO_MANY):
             # To a place it is one step more each time.
-            start = begin + number * way * units if _takes_place(command) else begin
+            start = begin + number * way * units if takes_place(command) else begin
             done = Until.DONE if motion.of(command).tells_end else Until.REPLY
             exchange = motion.ask(probe, command, step, acceleration=QUICK, start=start, until=done, quiet_ns=0)
             expect_taken(probe, exchange, f"{command.name} by {units} units is refused")
             probe.wait(0 if motion.of(command).tells_end else _STEP_NS)
         before, stands = stands, motion.wait_standing(probe)
-        within = (1 if _takes_place(command) else _SO_MANY) * motion.near(probe.dialect) + motion.miss(probe)
+        within = (1 if takes_place(command) else _SO_MANY) * motion.near(probe.dialect) + motion.miss(probe)
         text = f"{command.name} by few units at a time goes elsewhere"
         probe.expect(
             abs(stands.value - before.value),
@@ -307,7 +304,7 @@ def _same_place(probe: Probe, command: Command) -> None:
 
 
 @of_motion(
-    each=lambda dialect: (case for case in _distances(dialect) if _takes_place(command_of(case))),
+    each=lambda dialect: (case for case in _distances(dialect) if takes_place(command_of(case))),
     statement="After {command} the drive reads the {unit} that were asked for, above and below zero.",
     refuted_by="another number",
 )
@@ -488,27 +485,3 @@ def _told_when_there(probe: Probe, command: Command) -> None:
     for degrees, rpm, acceleration in ((_THERE, 120, motion.GENTLE), (-1080, 900, QUICK)):
         exchange = motion.ask(probe, command, degrees, rpm=rpm, acceleration=acceleration, until=Until.DONE, quiet_ns=0)
         expect_at_rest(probe, command, exchange, f"{command.name} is told as complete before the shaft is there")
-
-
-@of_motion(
-    each=lambda dialect: (case for case in with_max_speed(dialect) if _takes_place(command_of(case))),
-    refuted_by="a sum that is off",
-    quirks=may_meet("lk-off-sum"),
-    statement=f"Each of {_MANY} replies has the sums that fit it.",
-)
-def _sums(probe: Probe, command: Command) -> None:
-    motion.ready_to_move(probe)
-    start = motion.place(probe, command)
-    asked = [motion.ask(probe, command, start=start, quiet_ns=0) for _ in range(_MANY)]
-    off = [e for e in asked if e.reply is None or not e.reply.message.frame.checksum_ok]
-    good = len(asked) - len(off)
-    if not good:
-        raise Inconclusive(f"no reply to {command.name} can be read")
-    if off:
-        judge_alone(probe, len(off), _MANY)
-    rare = 0 < len(off) <= _MANY // 20 and all(e.answers or e.junk for e in off)
-    if rare and "lk-off-sum" in probe.claim.quirks:
-        probe.meets("lk-off-sum")
-    else:
-        text = f"replies to {command.name} have sums that do not fit"
-        probe.expect(good, equal=_MANY, unit="good replies", refutes=text, exchange=(off or asked)[0])

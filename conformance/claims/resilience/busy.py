@@ -10,22 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Dialect, Risk, Verb
 from conformance.claim import Inconclusive, Theme
-from conformance.claims.control_reads import PAUSE_NS, expect_checked, garblers, is_answered, judge_alone
+from conformance.claims.control_reads import PAUSE_NS, garblers
 from conformance.claims.declare import Case, Cases, claim
-from conformance.claims.known_quirks import may_meet
 from conformance.motion import motion
-from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
 _SECOND_NS = 1_000_000_000
 _RPM = 60.0
 #: How far the speed may differ from the asked one while something else is said to the drive, in rpm.
 _NEAR = 6.0
-#: Moves whose replies are looked at for their sums, and how far off a sum was seen to be at most.
-_MOVES, OFF_SUM = 100, "lk-off-sum"
-_OFF_SUM_MOST, _OFF_SUM_BY = 5, 4
 
 
 def _moving(dialect: Dialect) -> Iterator[Case]:
@@ -115,45 +110,3 @@ def _in_a_row(probe: Probe) -> None:
     text = f"{_SHORT_MOVES} moves in a row are not all carried out"
     wanted, within = _SHORT_MOVES * _SHORT_DEGREES, motion.miss(probe) * 2
     probe.expect(abs(moved), near=wanted, within=within, unit="degrees", refutes=text, exchange=exchange)
-
-
-# --- replies to many moves: real drives were seen to miss a sum now and then ------------------------------------------
-
-
-def _limited_moves(dialect: Dialect) -> Iterator[Case]:
-    for case in _moving(dialect):
-        command = dialect.by_name.get("move_multi_turn_limited")
-        if command is not None:
-            yield Case(case.dialect, command)
-
-
-@_of_busy(
-    "a reply that is garbled",
-    each=_limited_moves,
-    name="moves/good",
-    statement=f"The replies to {_MOVES} moves to where the shaft is all check.",
-    section="",
-    risks=lambda case: motion.risks(case.dialect),
-    settings=(),
-    quirks=may_meet(OFF_SUM),
-)
-def _moves_check(probe: Probe, command: Command) -> None:
-    motion.ready_to_move(probe)
-    here = probe.read(Verb.READ_POSITION, "position")
-    exchanges = [probe.ask(command, {"position": here, "max_speed": 6_000}, quiet_ns=0) for _ in range(_MOVES)]
-    bad = [e for e in exchanges if not e.silent and not is_answered(e)]
-    if 0 < len(bad) < _MOVES:
-        judge_alone(probe, len(bad), _MOVES)
-    if bad and len(bad) <= _OFF_SUM_MOST and all(_is_off(probe.dialect, e) for e in bad):
-        probe.meets(OFF_SUM)
-        return
-    expect_checked(probe, bad, exchanges, f"{len(bad)} of the replies to {_MOVES} moves are garbled")
-
-
-def _is_off(dialect: Dialect, exchange: Exchange) -> bool:
-    """Say whether a reply has a last check that is off by as little as was seen on real drives."""
-    if len(exchange.answers) != 1:
-        return False
-    check = dialect.link.checks(exchange.answers[0].data)[-1]
-    off = (check.got[0] - check.expected[0] + 128) % 256 - 128
-    return 0 < abs(off) <= _OFF_SUM_BY

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from conformance.claim import Claim, Inconclusive, Outcome, Refuted, Theme, Verdict
@@ -40,6 +42,35 @@ def test_what_fails_once_of_two_times_is_refuted_and_says_so(tmp_path):
     assert verdict.outcome is Outcome.REFUTED
     assert "1 of 2 times" in verdict.reason
     assert len(times) == 2
+
+
+def tried(drive, *, key="", of_line=False):
+    """Return the outcome of a claim that refutes a drive when a reply to it was damaged, and how often it was tried."""
+    times = []
+
+    def check(probe):
+        times.append(probe.ask("read_speed"))
+        if times[-1].damaged:
+            raise Refuted("a reply", key=key or f"time {len(times)}")
+
+    claim = dataclasses.replace(only(check), of_line=of_line)
+    return engine.run_claim(claim, EmulatedRig(make.parse(drive), seed=DAMAGES_FIRST)).outcome, len(times)
+
+
+#: With this seed a line that damages a reply of three damages the first one and not that of the next drive.
+DAMAGES_FIRST = 1
+
+
+def test_what_is_refuted_while_the_line_damaged_a_reply_is_tried_again():
+    drive = "mks-rs485@1,line-errors=30%"
+    assert tried(drive) == (Outcome.CONFIRMED, 2)
+    assert tried(drive, of_line=True) == (Outcome.REFUTED, 1)
+
+
+def test_a_drive_that_damages_each_reply_is_refuted_and_one_that_is_refuted_otherwise_each_time_is_not():
+    drive = "mks-rs485@1,fault=checksum-off-by-one"
+    assert tried(drive, key="the same") == (Outcome.REFUTED, 3)
+    assert tried(drive) == (Outcome.INCONCLUSIVE, 2)
 
 
 def test_a_sequence_of_steps_is_shortened_where_an_emulated_drive_has_the_same_fault(tmp_path):
