@@ -6,6 +6,7 @@ of errors stood. Files that keep no classes (ASC, BLF, TRC) show only that there
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -279,7 +280,7 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         return
     standard = [(p, can) for p, can in frames if not can.extended and not can.remote]
     yield from _too_long(frames)
-    yield from _without_flag(frames, standard)
+    yield from _without_flag(scene, frames, standard)
     yield from _too_large(frames)
     switches = [(p, can) for p, can in standard if can.data[:-1] == b"\xff" * 7 and can.data[-1] in _MIT]
     if switches:
@@ -353,8 +354,10 @@ def _too_long(frames: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:
         )  # fmt: skip
 
 
-def _without_flag(frames: list[tuple[Piece, CanFrame]], standard: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:
-    """Suspect identifiers of 29 bits of which the low 11 alone reach the bus, with the same data."""
+def _without_flag(
+    scene: Scene, frames: list[tuple[Piece, CanFrame]], standard: list[tuple[Piece, CanFrame]]
+) -> Iterator[Suspicion]:
+    """Suspect identifiers of 29 bits of which the low 11 alone reach the bus: with the same data, or of a call in the text."""
     seen = {(can.id, can.data) for _, can in standard if can.direction is not Role.REQUEST and can.data}
     found = [(p, can) for p, can in frames if can.id > _STANDARD and can.direction is Role.REQUEST
              and (can.id & _STANDARD, can.data) in seen]  # fmt: skip
@@ -368,6 +371,23 @@ def _without_flag(frames: list[tuple[Piece, CanFrame]], standard: list[tuple[Pie
             "Set the flag for extended frames (ext: true, is_extended_id=True, CAN_EFF_FLAG), or take an identifier up to 7FF",
             (Shown(piece.offset, shown(piece.data, can.id)),),
         )  # fmt: skip
+        return
+    given = {int(call[1], 16) for words in scene.words for call in _SENDS.finditer(words)}
+    cut = [(p, can, n) for p, can in standard for n in given if n > _STANDARD and n & _STANDARD == can.id]
+    if cut:
+        piece, can, number = cut[0]
+        yield Suspicion(
+            "can_extended_id", Confidence.LIKELY, [Trouble("foreign_can_frame", p.offset, None, p) for p, _, _ in cut],
+            f"The program sends to 0x{number:X}, and its low 11 bits alone are on the bus: {identifier(can.id)}.",
+            f"0x{number:X} in the text; {shown(piece.data, can.id)} at byte {piece.offset}",
+            "Give an identifier of 29 bits at most, and set the flag for extended frames as the library has it: an argument, "
+            "or bit 31 of the number",
+            (Shown(piece.offset, shown(piece.data, can.id)),),
+        )  # fmt: skip
+
+
+#: A call that sends to an identifier of more than 11 bits.
+_SENDS = re.compile(r"\b(?:\w*[sS]end|\w*[wW]rite|beginPacket)\w*\(\s*0[xX]([0-9A-Fa-f]{4,9})\b")
 
 
 def _too_large(frames: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:

@@ -33,6 +33,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     sides = [burst.direction for burst in scene.bursts] if scene.directed else []
     exchanges = sum(pair == (Role.REQUEST, Role.REPLY) for pair in pairwise(sides))
     found = whole + [(t, shown(sent)) for t, sent in _received(scene) if t not in [w for w, _ in whole]]
+    found += [] if found else _glued(scene)
     if not found:
         yield from _damaged(
             list(_changed(scene)), "came behind {}",
@@ -143,6 +144,22 @@ def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
         sent = None
     if len(cut) > 1 or any(len(data) >= _ONCE for _, data in cut):
         yield from cut
+
+
+def _glued(scene: Scene) -> list[tuple[Trouble, str]]:
+    """Return requests that came with their reply in one read, where the host has sent them, or words call it the response.
+
+    A listener receives both, and nothing is wrong.
+    """
+    sent = {burst.data for burst in scene.bursts if burst.direction is Role.REQUEST}
+    told = bool(scene.words) and not scene.noted
+    return [
+        (Trouble("host_echo", request.offset, None, request), shown(request.data))
+        for burst in scene.bursts if burst.direction is Role.REPLY and len(burst.pieces) > 1
+        for request, reply in pairwise(burst.pieces)
+        if request.sound and request.is_request and request.can is None and reply.asked_by == request.sequence
+        and request.offset == burst.offset and (told or not sent.isdisjoint((request.data, request.data[:-2])))
+    ]  # fmt: skip
 
 
 def _after(scene: Scene, trouble: Trouble) -> Stretch | None:

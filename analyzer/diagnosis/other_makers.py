@@ -137,6 +137,21 @@ def _tpkt(data: bytes) -> bool:
     )
 
 
+def _bacnet(data: bytes) -> bool:
+    """Say whether bytes begin as BACnet MS/TP: preamble and a type, then a head of eight bytes whose check fits."""
+    if len(data) < _PREAMBLE or data[:2] != b"\x55\xff" or data[2] > _LAST_TYPE:
+        return False
+    crc = 0xFF
+    for byte in data[2:_MSTP_HEAD]:
+        value = crc ^ byte
+        for shift in range(1, 8):
+            value ^= (crc ^ byte) << shift
+        crc = value & 0xFE ^ value >> 8 & 1
+    return len(data) < _MSTP_HEAD or crc == _MSTP_GOOD
+
+
+#: Of BACnet MS/TP: preamble with the type, its last type, its head with a check, and what that leaves where it fits.
+_PREAMBLE, _LAST_TYPE, _MSTP_HEAD, _MSTP_GOOD = 3, 7, 8, 0x55
 _TEXT = re.compile(rb"[\x20-\x7e\r\n\t]*[A-Za-z]{4}[\x20-\x7e\r\n\t]*")
 
 
@@ -164,6 +179,7 @@ MAKES = (
     Make("a battery of Daly (A5, thirteen bytes)", _daly, 1, _PROTOCOL),
     Make("an electricity meter (68 ... 68 ... 16)", _meter, 1, _PROTOCOL),
     Make("a meter on M-Bus (10 ... 16, 68 ... 16)", _m_bus, 1, _PROTOCOL),
+    Make("BACnet MS/TP (55 FF)", _bacnet, 1, "Switch the device to Modbus, if it has both; else use a BACnet tool"),
     Make("a controller of Omron (FINS)", _fins, 1, _SERVICE),
     Make("a controller of Siemens (S7, which begins a connection by 03 00)", _tpkt, 1, _SERVICE),
     Make("Modbus ASCII", _modbus_ascii, 1, "Set both sides to Modbus RTU"),
@@ -182,6 +198,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             known |= piece.message.command not in piece.message.frame.dialect.fallbacks.values()
             sent.append((Trouble("damaged", piece.offset, None, piece), piece.data))
     asked = [data for t, data in damaged if t.stretch is not None and t.stretch.direction is Role.REQUEST]
+    heard = [data for t, data in sent if scene.direction(t.offset) is Role.REPLY]
     for make in MAKES:
         found = [(trouble, data) for trouble, data in sent if make.is_frame(data)]
         different = len({data for _, data in found})
@@ -189,7 +206,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         spoken = len(sent) == len(damaged) and bool(asked) and all(make.is_frame(data) for data in asked)
         # Beside frames that are known a check is needed, and several that have it.
         least = make.least - 2 * spoken if not known else _BESIDE if make.least == 1 else len(sent) + 1
-        if not found or different < least or (len(found) < _SHARE * len(sent) and not spoken):
+        # All that comes may be of a make, while the host speaks another protocol to it.
+        answers = bool(heard) and all(make.is_frame(data) for data in heard)
+        if not found or different < least or (len(found) < _SHARE * len(sent) and not spoken and not answers):
             continue
         first, data = found[0]
         # A list of a program may be right for its own drive.

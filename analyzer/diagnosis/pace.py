@@ -10,7 +10,7 @@ from itertools import pairwise
 from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import Exchange, Placed, Turn, awaited, chains, placed
 from analyzer.diagnosis.scene import Confidence, Piece, Read, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link import READS
+from analyzer.link import FUNCTIONS, READS, modbus_crc
 from analyzer.values import counted
 
 #: Replies to an earlier request from which on it is no chance.
@@ -33,6 +33,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect when the host writes and reads."""
     yield from _across(scene)
     yield from _in_parts(scene)
+    yield from _at_once(scene)
     if not chains(scene):
         return
     for part in (_late, _misaligned, _split, _split_replies, _too_fast):
@@ -365,3 +366,67 @@ def _too_fast(scene: Scene) -> Iterator[Suspicion]:
         f"Wait for each reply, and then {2 * longest / 1e6:.3g} ms, before the next request",
         tuple(Shown(r.offset, shown(r.data)) for _, r in failing),
     )  # fmt: skip
+
+
+def _at_once(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect requests of Modbus that go out before the one before is answered: two in one read, or soon behind each other."""
+    found = [*_glued(scene), *_overtaken(scene)]
+    if len({first.offset for first, _ in found}) < (1 if scene.directed and scene.timed else _SHIFTED):
+        return
+    first, second = found[0]
+    troubles = [t for t in scene.of("unanswered", "silent_address") if any(t.piece is one for pair in found for one in pair)]
+    yield Suspicion(
+        "too_fast", Confidence.LIKELY, troubles or [Trouble("unanswered", one.offset, None, one) for one, _ in found],
+        "The host sends the next request before the reply to the one before has come.",
+        f"{shown(second.data)} follows {shown(first.data)} at byte {first.offset}; {counted(len(found), 'time')}",
+        "Send one request, wait for its reply or the timeout, then send the next: one queue for all that use the bus",
+        tuple(Shown(one.offset, shown(one.data)) for pair in found for one in pair),
+    )  # fmt: skip
+
+
+def _glued(scene: Scene) -> Iterator[tuple[Piece, Piece]]:
+    """Yield frames to one unit that stand in one read, of which none can be the reply to the one before it."""
+    before = {other.sequence: one for one, other in pairwise(scene.pieces)}
+    for burst in scene.bursts:
+        for one, other in pairwise(burst.pieces):
+            same_unit = one.data != other.data and one.data[:2] == other.data[:2] and _is_asked(one) and _is_asked(other)
+            if same_unit and not _answers(other, one) and not _answers(one, before.get(one.sequence)):
+                yield one, other
+
+
+def _answers(piece: Piece, asked: Piece | None) -> bool:
+    """Say whether a frame can be the reply to another, which may be a request."""
+    return asked is not None and asked.message is not None and any(a.stands(piece.data, 0) for a in awaited(asked.message))
+
+
+def _overtaken(scene: Scene) -> Iterator[tuple[Piece, Piece]]:
+    """Yield requests to one unit with the next that comes soon behind: the reply that then comes answers only this."""
+    for chain in chains(scene) if scene.timed else ():
+        for before, exchange in pairwise(chain):
+            one, other = before.request, exchange.request
+            if one.piece is None or other.piece is None or before.received or not all(map(_is_asked, (one.piece, other.piece))):
+                continue
+            soon = one.data[:2] == other.data[:2] and one.data != other.data and 0 <= other.t_ns - one.t_ns < _SOON_NS
+            ways = [awaited(m) if m is not None else [] for m in (one.message, other.message)]
+            if soon and [any(a.stands(exchange.data, 0) for a in way) for way in ways] == [False, True]:
+                yield one.piece, other.piece
+
+
+#: No library gives a reply up so soon.
+_SOON_NS = 150_000_000
+
+
+def _is_asked(piece: Piece) -> bool:
+    """Say whether a piece is a sound frame of Modbus to one unit that can be a request: eight bytes, as most have."""
+    data = piece.data
+    return (
+        piece.sound
+        and piece.can is None
+        and len(data) == _REQUEST
+        and data[0] > 0
+        and data[1] in FUNCTIONS
+        and not modbus_crc(data)
+    )
+
+
+_REQUEST = 8

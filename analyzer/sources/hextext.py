@@ -61,7 +61,7 @@ _AGAIN = re.compile(r"\bprocessing\b\W*$", re.IGNORECASE)
 #: What separates a label from its bytes. In a sentence nothing does.
 _LABELLED = re.compile(r"[:=>|]\s*[\[({<'\"`]?\s*$")
 #: A library's word for what it had read before.
-_KEPT = re.compile(r"\bold[_ ]data\s*[:=]\s*$", re.IGNORECASE)
+_KEPT = re.compile(r"\b(?:old|extra|unexpected)[_ ]data\s*[:=]\s*$", re.IGNORECASE)
 #: Characters before bytes that are looked at for such words: with all of a long line, its cost would grow with its square.
 _NEAR = 60
 #: Frames of a line whose columns a note names.
