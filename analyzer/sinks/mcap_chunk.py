@@ -8,13 +8,13 @@ A batch is all that its chunks need. So any thread or process can make them, and
 from __future__ import annotations
 
 import struct
-import zlib
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import zstandard
+from fastcrc import crc32
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk as ChunkRecord
@@ -33,7 +33,9 @@ CHUNK_SIZE = 1 << 20
 MESSAGE = struct.Struct("<BQHIQQ")
 #: Of the index of a channel's messages in a chunk: opcode, length, channel, bytes of its entries.
 INDEX_HEAD = struct.Struct("<BQHI")
-_LEVEL = 1
+#: How chunks are compressed: zstd's level, and how far back it looks, as a power of two. Looking back over the whole of a chunk
+#: makes it no smaller and takes a tenth more time, since so much fits into no core's own cache.
+_LEVEL, _WINDOW = 1, 18
 
 
 def record_bytes(record: McapRecord) -> bytes:
@@ -42,6 +44,14 @@ def record_bytes(record: McapRecord) -> bytes:
     record.write(builder)
     data: bytes = builder.end()  # type: ignore[no-untyped-call]
     return data
+
+
+def compressed(data: bytes | memoryview) -> bytes:
+    """Return the records of a chunk compressed."""
+    settings = zstandard.ZstdCompressionParameters.from_level(
+        _LEVEL, source_size=len(data), window_log=_WINDOW, write_content_size=1
+    )
+    return zstandard.ZstdCompressor(compression_params=settings).compress(data)
 
 
 class Indexed(NamedTuple):
@@ -160,19 +170,19 @@ def pack(chunk: Chunk, indexed: Indexed) -> Packed:
     """Compress a chunk that is complete. `indexed`: its index records."""
     data = chunk.parts[0] if len(chunk.parts) == 1 else b"".join(chunk.parts)
     chunk.parts = []
-    compressed = zstandard.ZstdCompressor(level=_LEVEL).compress(data)
+    packed = compressed(data)
     record = record_bytes(
         ChunkRecord(
             compression="zstd",
-            data=compressed,
+            data=packed,
             message_end_time=chunk.last_ns,
             message_start_time=chunk.first_ns,
-            uncompressed_crc=zlib.crc32(data),
+            uncompressed_crc=crc32.iso_hdlc(data),
             uncompressed_size=len(data),
         )
     )
     times = chunk.first_ns, chunk.last_ns
-    return Packed(record, indexed, chunk.messages, *times, len(data), len(compressed))
+    return Packed(record, indexed, chunk.messages, *times, len(data), len(packed))
 
 
 class Run(NamedTuple):

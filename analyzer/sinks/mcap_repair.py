@@ -14,20 +14,19 @@ from __future__ import annotations
 import contextlib
 import re
 import time
-import zlib
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-import zstandard
+from fastcrc import crc32
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Metadata, Schema
 
 from analyzer import __version__
 from analyzer.errors import UnreadableError
-from analyzer.sinks.mcap_chunk import record_bytes
+from analyzer.sinks.mcap_chunk import compressed, record_bytes
 from analyzer.sinks.mcap_file import Writable
 from analyzer.sinks.mcap_sound import (
     CHUNK_HEAD,
@@ -51,7 +50,6 @@ RECOVERED = "servotap.recovered"
 #: Where a record may begin: kinds that stand before the summary, with a length below 4 GiB.
 _MARK = re.compile(rb"(?=[\x03-\x07\x09\x0c\x0f].{4}\x00{4})", re.DOTALL)
 _SEARCH = 1 << 20
-_LEVEL = 1
 _LOST = "/lost"
 
 
@@ -278,11 +276,11 @@ class _Repair:
         """Copy records as a chunk of their own."""
         times = [scan.message(data[first:stop]).log_ns for kind, first, stop in scan.walk(data) if kind == scan.MESSAGE]
         start_ns, end_ns = min(times, default=0), max(times, default=0)
-        packed = zstandard.ZstdCompressor(level=_LEVEL).compress(data)
+        packed = compressed(data)
         record = record_bytes(
             Chunk(
                 compression="zstd", data=packed, message_start_time=start_ns, message_end_time=end_ns,
-                uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data),
+                uncompressed_crc=crc32.iso_hdlc(data), uncompressed_size=len(data),
             )
         )  # fmt: skip
         body = record[scan.HEAD.size :]

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import io
 import struct
-import zlib
 from array import array
 from collections.abc import Callable, Iterator
 from typing import IO, TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
+
+from fastcrc import crc32
 
 from analyzer.sources import budget
 from analyzer.values import counted
@@ -125,8 +126,8 @@ def unpack(chunk: Packed, *, check: bool = True) -> bytes:
             if size > UNPACKED_LIMIT:
                 raise ValueError(f"{counted(len(chunk.data), 'byte')} unpacked to more than {UNPACKED_LIMIT >> 20} MiB")
         data = b"".join(parts)
-    if check and chunk.crc and zlib.crc32(data) != chunk.crc:
-        raise ValueError(f"the check of a chunk does not fit: expected {chunk.crc:08x}, got {zlib.crc32(data):08x}")
+    if check and chunk.crc and (got := crc32.iso_hdlc(data)) != chunk.crc:
+        raise ValueError(f"the check of a chunk does not fit: expected {chunk.crc:08x}, got {got:08x}")
     return data
 
 
