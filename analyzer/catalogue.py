@@ -318,8 +318,8 @@ class Vector:
 
     `printed`: hex text of the bytes that are printed; CAN: identifier, then data. `checksum` False: the manual leaves
     the checksum out ("CRC" or nothing in its place). `values`: each field by name, integers as sent, of the whole data.
-    `command`: only where the frame stands in another command's section. `erratum`: the id of the erratum that says why
-    the printed frame does not hold; `corrected` is then the frame that we take as true.
+    `computed`: the manual prints none. `erratum`: the id of the erratum that says why the printed frame does not hold;
+    `corrected` is then the frame that we take as true.
     """
 
     printed: str

@@ -7,7 +7,7 @@ Without an open request the first form that fits is taken.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from analyzer.catalogue import Command, Dialect, Form, Role
@@ -384,6 +384,16 @@ def units_of(message: Message) -> dict[str, Any]:
         slots = slots_of(message.frame.dialect, message.command, message.data)
         return {"slots": [{} if slot.form is None else slot.form.layout.units for slot in slots]}
     return message.form.layout.units
+
+
+def state_of(message: Message, shown: Mapping[str, Any]) -> dict[str, float]:
+    """Return the quantities of the drive's state that a sound reply carries, in its units. `shown`: as by `physical`."""
+    found: dict[str, float] = {}
+    if message.form is not None and message.role is Role.REPLY and message.frame.checksum_ok and "slots" not in shown:
+        for name, field in message.form.layout.named.items():
+            if field.state is not None:
+                found[field.state.quantity] = found.get(field.state.quantity, 0.0) + shown[name] * field.state.factor
+    return found
 
 
 def slot_fields(slot: Slot) -> dict[str, Any]:

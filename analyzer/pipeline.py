@@ -63,6 +63,11 @@ class Entry(msgspec.Struct, frozen=True, gc=False):
     first_reply: bool = False
 
 
+def plain_entry(lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> Entry:
+    """Return the entry of a frame that is in order, as `PlainSink.plain` takes it. A reply is then the first one."""
+    return Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence, not lane.is_request)
+
+
 class Sink(Protocol):
     """Takes what comes out of the pipeline, in order."""
 
@@ -492,8 +497,7 @@ class Pipeline:
         for plain in self._plain_sinks:
             plain(lane, frame, sequence, latency_ns, asked_by)
         if self._entry_sinks:
-            first = not lane.is_request
-            entry = Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, asked_by, first)
+            entry = plain_entry(lane, frame, sequence, latency_ns, asked_by)
             for sink in self._entry_sinks:
                 sink.entry(entry)
         return True

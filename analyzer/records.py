@@ -13,6 +13,7 @@ import msgspec
 
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.codec import Violation, codec
+from analyzer.link import Head
 from analyzer.values import identifier
 
 
@@ -102,8 +103,7 @@ class Event(msgspec.Struct, frozen=True, gc=False):
 class Frame(msgspec.Struct, frozen=True, gc=False):
     """Bytes that are one frame of a dialect.
 
-    `offset`: bytes of the port before it. `role`: from the head of the frame or the capture's direction, else
-    `unknown`. `whole` False: it is told by its burst alone, its code or length is not in the catalogue.
+    `offset`: bytes of the port before it. `role`: from the head of the frame or the capture's direction, else `unknown`.
     """
 
     port: str
@@ -115,6 +115,11 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
     role: Role
     checksum_ok: bool
     can: CanFrame | None = None
+
+    @property
+    def head(self) -> Head:
+        """Return what it says of itself, before any command is known."""
+        return self.dialect.link.parse(self.data, None if self.can is None else self.can.id)
 
 
 class Junk(msgspec.Struct, frozen=True, gc=False):
@@ -155,6 +160,16 @@ class Message(msgspec.Struct, frozen=True, gc=False):
             return "all"
         can = self.frame.can
         return str(self.address) if can is None else identifier(self.address, extended=can.extended)
+
+    @property
+    def what(self) -> str:
+        """Return the name of its command; `unknown` with its code, as far as it has one; `foreign` for another node's frame."""
+        if self.command is not None:
+            return self.command.name
+        if self.role is Role.FOREIGN:
+            return Role.FOREIGN.value
+        code = self.frame.head.code
+        return "unknown" if code is None else f"unknown 0x{code:02X}"
 
 
 class Lane:
@@ -213,8 +228,7 @@ class Lane:
 class Finding(msgspec.Struct, frozen=True, gc=False):
     """Something that is wrong, or that one should know.
 
-    `evidence`: sequence numbers of the messages it rests on, the first being the one it is about; `offset` and `data`
-    lead to the bytes. `who`: the address as people read it.
+    `sequence`: number of the message it is about, 0 for none; `offset` leads to its bytes. `who`: the address for people.
     """
 
     rule: str

@@ -323,8 +323,7 @@ class Transactions:
 
     def _from_new_address(self, message: Message) -> Request | None:
         """Return the open request that gave the sender of a reply its address: either of the two may answer it."""
-        frame = message.frame
-        head = frame.dialect.link.parse(frame.data, frame.can.id if frame.can else None)
+        head = message.frame.head
         for requests in self.context.open.values():
             for request in requests:
                 field = request.command.sets(Effect.ADDRESS) if request.command is not None else ""
@@ -358,7 +357,7 @@ class Transactions:
     def _unasked(self, message: Message) -> Paired:
         """Judge a reply that no open request asked for: late, to a broadcast, a duplicate, or out of the blue."""
         context, frame = self.context, message.frame
-        head = frame.dialect.link.parse(frame.data, frame.can.id if frame.can else None)
+        head = frame.head
         for request in reversed(context.superseded):
             if request.address == message.address and answers(request, head.function, head.code, message.data):
                 context.superseded.remove(request)

@@ -6,46 +6,28 @@ Made of the few frames that are shown, never of every frame.
 from __future__ import annotations
 
 from analyzer import events
-from analyzer.catalogue import Role
-from analyzer.decoder import physical, units_of
+from analyzer.decoder import physical, state_of, units_of
 from analyzer.findings import JUNK_RULES, RULES
-from analyzer.live.snapshot import EVENT, FOREIGN, JUNK, FindingLine, FrameLine
+from analyzer.live.snapshot import EVENT, JUNK, FindingLine, FrameLine
 from analyzer.pipeline import Entry
-from analyzer.records import Event, Finding, Junk, Message, Severity
+from analyzer.records import Event, Finding, Junk, Severity
 
 #: Bytes of junk that are shown.
 JUNK_SHOWN = 64
 
 
-def command_name(message: Message) -> str:
-    """Return the name of a message's command, or `unknown` with its code; of a foreign frame nothing is known."""
-    if message.command is not None:
-        return message.command.name
-    if message.role is Role.FOREIGN:
-        return FOREIGN
-    frame = message.frame
-    head = frame.dialect.link.parse(frame.data, frame.can.id if frame.can else None)
-    return "unknown" if head.code is None else f"unknown 0x{head.code:02X}"
-
-
 def frame_line(entry: Entry) -> FrameLine:
     """Return a decoded frame as a line."""
     message = entry.message
-    frame, command, form = message.frame, message.command, message.form
+    frame, command = message.frame, message.command
     values = physical(message)
-    state: dict[str, float] = {}
-    if message.role is Role.REPLY and form is not None and frame.checksum_ok and "slots" not in values:
-        for name, field in form.layout.named.items():
-            if field.state is not None:
-                part = field.state
-                state[part.quantity] = state.get(part.quantity, 0.0) + values[name] * part.factor
     worst = max((f.severity for f in entry.findings), key=lambda severity: severity.rank, default=None)
     return FrameLine(
         sequence=entry.sequence,
         t_ns=frame.last_ns,
         bus=frame.port,
         role=message.role.value,
-        command=command_name(message),
+        command=message.what,
         who=message.who,
         address=message.address,
         dialect=frame.dialect.name,
@@ -53,7 +35,7 @@ def frame_line(entry: Entry) -> FrameLine:
         topic=entry.topic,
         values=values,
         units=units_of(message),
-        state=state,
+        state=state_of(message, values),
         raw=frame.data.hex(" ").upper(),
         offset=frame.offset,
         can_id=None if frame.can is None else frame.can.id,

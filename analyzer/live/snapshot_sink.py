@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.live.snapshot import EVENT, BusCounts, FrameLine, RowCounts, Snapshot
-from analyzer.live.snapshot_lines import command_name, event_line, finding_line, frame_line, junk_line
-from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry
+from analyzer.live.snapshot_lines import event_line, finding_line, frame_line, junk_line
+from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, plain_entry
 from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane, Message, Severity
 
 #: Of the newest frames, of those with findings, and of rows that had something new: shown in one snapshot at most.
@@ -181,7 +181,7 @@ class SnapshotSink:
         """Return the row of a message. Messages without a command share a topic and are told apart here."""
         command, frame, role = message.command, message.frame, message.role
         known = command is not None and role is not Role.UNKNOWN
-        name = command_name(message)
+        name = message.what
         key: object = topic if known else (topic, message.who, name)
         row = self._rows.get(key)
         if row is not None:
@@ -334,9 +334,7 @@ def _line(kept: _Plain | Entry | _Piece) -> FrameLine:
         return frame_line(kept)
     if isinstance(kept, _Piece):
         return junk_line(*kept)
-    lane, frame, sequence, latency_ns, request_sequence = kept
-    first = not lane.is_request
-    return frame_line(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence, first))
+    return frame_line(plain_entry(*kept))
 
 
 def _sequence(kept: _Plain | Entry | _Piece) -> int:

@@ -22,7 +22,7 @@ from analyzer.codec import codec
 from analyzer.columns.block import CanBlock, FrameBlock
 from analyzer.decoder import physical
 from analyzer.framer import JUMP_BACK_NS
-from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, topic_name
+from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, plain_entry, topic_name
 from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lane, Message, Severity
 from analyzer.sinks import schemas
 from analyzer.sinks.mcap_file import LogFile, McapFile
@@ -115,8 +115,7 @@ class McapLog:
         kept = self._lanes.get(lane.topic)
         log_ns = frame.last_ns
         if kept is None or kept.odd or log_ns < self._last_ns - JUMP_BACK_NS:
-            first = not lane.is_request
-            self.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence, first))
+            self.entry(plain_entry(lane, frame, sequence, latency_ns, request_sequence))
             return
         data = frame.data
         log_ns = self._clock(log_ns)

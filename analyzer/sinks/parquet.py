@@ -27,10 +27,10 @@ from analyzer.columns.codec import Integers, column_codec
 from analyzer.columns.groups import taken
 from analyzer.columns.plain import Plain
 from analyzer.columns.rows import alike, physical_column, states
-from analyzer.decoder import physical
+from analyzer.decoder import physical, state_of
 from analyzer.layout import STATE_UNITS, Field, FieldKind
-from analyzer.pipeline import Entry, topic_name
-from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane, Message
+from analyzer.pipeline import Entry, plain_entry, topic_name
+from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane
 from analyzer.sinks.schemas import forms_of
 from analyzer.sources.times import Clock
 from analyzer.system.own_process import without
@@ -254,7 +254,7 @@ class ParquetTables:
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
         """Take a frame that is in order."""
-        self.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence))
+        self.entry(plain_entry(lane, frame, sequence, latency_ns, request_sequence))
 
     def entry(self, entry: Entry) -> None:
         """Take a decoded frame, and the state it carries."""
@@ -282,18 +282,8 @@ class ParquetTables:
             row |= shown
         table.rows.append(row)
         self._count_one()
-        self._state(message, shown, entry.sequence)
-
-    def _state(self, message: Message, shown: Mapping[str, Any], sequence: int) -> None:
-        if message.form is None or message.role is not Role.REPLY or not message.frame.checksum_ok:
-            return
-        found: dict[str, float] = {}
-        for name, field in message.form.layout.named.items():
-            if field.state is not None:
-                found[field.state.quantity] = found.get(field.state.quantity, 0.0) + shown[name] * field.state.factor
-        if found:
-            frame = message.frame
-            place = self._place(frame.last_ns, frame.port, message.address, sequence)
+        if found := state_of(message, shown):
+            place = self._place(frame.last_ns, frame.port, message.address, entry.sequence)
             self._states().rows.append(place | found)
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:

@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Dialect, Role
-from analyzer.pipeline import Entry, EventSink, PlainSink, RunSink, Sink
+from analyzer.pipeline import Entry, EventSink, PlainSink, RunSink, Sink, plain_entry
 from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lane
 from analyzer.sinks.forked import Ends, Forked
 from analyzer.sinks.object_table import Table, TableUnpickler, dumped
@@ -200,8 +200,7 @@ def _serve(ends: Ends, table: Table, sinks: Sequence[Sink]) -> None:
                 for plain in plain_sinks:
                     plain(lane, frame, sequence, latency_ns, request)
                 for sink in others:
-                    first = not lane.is_request
-                    sink.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request, first))
+                    sink.entry(plain_entry(lane, frame, sequence, latency_ns, request))
                 continue
             assert batch[at] == other_tag  # there are no others
             length = int.from_bytes(batch[at + 1 : at + 5], "little")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer import __version__
 from analyzer.catalogue import Dialect, Role
-from analyzer.pipeline import Entry
+from analyzer.pipeline import Entry, plain_entry
 from analyzer.records import Comment, Finding, Frame, Junk, Lane, Severity
 
 if TYPE_CHECKING:
@@ -141,8 +141,7 @@ class Summary:
         """Count a frame that is in order."""
         row = self._known.get(lane.topic)
         if row is None:
-            first = not lane.is_request
-            self.entry(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence, first))
+            self.entry(plain_entry(lane, frame, sequence, latency_ns, request_sequence))
             return
         self.frames += 1
         self.frame_bytes += len(frame.data)
@@ -269,15 +268,10 @@ class Summary:
     def _row(self, entry: Entry) -> Row:
         message = entry.message
         command = message.command
-        if command is not None:
-            name = command.name
-        else:
-            head = message.frame.dialect.link.parse(message.frame.data, message.frame.can.id if message.frame.can else None)
-            name = "unknown" if head.code is None else f"unknown 0x{head.code:02X}"
         who = "all" if command is not None and command.slots is not None else str(message.address)
         if message.frame.can is not None:
             self.can.add(message.frame.port)
-        key = (message.frame.port, who, message.frame.dialect.name, name)
+        key = (message.frame.port, who, message.frame.dialect.name, message.what)
         row = self.rows.setdefault(key, Row())
         if command is not None and message.role is not Role.UNKNOWN:
             self._known[entry.topic] = row

@@ -19,7 +19,7 @@ from analyzer.errors import ServotapError, UsageError
 from analyzer.live.snapshot import EVENT, FindingLine, FrameLine, Snapshot
 from analyzer.live.snapshot_lines import event_line, finding_line, frame_line, junk_line
 from analyzer.live.snapshot_sink import SnapshotSink
-from analyzer.pipeline import Entry
+from analyzer.pipeline import Entry, plain_entry
 from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane
 from analyzer.view.condition import Condition
 from analyzer.view.kept import Wanted
@@ -49,11 +49,7 @@ class _Keeper:
         if frame.last_ns > self.last_ns:
             self.last_ns = frame.last_ns
         if (lane.topic, id(lane.form)) not in self._seen:
-            first = not lane.is_request
-            self._series(
-                frame_line(Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence, first)),
-                id(lane.form),
-            )
+            self._series(frame_line(plain_entry(lane, frame, sequence, latency_ns, request_sequence)), id(lane.form))
         self._store.add_plain(lane, frame, sequence, latency_ns, request_sequence)
 
     def entry(self, entry: Entry) -> None:

@@ -71,7 +71,7 @@ class Template:
 
 @dataclass(frozen=True)
 class MatchedReply:
-    """One reply as it came. `checks`: those that it has; `offset`, `last_ns`: of its first byte, and when it was there."""
+    """One reply as it came. `checks`: those that it has; `offset`: of its first byte."""
 
     template: Template
     dialect: Dialect

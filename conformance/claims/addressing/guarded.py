@@ -459,7 +459,7 @@ def _settings_guarded(probe: Probe, chosen: list[ReadableSetting]) -> None:
             changed[check.start] ^= 1
             sent = probe.send(built.item(bytes(changed)), timeout_ns=PAUSE_NS)
             text = f"{each.command.name} is stored with a wrong {check.name}"
-            probe.expect(each.read(probe), equal=was, refutes=text, exchange=sent, key=text)
+            probe.expect(each.read(probe), equal=was, refutes=text, exchange=sent)
 
 
 @_of_framing(
@@ -491,7 +491,7 @@ def _settings_of_one_length(probe: Probe, chosen: list[ReadableSetting]) -> None
             if link.kind != "can" or len(frame) <= _CAN_BYTES:
                 sent = probe.send(built.item(frame), timeout_ns=_SHORT_NS)
                 text = f"{each.name} with {what} is stored"
-                probe.expect(each.read(probe), equal=was, refutes=text, exchange=sent, key=text)
+                probe.expect(each.read(probe), equal=was, refutes=text, exchange=sent)
 
 
 #: How long is listened to a setting that is not to be stored, before it is read.

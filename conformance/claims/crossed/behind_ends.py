@@ -129,7 +129,7 @@ def _behind_ended(probe: Probe, command: Command) -> None:
         text = f"{command.name} does not go on from where an ended motion left the shaft"
         expected = f"{_WAY} degrees: {tried.row}"
         got = "a refusal or no answer"
-        probe.expect(got, holds=not tried.refused, expected=expected, refutes=text, exchange=tried.move, key=text)
+        probe.expect(got, holds=not tried.refused, expected=expected, refutes=text, exchange=tried.move)
         probe.expect(
             abs(tried.end.value - tried.start.value),
             near=_WAY,
@@ -138,5 +138,4 @@ def _behind_ended(probe: Probe, command: Command) -> None:
             expected=expected,
             refutes=text,
             exchange=tried.move,
-            key=text,
         )

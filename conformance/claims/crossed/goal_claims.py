@@ -107,7 +107,7 @@ def _taken_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
             assert edge.exchange.command is not None  # it was asked for
             text = f"{edge.exchange.command.name} is not answered in one condition"
             holds, expected = edge.exchange.is_read, f"an answer: {tried.row}"
-            probe.expect("no answer", holds=holds, expected=expected, refutes=text, exchange=edge.exchange, key=text)
+            probe.expect("no answer", holds=holds, expected=expected, refutes=text, exchange=edge.exchange)
 
 
 @_of_goals(name="{command}/crossed-tells", refuted_by="another temperature, torque current, speed or encoder")
@@ -177,13 +177,13 @@ def _ends_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
             continue
         text = f"{command.name} goes elsewhere in one condition"
         stands, expected = tried.stood or not moves(command), f"standing: {tried.row}"
-        probe.expect("a shaft that turns on", holds=stands, expected=expected, refutes=text, key=text)
+        probe.expect("a shaft that turns on", holds=stands, expected=expected, refutes=text)
         if not moves(command):
             went = tried.went(probe) * tried.row.way
             # A weak torque may not turn a real shaft.
             if not tried.row.start and abs(went) >= 1:
                 expected = f"{tried.row.way:+d}: {tried.row}"
-                probe.expect(f"{went:+.1f} degrees", holds=went > 0, expected=expected, refutes=text, key=text)
+                probe.expect(f"{went:+.1f} degrees", holds=went > 0, expected=expected, refutes=text)
             continue
         low, high = _wanted(probe, tried)
         within = motion.miss(probe) + (probe.noise.swing if tried.row.start else 0.0)
@@ -195,7 +195,6 @@ def _ends_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
             expected=f"{low:.6g} to {high:.6g} degrees: {tried.row}",
             refutes=text,
             exchange=tried.begun.exchange,
-            key=text,
         )
 
 
@@ -233,7 +232,7 @@ def _stopped_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None
         assert edge.exchange.command is not None  # it was asked for
         ending = edge.exchange.command.name
         text = f"{ending} does not end {command.name} in one condition"
-        shown: dict[str, Any] = {"exchange": edge.exchange, "key": text}
+        shown: dict[str, Any] = {"exchange": edge.exchange}
         probe.expect("a shaft that turns", holds=tried.stood, expected=f"standing: {tried.row}", refutes=text, **shown)
         if tried.row.meets is not ON and moves(command) and not tried.row.start:
             at, went = samples(probe, edge.places), tried.went(probe)
@@ -252,7 +251,7 @@ def _stopped_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None
             moved = samples(probe, tried.after)[-1].value - samples(probe, tried.off)[-1].value
             text = f"switching the motor on takes {command.name} up again"
             most = motion.same(probe)
-            probe.expect(abs(moved), at_most=most, unit="degrees", expected=str(tried.row), refutes=text, key=text)
+            probe.expect(abs(moved), at_most=most, unit="degrees", expected=str(tried.row), refutes=text)
 
 
 @_of_goals(name="{command}/crossed-speed", refuted_by="another speed, or another way")
@@ -279,7 +278,7 @@ def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
         if not seen:
             continue
         share = row.rpm * CLOCK_SHARE + _RPM
-        shown: dict[str, Any] = {"refutes": text, "exchange": tried.begun.exchange, "key": text, "unit": "rpm"}
+        shown: dict[str, Any] = {"refutes": text, "exchange": tried.begun.exchange, "unit": "rpm"}
         fastest = max(rpm - spread for rpm, spread in seen)
         probe.expect(fastest, at_most=row.rpm + share, expected=f"at most {row.rpm + share:.4g} rpm: {row}", **shown)
         if runs or _has_its_speed(tried):
@@ -384,7 +383,7 @@ def _judge(probe: Probe, command: Command, *, few: bool) -> None:
     widths = set(_WITHIN_TURN[command.verb][1]) if command.verb in _WITHIN_TURN else set()
     for seen in _looks(probe, command, few=few):
         text = f"{command.name} is not answered in one condition, twice"
-        shown: dict[str, Any] = {"expected": f"an answer, {seen.when}", "exchange": seen.look.exchange, "key": text}
+        shown: dict[str, Any] = {"expected": f"an answer, {seen.when}", "exchange": seen.look.exchange}
         probe.expect("no answer", holds=seen.look.values is not None, refutes=text, **shown)
         if widths:
             _expect_within_turn(probe, seen, widths)
@@ -402,7 +401,7 @@ def _expect_no_jumps(probe: Probe, *, few: bool) -> None:
             most = _FASTEST * 6 * (last.t_ns - first.t_ns + first.spread_ns + last.spread_ns) / 1e9 + _JUMP + probe.noise.swing
             text = "the position jumps in one condition"
             jump, expected = abs(last.value - first.value), f"at most {most:.4g} degrees: {tried.row}"
-            probe.expect(jump, at_most=most, unit="degrees", expected=expected, refutes=text, key=text)
+            probe.expect(jump, at_most=most, unit="degrees", expected=expected, refutes=text)
 
 
 def _expect_within_turn(probe: Probe, seen: _Seen, widths: set[int]) -> None:
@@ -420,7 +419,7 @@ def _expect_within_turn(probe: Probe, seen: _Seen, widths: set[int]) -> None:
     widths &= fits
     text = f"{seen.look.read.name} tells another place than the position in one condition"
     expected = f"{low:.4g} to {high:.4g} degrees from {since}, {seen.when}"
-    probe.expect(str(told), holds=bool(widths), expected=expected, refutes=text, exchange=seen.look.exchange, key=text)
+    probe.expect(str(told), holds=bool(widths), expected=expected, refutes=text, exchange=seen.look.exchange)
 
 
 def _expect_speed(probe: Probe, seen: _Seen) -> None:
@@ -445,9 +444,8 @@ def _expect_speed(probe: Probe, seen: _Seen) -> None:
         at_most=high + beside,
         unit="rpm",
         expected=f"{low:.5g} to {high:.5g} rpm, {seen.when}",
-        refutes=(text := f"{seen.look.read.name} tells another speed in one condition"),
+        refutes=f"{seen.look.read.name} tells another speed in one condition",
         exchange=seen.look.exchange,
-        key=text,
     )
 
 
@@ -467,15 +465,15 @@ def _expect_torque(probe: Probe, seen: _Seen) -> None:
     rest = next((one.values for one in seen.tried.before if one.read.name == seen.look.read.name), None)
     if seen.phase is seen.tried.off:
         text = f"{seen.look.read.name} tells a {name} of a motor that is off"
-        shown = {"expected": f"none, {seen.when}", "exchange": seen.look.exchange, "key": text}
+        shown = {"expected": f"none, {seen.when}", "exchange": seen.look.exchange}
         probe.expect(abs(seen.values[name]), at_most=FORCE / 3, unit="LSB", refutes=text, **shown)
     elif seen.phase is seen.tried.after and rest is not None:
         text = f"{seen.look.read.name} tells another {name} at rest than before a motion"
-        shown = {"expected": f"about {rest[name]} LSB, {seen.when}", "exchange": seen.look.exchange, "key": text}
+        shown = {"expected": f"about {rest[name]} LSB, {seen.when}", "exchange": seen.look.exchange}
         probe.expect(seen.values[name], near=rest[name], within=FORCE, unit="LSB", refutes=text, **shown)
     if wanted is not None:
         text = f"{seen.look.read.name} tells another {name} than was asked for in one condition"
-        shown = {"expected": f"about {wanted} LSB, {seen.when}", "exchange": seen.look.exchange, "key": text}
+        shown = {"expected": f"about {wanted} LSB, {seen.when}", "exchange": seen.look.exchange}
         probe.expect(seen.values[name], near=wanted, within=FORCE / 4, unit="LSB", refutes=text, **shown)
 
 
@@ -486,18 +484,16 @@ def _expect_phases(probe: Probe, seen: _Seen) -> None:
     if seen.phase is seen.tried.off:
         text = "phase currents are told of a motor that is off"
         most, expected = max(map(abs, currents)), f"none, {seen.when}"
-        probe.expect(
-            most, at_most=FORCE / 3, unit="LSB", expected=expected, refutes=text, exchange=seen.look.exchange, key=text
-        )
+        probe.expect(most, at_most=FORCE / 3, unit="LSB", expected=expected, refutes=text, exchange=seen.look.exchange)
     if wanted is None:
         return
     shown: dict[str, Any] = {"exchange": seen.look.exchange, "expected": f"those of {wanted} LSB, {seen.when}"}
     flowing = math.sqrt(sum(current * current for current in currents) / 1.5)
     text = "the phase currents are not those of the torque current in one condition"
-    probe.expect(flowing, near=abs(wanted), within=FORCE / 3, unit="LSB", refutes=text, key=text, **shown)
+    probe.expect(flowing, near=abs(wanted), within=FORCE / 3, unit="LSB", refutes=text, **shown)
     text = "the phase currents do not add up to nothing in one condition"
     holds = abs(sum(currents)) <= max(4, max(map(abs, currents)) / 4)
-    probe.expect(" + ".join(map(str, currents)), holds=holds, refutes=text, key=text, **shown)
+    probe.expect(" + ".join(map(str, currents)), holds=holds, refutes=text, **shown)
 
 
 def _expect_state(probe: Probe, seen: _Seen) -> None:
@@ -508,7 +504,7 @@ def _expect_state(probe: Probe, seen: _Seen) -> None:
     switched = {"state"} if seen.tried.row.meets is OFF else set()
     for name in sorted(seen.values.keys() - _TREMBLES - switched):
         text = f"{seen.look.read.name} tells another {name} than at rest in one condition"
-        shown: dict[str, Any] = {"expected": f"{rest[name]}, {seen.when}", "exchange": seen.look.exchange, "key": text}
+        shown: dict[str, Any] = {"expected": f"{rest[name]}, {seen.when}", "exchange": seen.look.exchange}
         probe.expect(seen.values[name], holds=seen.values[name] == rest[name], refutes=text, **shown)
 
 
@@ -517,7 +513,7 @@ def _expect_temperature(probe: Probe, seen: _Seen) -> None:
     if first is not None:
         text = f"{seen.look.read.name} tells another temperature in one condition"
         shown: dict[str, Any] = {"expected": f"{first['temperature']} degC, {seen.when}", "exchange": seen.look.exchange}
-        probe.expect(seen.values["temperature"], near=first["temperature"], unit="degC", refutes=text, key=text, **shown)
+        probe.expect(seen.values["temperature"], near=first["temperature"], unit="degC", refutes=text, **shown)
 
 
 _JUDGES: Mapping[Verb, tuple[Callable[[Probe, _Seen], None], ...]] = {

@@ -82,7 +82,7 @@ def _home_takes_over(probe: Probe, command: Command) -> None:
         probe.wait(_GOING_NS)
         exchange = probe.ask(command, quiet_ns=0)
         text, shown = f"{command.name} does not take over from another motion", f"over {older.name}, {'+' if way > 0 else '-'}"
-        told: dict[str, Any] = {"refutes": text, "exchange": exchange, "key": text}
+        told: dict[str, Any] = {"refutes": text, "exchange": exchange}
         refused = not exchange.is_read or probe.refused(exchange)
         rpm, spread, status = _seen(probe, exchange)
         probe.expect("a refusal or no answer", holds=not refused, expected=f"homing, {shown}", **told)
@@ -130,7 +130,6 @@ def _home_turns(probe: Probe, command: Command) -> None:
             expected=f"{wanted:+g} rpm: {shown}",
             refutes=text,
             exchange=begun,
-            key=text,
         )
     homing.set_home(probe)
 

@@ -41,7 +41,7 @@ def _taken_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
         text = f"{command.name} is refused or not answered in one condition"
         # What the line damaged is no answer of the drive's.
         holds = not tried.refused or tried.damaged
-        probe.expect(str(tried.row), holds=holds, expected="an answer", refutes=text, exchange=tried.begun, key=text)
+        probe.expect(str(tried.row), holds=holds, expected="an answer", refutes=text, exchange=tried.begun)
 
 
 @of_motion(
@@ -65,7 +65,7 @@ def _replies_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None
             assert exchange.command is not None  # it was asked for
             text = f"{exchange.command.name} has other replies in one condition"
             expected = f"{wanted}: {tried.row}"
-            probe.expect(told, equal=wanted, refutes=text, exchange=exchange, expected=expected, key=text)
+            probe.expect(told, equal=wanted, refutes=text, exchange=exchange, expected=expected)
 
 
 def _told(tried: Tried) -> Iterator[tuple[Exchange, list[int], list[int]]]:
@@ -133,7 +133,6 @@ def _course_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
                 expected=f"{low:.6g} to {high:.6g} degrees, {after_ms:.0f} ms on: {tried.row}",
                 refutes=text,
                 exchange=look.exchange,
-                key=text,
             )
 
 
@@ -155,9 +154,7 @@ def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
         text = f"{command.name} turns at another speed in one condition"
         within = wanted * CLOCK_SHARE + spread
         expected = f"{wanted:g} rpm +-{within:.3g}: {tried.row}"
-        probe.expect(
-            abs(seen), near=wanted, within=within, unit="rpm", refutes=text, expected=expected, exchange=tried.begun, key=text
-        )
+        probe.expect(abs(seen), near=wanted, within=within, unit="rpm", refutes=text, expected=expected, exchange=tried.begun)
 
 
 @of_motion(

@@ -119,7 +119,7 @@ def _judge(probe: Probe, command: Command, *, few: bool) -> None:
         when = "at rest after" if seen.rests else "on the way of"
         text = f"{command.name} is not answered {'at rest' if seen.rests else 'while the shaft turns'}, twice"
         answered = seen.look.values is not None
-        probe.expect("no answer", holds=answered, expected="an answer", refutes=text, exchange=seen.look.exchange, key=text)
+        probe.expect("no answer", holds=answered, expected="an answer", refutes=text, exchange=seen.look.exchange)
         judge(probe, seen, f"{when} {seen.tried.row}")
 
 
@@ -137,9 +137,8 @@ def _speed(probe: Probe, seen: _Seen, when: str) -> None:
         at_most=high + beside,
         unit="rpm",
         expected=f"{low:.5g} to {high:.5g} rpm, {when}",
-        refutes=(text := _fail(seen, "tells another speed")),
+        refutes=_fail(seen, "tells another speed"),
         exchange=seen.look.exchange,
-        key=text,
     )
 
 
@@ -159,7 +158,7 @@ def _status(probe: Probe, seen: _Seen, when: str) -> None:
     else:
         expected = f"{' or '.join(map(str, wanted))}, {when}"
         text = _fail(seen, "tells another state")
-        probe.expect(status, among=wanted, expected=expected, refutes=text, exchange=seen.look.exchange, key=text)
+        probe.expect(status, among=wanted, expected=expected, refutes=text, exchange=seen.look.exchange)
 
 
 def _place(probe: Probe, seen: _Seen, when: str) -> None:
@@ -172,7 +171,7 @@ def _place(probe: Probe, seen: _Seen, when: str) -> None:
     inside = low - within <= told <= high + within and 0 <= seen.values["encoder"] < turn
     # A shaft that turns round between two looks was beyond both.
     if inside or seen.tried.row.start >= 0:
-        probe.expect(f"{told} counts", holds=inside, expected=expected, refutes=text, exchange=exchange, key=text)
+        probe.expect(f"{told} counts", holds=inside, expected=expected, refutes=text, exchange=exchange)
 
 
 def _pulses(probe: Probe, seen: _Seen, when: str) -> None:
@@ -191,9 +190,8 @@ def _pulses(probe: Probe, seen: _Seen, when: str) -> None:
         at_most=high + beside,
         unit="degrees",
         expected=f"{low:.5g} to {high:.5g} degrees as positions have it, {when}",
-        refutes=(text := _fail(seen, "does not go on as read_position does")),
+        refutes=_fail(seen, "does not go on as read_position does"),
         exchange=seen.look.exchange,
-        key=text,
     )
 
 
@@ -202,19 +200,14 @@ def _error(probe: Probe, seen: _Seen, when: str) -> None:
     error = abs(float(field.physical(seen.values["angle_error"])))
     most = _REST if seen.rests else _LAG
     text, expected = _fail(seen, "is that of a shaft that is held"), f"at most {most:g} degrees, {when}"
-    probe.expect(error, at_most=most, unit="degrees", expected=expected, refutes=text, exchange=seen.look.exchange, key=text)
+    probe.expect(error, at_most=most, unit="degrees", expected=expected, refutes=text, exchange=seen.look.exchange)
 
 
 def _as_at_rest(probe: Probe, seen: _Seen, when: str) -> None:
     rest = next(look for look in seen.tried.before if look.read.name == seen.look.read.name)
     text, expected = _fail(seen, "tells another state than before"), f"{rest.values}, {when}"
     probe.expect(
-        str(seen.values),
-        holds=seen.values == rest.values,
-        expected=expected,
-        refutes=text,
-        exchange=seen.look.exchange,
-        key=text,
+        str(seen.values), holds=seen.values == rest.values, expected=expected, refutes=text, exchange=seen.look.exchange
     )
 
 
@@ -241,7 +234,7 @@ def _ports(probe: Probe, seen: _Seen, when: str, but: str = "") -> None:
             wanted[_IN_PLACE] = 0
     got = {name: seen.values[name] for name in wanted}
     text = _fail(seen, "tells other levels")
-    probe.expect(got, equal=wanted, expected=f"{wanted}, {when}", refutes=text, exchange=seen.look.exchange, key=text)
+    probe.expect(got, equal=wanted, expected=f"{wanted}, {when}", refutes=text, exchange=seen.look.exchange)
 
 
 def _tells_moves(probe: Probe) -> bool:

@@ -231,7 +231,6 @@ def _expect_stopped(probe: Probe, command: Command, run: Command, wanted: Callab
             expected=f"a shaft that stands: {each.row}",
             refutes=text,
             exchange=each.stop,
-            key=text,
         )
         within = _BESIDE + motion.miss(probe) + probe.noise.swing
         went = (each.end.value - each.before.value) * each.sense
@@ -287,5 +286,4 @@ def _pulses_behind(probe: Probe, command: Command) -> None:
             unit="degrees",
             expected=f"{went:.5g} degrees: {tried.row}",
             refutes=text,
-            key=text,
         )

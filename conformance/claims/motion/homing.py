@@ -424,7 +424,7 @@ def _replies(probe: Probe, command: Command) -> None:
         text = "homing is not answered by 1 and then 2"
         shown = ", ".join(f"{name} {value}" for name, value in row.items())
         told = _statuses(probe, since, command)
-        probe.expect(told, equal=[1, 2], expected=f"1, 2: {shown}", refutes=text, exchange=exchange, key=text)
+        probe.expect(told, equal=[1, 2], expected=f"1, 2: {shown}", refutes=text, exchange=exchange)
 
 
 @_of_homing("others", each=that_tell_their_end(_homings), at_best=Certainty.LIKELY)

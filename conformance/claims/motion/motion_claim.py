@@ -140,7 +140,7 @@ def expect_taken(probe: Probe, exchange: Exchange, refutes: str) -> None:
 def expect_row_taken(probe: Probe, exchange: Exchange, row: object, refutes: str) -> None:
     """Refute where the command of a row was refused. A reply that is lost or damaged says nothing; `row`: for people."""
     taken = not (exchange.is_read and probe.refused(exchange))
-    probe.expect("a refusal", holds=taken, expected=f"no refusal: {row}", refutes=refutes, exchange=exchange, key=refutes)
+    probe.expect("a refusal", holds=taken, expected=f"no refusal: {row}", refutes=refutes, exchange=exchange)
 
 
 def expect_between(
@@ -156,7 +156,7 @@ def expect_between(
     """Refute unless a number is in a span, give or take `within`. `row`: what was tried, for people."""
     low, high = span[0] - within, span[1] + within
     expected = f"{low:.5g} to {high:.5g} {unit}: {row}"
-    probe.expect(got, at_least=low, at_most=high, unit=unit, expected=expected, refutes=refutes, exchange=exchange, key=refutes)
+    probe.expect(got, at_least=low, at_most=high, unit=unit, expected=expected, refutes=refutes, exchange=exchange)
 
 
 def expect_at_rest(probe: Probe, command: Command, exchange: Exchange, refutes: str) -> None:

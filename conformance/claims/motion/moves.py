@@ -278,7 +278,6 @@ def _steps(probe: Probe, command: Command) -> None:
             expected=f"{_SO_MANY * abs(step):.3g} degrees: {_SO_MANY} times {way * units:+d}",
             refutes=text,
             exchange=exchange,
-            key=text,
         )
 
 

@@ -44,7 +44,7 @@ def expect_states(probe: Probe, before: dict[str, int], when: str) -> None:
     """Refute where these states read otherwise than before."""
     text = f"reads of the motor's state tell something else {when}"
     seen = states(probe)
-    probe.expect(str(seen), holds=seen == before, expected=str(before), refutes=text, key=text)
+    probe.expect(str(seen), holds=seen == before, expected=str(before), refutes=text)
 
 
 def _expect_error(probe: Probe, most: float, when: str) -> None:

@@ -245,9 +245,7 @@ def _expect_stored(probe: Probe, setting: ReadableSetting, held: Mapping[str, Ma
     wanted = held[setting.name]
     got = setting.read(probe)
     text = f"{setting.name} set {when} does not read as it was set"
-    probe.expect(
-        {n: got[n] for n in got if n in wanted}, equal={n: wanted[n] for n in got if n in wanted}, refutes=text, key=text
-    )
+    probe.expect({n: got[n] for n in got if n in wanted}, equal={n: wanted[n] for n in got if n in wanted}, refutes=text)
 
 
 def _text(values: Mapping[str, int]) -> str:

@@ -484,13 +484,13 @@ def _returns_to_zero(probe: Probe, command: Command) -> None:
             text = "the shaft goes the other way back to its zero"
             right = came.on_way * came.wanted > 0
             told = f"{came.on_way:+.3g} rpm"
-            probe.expect(told, holds=right, expected=f"the other way: {shown}", refutes=text, exchange=came.exchange, key=text)
+            probe.expect(told, holds=right, expected=f"the other way: {shown}", refutes=text, exchange=came.exchange)
     speeds = sorted((came.back.speed, abs(came.on_way)) for came in every if came.on_way is not None)
     for (slow, rpm), (fast, more) in combinations(speeds, 2):
         if slow < fast:
             text = "a higher zero_speed does not bring the shaft back faster"
             expected = f"more than at {slow}: {rpm:.3g} rpm"
-            probe.expect(f"{more:.3g} rpm at {fast}", holds=more > rpm, expected=expected, refutes=text, key=text)
+            probe.expect(f"{more:.3g} rpm at {fast}", holds=more > rpm, expected=expected, refutes=text)
 
 
 def _come_back(probe: Probe, command: Command, back: _Back, sense: int) -> _Came:
