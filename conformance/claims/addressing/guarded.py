@@ -67,6 +67,10 @@ class Guarded:
     again: bool = True
     sends: tuple[Verb, ...] = ()
 
+    def shows(self, probe: Probe, before: float, after: float) -> bool:
+        """Say whether what is seen has changed by more than it does by itself: a place trembles, and nothing else does."""
+        return abs(after - before) > self.within + (probe.noise.place if self.within else 0.0)
+
 
 def _shaft(probe: Probe) -> float:
     return motion.position(probe).value
@@ -322,11 +326,11 @@ _of_framing = partial(claim, Theme.FRAMING, section=described_in(Subject.FRAMING
 def _expect_no_effect(probe: Probe, guarded: Guarded, before: float, sent: Exchange, refutes: str, key: str) -> None:
     probe.wait(_WATCH_NS)
     after = guarded.see(probe)
-    if abs(after - before) > guarded.within:
+    shows = guarded.shows(probe, before, after)
+    if shows:
         leave(probe, guarded)
     expected = f"{before:g} still, after {hex_of(sent.sent or b'')}"
-    holds = abs(after - before) <= guarded.within
-    probe.expect(f"{after:g}", holds=holds, expected=expected, refutes=refutes, exchange=sent, key=key)
+    probe.expect(f"{after:g}", holds=not shows, expected=expected, refutes=refutes, exchange=sent, key=key)
 
 
 def _control(probe: Probe, command: Command, guarded: Guarded, values: Mapping[str, int]) -> None:
@@ -336,7 +340,7 @@ def _control(probe: Probe, command: Command, guarded: Guarded, values: Mapping[s
     probe.wait(_WATCH_NS)
     after = guarded.see(probe)
     leave(probe, guarded)
-    if abs(after - before) <= guarded.within:
+    if not guarded.shows(probe, before, after):
         raise Inconclusive(f"{command.name} shows no effect when it is sent whole either")
 
 

@@ -427,7 +427,7 @@ def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded.Guarded
     after = shown.see(probe)
     guarded.leave(probe, shown)
     text = f"{switch.name} by {many.what} is not executed"
-    holds = abs(after - before) > shown.within
+    holds = shown.shows(probe, before, after)
     probe.expect(f"{after:g}", holds=holds, expected=f"another value than {before:g}", refutes=text, exchange=sent)
     _expect_silence(probe, sent, many.what)
 

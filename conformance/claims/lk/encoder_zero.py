@@ -26,8 +26,8 @@ from conformance.talk.probe import Probe
 
 #: Resolutions that the manual names: 14, 15 and 16 bits; of 18 bits the upper 16 are sent.
 _WIDTHS = (14, 15, 16)
-#: How far a position may be from what it should be, in degrees, and in 0.01 degrees as sent.
-_NEAR, _NEAR_AS_SENT = 0.25, 25
+#: How far a position may be from what it should be, in degrees.
+_NEAR = 0.25
 #: Positions on both sides of zero and at the edge of 32 bits, as sent.
 _EDGES = (9_000, -3_600_050, 2_147_480_000, -2_147_480_000)
 
@@ -66,7 +66,7 @@ def _reads(probe: Probe, command: Command) -> None:
     for value in _EDGES:
         exchange = probe.do(command, {"position": value})
         text = "the position does not read what 95 set"
-        probe.expect(_position(probe), near=value, within=_NEAR_AS_SENT, refutes=text, exchange=exchange)
+        probe.expect(_position(probe) / 100, near=value / 100, within=_NEAR, unit="degrees", refutes=text, exchange=exchange)
 
 
 @_set_position(refuted_by="a shaft that moved")
@@ -87,7 +87,8 @@ def _counts_on(probe: Probe, command: Command) -> None:
         exchange = probe.do(command, {"position": value})
         turn_by(probe, degrees)
         text = "the position does not count on from what 95 set"
-        probe.expect(_position(probe), near=value + degrees * 100, within=_NEAR_AS_SENT, refutes=text, exchange=exchange)
+        seen, wanted = _position(probe) / 100, value / 100 + degrees
+        probe.expect(seen, near=wanted, within=_NEAR, unit="degrees", refutes=text, exchange=exchange)
 
 
 @_set_position(refuted_by="another place", at_best=Certainty.LIKELY, first=need_room)
@@ -160,7 +161,8 @@ def _drops_turns(probe: Probe, command: Command) -> None:
             raise Inconclusive("the turns were not counted before 93")
         exchange = probe.do(command)
         text = "93 does not drop the turns"
-        probe.expect(_position(probe), at_least=-36_000, at_most=36_000, refutes=text, exchange=exchange)
+        seen = _position(probe) / 100
+        probe.expect(seen, at_least=-360, at_most=360, unit="degrees", refutes=text, exchange=exchange)
 
 
 @_clear_turns(name="{command}/keeps-angle", refuted_by="another angle within the turn", at_best=Certainty.LIKELY)
@@ -187,10 +189,10 @@ def _while_turning(probe: Probe, command: Command) -> None:
     motion.run_at(probe, CALM)
     probe.wait(500 * MS)
     exchange = probe.do(command)
-    place, turning = _position(probe), motion.speed(probe)
+    place, turning = _position(probe) / 100, motion.speed(probe)
     motion.stand_still(probe)
     text = "93 does not drop the turns of a shaft that turns"
-    probe.expect(place, at_least=-36_000, at_most=2 * 36_000, refutes=text, exchange=exchange)
+    probe.expect(place, at_least=-360, at_most=2 * 360, unit="degrees", refutes=text, exchange=exchange)
     expect_speed(turning, CALM, exchange, "93 changes the speed of the shaft", share=0.1)
 
 

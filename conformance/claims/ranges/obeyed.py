@@ -296,7 +296,7 @@ def _expect_reached(probe: Probe, command: Command, angle: int, direction: int) 
     now = probe.read(Verb.READ_SINGLE_TURN)
     probe.expect(
         now,
-        holds=_between(now, angle) <= _SAME * 100 and 0 <= now < _TURN,
+        holds=_between(now, angle) <= (_SAME + probe.noise.place) * 100 and 0 <= now < _TURN,
         expected=f"{angle}",
         refutes=f"{command.name}: angle {angle} in direction {direction} ends at {now}",
         exchange=exchange,

@@ -24,8 +24,8 @@ from conformance.talk.probe import Probe
 
 #: Numbers that no parameter has in the manual; most are next to a listed one.
 _NUMBERS = (0, 9, 13, 29, 31, 33, 35, 37, 39, 255)
-#: Hundredths of a degree within which two positions are one.
-_SAME = 30
+#: Degrees by which a position may be off that has just been set, beside the noise.
+_SAME = 0.3
 
 
 def _forms(dialect: Dialect) -> Iterator[tuple[Command, Form]]:
@@ -141,5 +141,6 @@ def _read(probe: Probe, command: Command, field: Field, values: tuple[int, ...])
     for value in values:
         exchange = probe.do(command, {field.name: value})
         now = probe.read(Verb.READ_POSITION)
-        text = f"{command.name} {value} is read as {now}"
-        probe.expect(now, near=value, within=_SAME, refutes=text, exchange=exchange, key=f"{command.name} not stored")
+        text, key = f"{command.name} {value} is read as {now}", f"{command.name} not stored"
+        degrees, wanted = now * float(field.scale), value * float(field.scale)
+        probe.expect(degrees, near=wanted, within=_SAME, unit="degrees", refutes=text, exchange=exchange, key=key)

@@ -37,6 +37,7 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.known_reads import plain_reads
 from conformance.claims.settings.known_settings import Setting, every_setting, needs
 from conformance.model.lk_parameters import OTHER_FIRMWARE
+from conformance.motion import motion
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -46,8 +47,6 @@ _MANY = 100
 _IN_A_ROW = 220
 _TRIES = 3
 _FLOOD = 40
-#: Counts of position in which reads of a shaft that stands may differ, in the smallest step of the read.
-_SHIVER = 16
 #: Bytes of noise at a time, and in all.
 _PIECE, _PIECES = 64, 32
 _SEED = 20_241
@@ -127,18 +126,10 @@ def _answered_alone(probe: Probe, command: Command) -> bool:
 @_resilience("another position", each=commands(Verb.READ_POSITION), name="reads/steady", at_best=Certainty.LIKELY)
 def _reads_steady(probe: Probe, command: Command) -> None:
     """The position of a shaft that stands reads the same again and again."""
-    found = []
+    first = motion.position(probe)
     for _ in range(_MANY // 2):
-        exchange = probe.ask(command, quiet_ns=0)
-        if is_answered(exchange):
-            named = (a for a in exchange.answers if a.command is not None and a.command.name == command.name)
-            found.append((next(named).values["position"], exchange))
-    if len(found) < _MANY // 4:
-        raise Inconclusive("reads of the position are not answered")
-    first = found[0][0]
-    for value, exchange in found:
         text = "the position of a standing shaft changes"
-        probe.expect(value, near=first, within=_SHIVER, refutes=text, exchange=exchange)
+        probe.expect(motion.position(probe), near=first.value, unit="degrees", refutes=text)
 
 
 # --- what the next request comes behind -------------------------------------------------------------------------------
