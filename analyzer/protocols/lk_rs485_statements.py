@@ -524,7 +524,16 @@ STATEMENTS: tuple[S, ...] = (
         ("read-back/parameter/*/written", "state/walk/*"),
     ),
     S("19/others", "It writes no other parameter.", ("resilience/settings/*", "ranges/write_parameter/parameter/unlisted")),
-    S("19/at-once", "It takes effect at once.", ("motion/write_parameter/torque-limit-at-once-*",)),
+    S(
+        "19/at-once",
+        "It takes effect at once.",
+        (
+            "motion/write_parameter/speed-limit-*at-once",
+            "motion/write_parameter/torque-limit-at-once-*",
+            "timing/write_parameter/speed-ramp-at-once",
+            "timing/write_parameter/speed-ramp-under-way-*",
+        ),
+    ),
     S("19/power", "What it wrote is gone when power was off.", ("read-back/parameter/*/power",)),
     S("19/values", "The reply has the values after writing.", ("read-back/parameter/*/written",)),
     # --- 20: encoder ---
@@ -668,6 +677,7 @@ STATEMENTS: tuple[S, ...] = (
             "timing/write_parameter/one-slope-*",
             "timing/write_parameter/speed-ramp-*-each-way",
             "timing/write_parameter/speed-ramp-at-once",
+            "timing/write_parameter/speed-ramp-under-way-*",
         ),
     ),
 )

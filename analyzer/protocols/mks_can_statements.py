@@ -50,6 +50,8 @@ def _setting(section: str, command: str, sent: str, *fields: str) -> Iterator[St
 def _refusals(command: str, *fields: str) -> Iterator[str]:
     for field in fields:
         yield f"ranges/{command}/{field}/[abu]*"
+    if len(fields) > 1:
+        yield f"ranges/{command}/at-corners"
 
 
 STATEMENTS: tuple[Statement, ...] = (
@@ -555,6 +557,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "read-back/set_home/home_speed",
         "read-back/set_home/home_speed-at-8",
         "ranges/set_home/home_speed/*",
+        "ranges/set_home/at-corners",
     ),
     said(
         "3.4.1/limit-switch",
@@ -662,7 +665,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "observed by motion/set_pulse_division/divides: whether 34 shows the port or the signal of the drive is not said",
     ),
     *_tables("3.6.1", "restore", "3F without data", "a status of one byte"),
-    said("3.6.1/defaults", "All parameters have their defaults again.", "read-back/restore/settings", "read-back/restore/link"),
+    said("3.6.1/defaults", "All parameters have their defaults again.", "read-back/restore/*"),
     said("3.6.1/status", "Status 1 says that it is done.", "examples/restore/1"),
     unseen("3.6.1/status-0", "Status 0 says that it is not done.", "the manual names nothing that prevents it"),
     said("3.6.1/reboots", "The drive starts again then.", "read-back/restore/reboots"),

@@ -199,3 +199,71 @@ def _one_slope(probe: Probe, run: Command) -> None:
             text = f"the speed of {run.name} changes by another ramp on the way"
             holds, expected = abs(slope.value - reference.value) <= within, f"{reference.value:.4g} +-{within:.3g} deg/s2"
             probe.expect(str(slope), holds=holds, expected=expected, refutes=text, exchange=slope.exchange)
+
+
+# --- a ramp that is written on the way --------------------------------------------------------------------------------
+
+#: Ramps and the speed limit as sent, the speed in rpm; when the steep ramp has it, and how long the slow one is looked at.
+_SLOW_RAMP, _STEEP_RAMP, _RISING_LIMIT, _RISING_RPM = 3_000, 90_000, 12_000, 20
+_RISES_NS, _BEGINS_NS = 250 * MS, 60 * MS
+#: Parts of the speed: what a shaft has that kept to the steep ramp, and at most to the slow one.
+_RISEN, _CREPT = 0.9, 0.6
+
+
+@dataclass(frozen=True)
+class _Rising:
+    """How fast a shaft was (rpm) after a motion began by a ramp. `slow`: how fast by the slow one, before the steep one."""
+
+    slow: float
+    speed: Sample
+    exchange: Exchange
+
+
+def rising(probe: Probe, command: Command) -> tuple[_Rising, ...]:
+    """Begin a motion by a steep ramp, then by a slow one that a steep one takes over; nothing where there is no such ramp."""
+    kept = {name: parameter(probe, name) for name in ("speed_ramp", "speed_limit")}
+    if kept["speed_ramp"] is None:
+        return ()
+    motion.ready_to_move(probe)
+    set_parameter(probe, "speed_limit", _RISING_LIMIT)
+    found = []
+    for ramp in (_STEEP_RAMP, _SLOW_RAMP):
+        set_parameter(probe, "speed_ramp", ramp)
+        exchange = motion.ask(probe, command, _IN_TURN, rpm=_RISING_RPM, quiet_ns=0)
+        slow = 0.0
+        if ramp == _SLOW_RAMP:
+            probe.wait(_BEGINS_NS)
+            slow = abs(motion.speed(probe).value)
+            exchange = set_parameter(probe, "speed_ramp", _STEEP_RAMP)
+        probe.wait(_RISES_NS)
+        found.append(_Rising(slow, motion.speed(probe), exchange))
+        motion.stand_still(probe)
+    for name, value in kept.items():
+        set_parameter(probe, name, value or 0)
+    return tuple(found)
+
+
+@of_motion(
+    theme=Theme.TIMING,
+    each=_motions,
+    name="{command}/speed-ramp-under-way-{run}",
+    refuted_by="a shaft that is as slow as by the ramp of before",
+    at_best=Certainty.LIKELY,
+    settings=("speed_ramp", "speed_limit"),
+    own=lambda case: {Risk.SETTING},
+    quirks=may_meet(FIRMWARE),
+)
+def _ramp_under_way(probe: Probe, run: Command) -> None:
+    """A steep speed ramp that holds for {run} from its begin holds as soon as it is written while the speed still rises."""
+    seen = probe.recorded(rising, run)
+    if not seen:
+        probe.meets(FIRMWARE)
+        return
+    steep, late = seen
+    if abs(steep.speed.value) < _RISEN * _RISING_RPM:
+        raise Observed(f"the speed of {run.name} rises by another ramp than was set: {steep.speed.value:.3g} rpm")
+    if late.slow > _CREPT * _RISING_RPM:
+        raise Observed(f"the speed of {run.name} does not rise by a slow ramp that was set: {late.slow:.3g} rpm")
+    text, speed = f"a steep ramp that is written while {run.name} speeds up does not hold", late.speed
+    least = _RISEN * _RISING_RPM - speed.noise
+    probe.expect(abs(speed.value), at_least=least, unit="rpm", refutes=text, exchange=late.exchange)

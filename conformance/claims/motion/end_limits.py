@@ -32,10 +32,12 @@ from conformance.talk.probe import Probe, Until
 _LEFT, _HALF = -3000, 8000
 #: How many turns the right end stop is from the left one, and how long the moves are that are to meet one.
 _RIGHT_TURNS, _LONG_TURNS = 2, 4
-#: How fast motions meet one; the fast one beyond half of any drive's speed.
-_RPM, _FAST = 120, 1600
+#: How fast motions meet one: the slow one is as slow as one goes by hand, the fast one beyond half of any drive's speed.
+_RPM, _SLOW, _FAST = 120, 15, 1600
+#: How motions that meet one come to their speed: by a steep ramp, and at once.
+_RAMPS = (QUICK, 0)
 #: Without a switch: how fast motions are asked for, how long they have to begin, and how long homing has to end.
-_SLOW, _STARTS_NS, _SOON_NS = 30, 200 * MS, 1500 * MS
+_PIN_RPM, _STARTS_NS, _SOON_NS = 30, 200 * MS, 1500 * MS
 #: How far homing goes back from a pin that is at its level (counts).
 _BACK = 0x800
 #: What turns the shaft.
@@ -112,11 +114,13 @@ def _sense_of(probe: Probe, command: Command) -> int:
     return _sense(probe, command) if motion.of(command).direction or motion.takes_pulses(command) else 1
 
 
-def _values(probe: Probe, command: Command, way: int, sense: int = 0, rpm: int = _RPM) -> dict[str, int]:
+def _values(
+    probe: Probe, command: Command, way: int, sense: int = 0, rpm: int = _RPM, acceleration: int = QUICK
+) -> dict[str, int]:
     """Return the values of a long motion down (-1) or up (1). `sense`: the drive's sense of direction, if known."""
     sense = sense or _sense_of(probe, command)
     start, turned = motion.place(probe, command), way * sense
-    how = {"rpm": rpm * turned if motion.of(command).kind is MotionKind.RUN else rpm, "acceleration": QUICK}
+    how = {"rpm": rpm * turned if motion.of(command).kind is MotionKind.RUN else rpm, "acceleration": acceleration}
     return motion.values_of(probe.dialect, command, _LONG_TURNS * 360 * turned, start=start, **how)
 
 
@@ -132,11 +136,17 @@ def _sense(probe: Probe, command: Command) -> int:
     return 1 if after.value > before.value else -1
 
 
-def _send_left(probe: Probe, command: Command, rpm: int = _RPM) -> Exchange:
-    exchange = probe.ask(command, _values(probe, command, -1, rpm=rpm), timeout_ns=10 * SECOND_NS)
+def _send_left(probe: Probe, command: Command, rpm: int = _RPM, acceleration: int = QUICK) -> Exchange:
+    values = _values(probe, command, -1, rpm=rpm, acceleration=acceleration)
+    exchange = probe.ask(command, values, timeout_ns=10 * SECOND_NS)
     probe.reply(exchange)
-    probe.wait(3 * SECOND_NS)
+    probe.wait(_time_to_meet(probe, _HALF, rpm))
     return exchange
+
+
+def _time_to_meet(probe: Probe, counts: int, rpm: int) -> int:
+    """Return how long to wait until a shaft has gone so far, and well beyond if nothing stops it (ns)."""
+    return 3 * SECOND_NS * max(1, counts * _RPM // (rpm * probe.dialect.counts_per_turn))
 
 
 # --- towards the limit ------------------------------------------------------------------------------------------------
@@ -146,11 +156,12 @@ def _send_left(probe: Probe, command: Command, rpm: int = _RPM) -> Exchange:
     "a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-stops-{run}", quirks=_deaf_after_moves
 )
 def _stops_at(probe: Probe, run: Command) -> None:
-    """With the end limit on, {run} towards the left stops at its end stop, in each bus mode, slow and fast, at both levels."""
-    for row in covering.rows({"mode": run.modes or ("",), "rpm": (_RPM, _FAST), "trigger": (0, 1)}):
+    """With the end limit on, {run} towards the left stops at its end stop, in each mode, at any speed, at both levels."""
+    factors = {"mode": run.modes or ("",), "rpm": (_RPM, _SLOW, _FAST), "trigger": (0, 1), "ramp": _RAMPS}
+    for row in covering.rows(factors):
         mode = row["mode"]
         _homed(probe, mode=mode, trigger=row["trigger"])
-        exchange = _send_left(probe, run, row["rpm"])
+        exchange = _send_left(probe, run, row["rpm"], row["ramp"])
         seen = probe.read(Verb.READ_POSITION, "position")
         if abs(seen) > probe.within("counts"):
             motion.stop(probe)
@@ -165,20 +176,21 @@ def _stops_at(probe: Probe, run: Command) -> None:
 )
 def _stops_at_the_other_side(probe: Probe, run: Command) -> None:
     """With the end limit on and homing counter-clockwise, {run} that way stops at the left end stop, and goes back from it."""
-    _homed(probe, side=1, mode=run.modes[0] if run.modes else "")
-    # The sense is found before the shaft stands at a limit, where it could not be.
-    sense = _sense_of(probe, run)
-    for way in (1, -1):
-        exchange = _ask_again(probe, run, _values(probe, run, way, sense))
-        probe.wait(3 * SECOND_NS if way > 0 else SECOND_NS)
-        seen = probe.read(Verb.READ_POSITION, "position")
-        if way > 0:
-            text = f"{run.name} does not stop at an end limit that lies counter-clockwise"
-            expected = "0, where the end stop is"
-            probe.expect(seen, near=0, unit="counts", expected=expected, refutes=text, exchange=exchange)
-    motion.stop(probe)
-    text = f"{run.name} does not go back from an end limit"
-    probe.expect(-seen, at_least=_HALF / 4, unit="counts", refutes=text, exchange=exchange)
+    for rpm in (_RPM, _SLOW, _FAST):
+        _homed(probe, side=1, mode=run.modes[0] if run.modes else "")
+        # The sense is found before the shaft stands at a limit, where it could not be.
+        sense = _sense_of(probe, run)
+        for way in (1, -1):
+            exchange = _ask_again(probe, run, _values(probe, run, way, sense, rpm if way > 0 else _RPM))
+            probe.wait(_time_to_meet(probe, _HALF, rpm) if way > 0 else SECOND_NS)
+            seen = probe.read(Verb.READ_POSITION, "position")
+            if way > 0:
+                text = f"{run.name} does not stop at an end limit that lies counter-clockwise"
+                expected = "0, where the end stop is"
+                probe.expect(seen, near=0, unit="counts", expected=expected, refutes=text, exchange=exchange)
+        motion.stop(probe)
+        text = f"{run.name} does not go back from an end limit"
+        probe.expect(-seen, at_least=_HALF / 4, unit="counts", refutes=text, exchange=exchange)
 
 
 def _with_right_limit(dialect: Dialect) -> Iterator[Case]:
@@ -193,15 +205,16 @@ def _with_right_limit(dialect: Dialect) -> Iterator[Case]:
     quirks=_deaf_after_moves,
 )
 def _stops_at_the_right(probe: Probe, run: Command) -> None:
-    """With the end limit on, {run} towards the right stops at the right end stop, at both levels."""
+    """With the end limit on, {run} towards the right stops at its end stop, in each mode, at any speed, at both levels."""
     motion.ready_to_move(probe)
     if Verb.SET_LIMIT_REMAP in probe.dialect.by_verb:
         probe.do(Verb.SET_LIMIT_REMAP, {"limit_remap": 1})
-    for trigger in (0, 1):
-        _homed(probe, mode=run.modes[0] if run.modes else "", trigger=trigger)
-        exchange = _ask_again(probe, run, _values(probe, run, 1))
-        probe.wait(3 * SECOND_NS)
-        seen, right = probe.read(Verb.READ_POSITION, "position"), _RIGHT_TURNS * probe.dialect.counts_per_turn
+    right = _RIGHT_TURNS * probe.dialect.counts_per_turn
+    for row in covering.rows({"mode": run.modes or ("",), "trigger": (0, 1), "rpm": (_RPM, _SLOW, _FAST)}):
+        _homed(probe, mode=row["mode"], trigger=row["trigger"])
+        exchange = _ask_again(probe, run, _values(probe, run, 1, rpm=row["rpm"]))
+        probe.wait(_time_to_meet(probe, right, row["rpm"]))
+        seen = probe.read(Verb.READ_POSITION, "position")
         motion.stop(probe)
         text, expected = f"{run.name} does not stop at the right end limit", f"{right}, where the right end stop is"
         probe.expect(seen, near=right, unit="counts", expected=expected, refutes=text, exchange=exchange)
@@ -302,7 +315,7 @@ def _by_level(probe: Probe, command: Command) -> None:
     probe.do(Verb.ENABLE, {"enabled": 1})
     for run, sense in runs:
         before = motion.position(probe)
-        exchange = _ask_again(probe, run, _values(probe, run, -1, sense, _SLOW))
+        exchange = _ask_again(probe, run, _values(probe, run, -1, sense, _PIN_RPM))
         probe.wait(_STARTS_NS)
         after = motion.position(probe)
         motion.stand_still(probe)

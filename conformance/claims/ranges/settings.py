@@ -3,14 +3,14 @@
 For commands whose replies can say that they were refused.
 
 Rules kept here:
-- All fields but the one in question have plain values (`conformance.talk.samples`).
+- All fields but the one in question have plain values (`conformance.talk.samples`), where a claim does not say otherwise.
 - Where the limit is one of the model, a drive on hardware is only judged when its model is known.
 - That a value outside is refused is likely, not certain: the manuals list the values and say "set fail" without saying when.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
@@ -91,6 +91,49 @@ def _refused(probe: Probe, command: Command, field: Field, values: tuple[int, ..
         asked = edges.plain(probe, command, form, **{field.name: value})
         expect_refused(probe, probe.build(command, asked, form=form), edges.text(field, value))
     _keep_enabled(probe, command)
+
+
+def _corners(dialect: Dialect, command: Command) -> Iterator[tuple[Field, int, dict[str, int]]]:
+    """Yield what is forbidden of a request of several fields: the field, its value, and the others at one of their ends.
+
+    A field whose limits are those of a model stays plain beside another one.
+    """
+    for field in edges.fields(command):
+        form, wrong = edges.form_of(command, field), limits.beyond(field)
+        others = [f for f in edges.fields(command) if f.name in form.layout.named and f is not field and not f.models]
+        for value in dict.fromkeys((*wrong[:1], *wrong[-1:])) if others else ():
+            for end in (-1, 0):
+                yield field, value, {f.name: limits.edges(f)[end] for f in others}
+
+
+def _at_corners(dialect: Dialect) -> Iterator[Case]:
+    for command in _judged(dialect):
+        rows = tuple(_corners(dialect, command))
+        if rows:
+            sent = [samples.sample(dialect, command, edges.form_of(command, f)) | {f.name: v} | more for f, v, more in rows]
+            names = tuple(dict.fromkeys(field.name for field, _, _ in rows))
+            facts = {**edges.needs(dialect, command, sent), "fields": names, "parameters": {}}
+            yield Case(dialect, command, {"rows": rows}, facts)
+
+
+@of_ranges(
+    each=_at_corners,
+    name="{command}/at-corners",
+    refuted_by="success, or silence",
+    at_best=Certainty.LIKELY,
+    rests_on=edges.doubts("unlisted"),
+    aspect=Aspect.BOUNDARY,
+)
+def _refused_at_corners(probe: Probe, command: Command, rows: Sequence[tuple[Field, int, dict[str, int]]]) -> None:
+    """A value next to the limits of a field is refused beside the highest and beside the lowest values of the others."""
+    edges.prepare(probe, command)
+    for field, value, others in rows:
+        if field.models and not probe.rig.model and not probe.rig.emulated:
+            continue
+        form = edges.form_of(command, field)
+        asked = edges.plain(probe, command, form, **others, **{field.name: value})
+        shown = ", ".join((edges.text(field, value), *(f"{n} {v}" for n, v in others.items())))
+        expect_refused(probe, probe.build(command, asked, form=form), shown)
 
 
 def _bytes_with_a_list(dialect: Dialect) -> Iterator[tuple[Command, Field]]:

@@ -1,6 +1,7 @@
 """Restore (MKS): 3F puts every setting back to its default, address, speed and dialect too.
 
     restore/settings    each setting that can be read, or whose effect is known, is the default
+    restore/SETTING     one without a printed default is not what was set
     restore/FIELD       a field that shows in what the drive does, some with hands, is the default
     restore/link        the drive answers at the default address, in the default dialect
 
@@ -11,7 +12,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
@@ -34,8 +35,9 @@ from conformance.claims.settings.link_changes import (
 )
 from conformance.claims.settings.read_back import of_read_back
 from conformance.claims.settings.restart import RESTORED_NS, move_away, stored_effect
-from conformance.claims.settings.setting_effects import SettingEffect
+from conformance.claims.settings.setting_effects import SettingEffect, differing
 from conformance.motion import arriving, motion
+from conformance.talk import settings
 from conformance.talk.acceptance import answers
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -75,18 +77,18 @@ def _restores(dialect: Dialect) -> Iterator[Case]:
 @of_read_back(each=_restores, name="{command}/settings", refuted_by="a setting that is as it was", by_name=True, alone=True)
 def _restored(probe: Probe, command: Command) -> None:
     """A restore puts every setting back to its default."""
-    settings = _settings(probe.dialect)
-    for each, effect in settings:
+    every = _settings(probe.dialect)
+    for each, effect in every:
         effect.ready(probe)
         edges.prepare(probe, each)
-    for each, effect in settings:
+    for each, effect in every:
         form = each.request_forms[0]
         probe.do(each, edges.plain(probe, each, form, **effect.pair(form)[0]))
     exchange = probe.do(command)
     _lead_back(probe)
     if not answers(probe, probe.address):
         raise Inconclusive("the restored drive cannot be reached as it is said to be by default")
-    for each, effect in settings:
+    for each, effect in every:
         if each.readable:
             _expect_default_read(probe, each, exchange)
         else:
@@ -154,6 +156,39 @@ def _expect_default_seen(probe: Probe, command: Command, effect: SettingEffect, 
         exchange=exchange,
         key=f"{command.name} restore",
     )
+
+
+# --- settings whose default no manual prints --------------------------------------------------------------------------
+
+
+def _unprinted(dialect: Dialect) -> Iterator[Case]:
+    restores = dialect.by_verb.get(Verb.RESTORE)
+    for command in dialect.commands:
+        named = command.request_forms[0].layout.named.values() if command.readable else ()
+        if restores and named and not any(map(_defaults, named)) and not settings.changes_link(command):
+            values = differing(command.request_forms[0])
+            needs = edges.needs(dialect, command, values)
+            facts = {"risks": needs["risks"] | restores.all_risks, "settings": needs["settings"], "parameters": {}}
+            yield Case(dialect, restores, {"setter": command, "values": values}, facts)
+
+
+@of_read_back(
+    each=_unprinted,
+    name="{command}/{setter}",
+    refuted_by="a setting that is as it was each time",
+    by_name=True,
+    alone=True,
+    at_best=Certainty.LIKELY,
+)
+def _forgets(probe: Probe, command: Command, setter: Command, values: Sequence[Mapping[str, int]]) -> None:
+    """A restore brings {setter} to one value, whatever was set before."""
+    kept = []
+    for given in values:
+        probe.do(setter, given)
+        exchange = _restore(probe, command)
+        kept.append(read_back.stored(probe, setter)[0] == given)
+    text = f"{setter.name} is as it was set, after a restore"
+    probe.expect(kept, holds=not all(kept), expected="another value", refutes=text, exchange=exchange)
 
 
 # --- field by field ---------------------------------------------------------------------------------------------------

@@ -469,6 +469,17 @@ LIMIT: Rows = {
         Row("home-speed-highest-refused", "90 refuses 3000 rpm", limit("home_speed", highest_refused)),
         Row("home-current-unlimited", "94 (CAN: 93) accepts any current", limit("home_current", unlimited)),
         Row("zero-speed-5", "9A accepts the speed 5", limit("zero_speed", one_more)),
+        Row(
+            "zero-speed-5-at-corners",
+            "9A accepts the speed 5 where it sets a zero counter-clockwise",
+            limit("zero_speed", one_more, {"set_zero": 1, "zero_direction": 1}),
+        ),
+        Row(
+            "home-direction-2-at-corners",
+            "90 accepts the direction 2 for homing without a switch",
+            limit("home_direction", accepts(2), {"home_mode": 1}),
+            CAN,
+        ),
         Row("zero-speed-4-refused", "9A refuses the speed 4", limit("zero_speed", highest_refused)),
         Row("stall-tolerance-one-more", "89 accepts 8000h", limit("stall_tolerance", one_more)),
         Row("stall-tolerance-highest-refused", "89 refuses 7FFFh", limit("stall_tolerance", highest_refused)),

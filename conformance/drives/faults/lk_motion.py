@@ -550,6 +550,11 @@ ROWS: Rows = {
             _late_limit("speed"),
         ),
         Row(
+            "lk-speed-ramp-late",
+            "a speed ramp that is written while the shaft turns has no effect until it is written at rest",
+            _late_limit("acceleration"),
+        ),
+        Row(
             "lk-angle-limit-above-only", "positions below zero go beyond the angle limit", moving(MULTI_TURN, _past_limit_below)
         ),
     ),

@@ -437,6 +437,7 @@ SETTING: Rows = {
         Row("restore-lies", "3F says success and restores nothing", lying(Verb.RESTORE)),
         Row("restore-without-restart", "3F restores and does not start again", instead(Verb.RESTORE, mks.restore_running)),
         Row("current-kept", "a restore leaves the current", clinging("current"), CAN),
+        Row("group-id-kept", "a restore leaves the group ID", clinging("group_address"), CAN),
         Row("dialect-kept", "a restore leaves Modbus on", clinging("modbus"), MODBUS),
     ),
 }

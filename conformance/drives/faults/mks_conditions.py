@@ -42,7 +42,7 @@ from conformance.drives.faults.places import (
 )
 from conformance.drives.mks.core import MOTIONS, STOPS, Activity, Behaviour, MksCore
 from conformance.drives.mks.motion import begin_run
-from conformance.drives.mks.paths import Number, Phase
+from conformance.drives.mks.paths import Phase
 from conformance.drives.mks.state import way_of
 
 Condition = Callable[[MksCore], bool]
@@ -50,7 +50,7 @@ Condition = Callable[[MksCore], bool]
 _DEAF_NS, _PAUSE_NS = 3_000_000_000, 20_000_000_000
 #: Speeds beyond which a fault of a fast shaft holds (rpm).
 _FAST, _VERY_FAST = 500, 1000
-_VERY_SLOW = 5
+_VERY_SLOW, _CRAWLS = 5, 30
 _BY_COUNTS = frozenset({Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS})
 _MOVES = MOTIONS - {Verb.RUN_SPEED}
 _ENDS = STOPS | {Verb.EMERGENCY_STOP}
@@ -616,26 +616,36 @@ def _left_elsewhere(drive: MksCore) -> None:
     drive.side_way = lambda side: way(side) if drive.task is not None else (-1 if side == "left" else 1)  # type: ignore[method-assign]
 
 
-def _without_open_limits(drive: MksCore) -> None:
-    """Have no end limits in an open mode."""
-    reached = drive._limit_time
-    drive._limit_time = lambda side: None if "open" in drive.mode else reached(side)  # type: ignore[method-assign]
+def _limits_passed(when: Callable[[MksCore, str], bool]) -> Change:
+    """Have no limit on a side (`left`, `right`) in a condition."""
+
+    def install(drive: MksCore) -> None:
+        reached = drive._limit_time
+        drive._limit_time = lambda side: None if when(drive, side) else reached(side)  # type: ignore[method-assign]
+
+    return tuned(install)
+
+
+def _asked_of(drive: MksCore) -> tuple[int | None, int | None]:
+    """Return the speed and the acceleration that the motion under way was asked with, as sent; None where there are none."""
+    request = drive.task.request if drive.task is not None else None
+    if request is not None:
+        return request.values.get("speed"), request.values.get("acceleration")
+    return drive.memory.run[1:] if drive.memory.run is not None else (None, None)
+
+
+def _is_slow(drive: MksCore) -> bool:
+    speed, _ = _asked_of(drive)
+    return speed is not None and speed < _CRAWLS
+
+
+def _by_pulses(drive: MksCore) -> bool:
+    request = drive.task.request if drive.task is not None else None
+    return request is not None and request.command.verb is Verb.MOVE_RELATIVE_PULSES
 
 
 def _capped(value: int) -> int:
     return min(value, 2900)
-
-
-def _without_right_limit(drive: MksCore) -> None:
-    """Have no right limit for relative moves by pulses."""
-    reached = drive._limit_time
-
-    def limit(side: str) -> Number | None:
-        request = drive.task.request if drive.task is not None else None
-        free = side == "right" and request is not None and request.command.verb is Verb.MOVE_RELATIVE_PULSES
-        return None if free else reached(side)
-
-    drive._limit_time = limit  # type: ignore[method-assign]
 
 
 def _homes_back(drive: MksCore) -> bool:
@@ -1013,11 +1023,29 @@ DOING: Rows = {
     ),
     "limit": (
         Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes", tuned(_left_elsewhere)),
-        Row("open-without-limits", "end limits do nothing in the open mode", tuned(_without_open_limits)),
+        Row(
+            "open-without-limits",
+            "end limits do nothing in the open mode",
+            _limits_passed(lambda drive, side: "open" in drive.mode),
+        ),
         Row(
             "stuck-at-limit", "FD away from a closed end limit is refused", refused_when(_at_a_limit, Verb.MOVE_RELATIVE_PULSES)
         ),
-        Row("right-limit-passed", "FD passes the right end limit", tuned(_without_right_limit)),
+        Row(
+            "right-limit-passed",
+            "FD passes the right end limit",
+            _limits_passed(lambda drive, side: side == "right" and _by_pulses(drive)),
+        ),
+        Row(
+            "right-limit-passed-slowly",
+            "motion below 30 rpm passes the right end limit",
+            _limits_passed(lambda drive, side: side == "right" and _is_slow(drive)),
+        ),
+        Row(
+            "limits-passed-at-once",
+            "motion without a ramp passes the end limits",
+            _limits_passed(lambda drive, side: _asked_of(drive)[1] == 0),
+        ),
     ),
     "set": (
         Row(

@@ -190,18 +190,25 @@ def asked(names: str | tuple[str, ...], change: Number, of: Of = ()) -> Change:
     return Change(request(apply, of).install, having(of) if of else keeping(*fields))
 
 
-def limit(name: str, judge: Judge) -> Change:
-    """Judge the values of a field otherwise than the manual; what is accepted must be right in its other fields."""
+def limit(name: str, judge: Judge, beside: Mapping[str, int] | None = None) -> Change:
+    """Judge the values of a field otherwise than the manual; what is accepted must be right in its other fields.
+
+    `beside`: what other fields must be for that.
+    """
+    needed = dict(beside or {})
 
     def hook(drive: Drive, command: Command, values: Values, wanted: bool) -> bool:
         form = next((f for f in command.request_forms if f.layout.named.keys() == values.keys()), None)
         if form is None or name not in values or not judge.concerns(form.layout.named[name], values[name]):
             return wanted
+        if not needed.items() <= values.items():
+            return wanted
         others = all(field.allows(values[n]) for n, field in form.layout.named.items() if n != name)
         return judge.verdict and others
 
     def differs(dialect: Dialect) -> bool:
-        return any(judge.differs(field) for field in _requested(dialect, name))
+        has_others = all(_requested(dialect, other) for other in needed)
+        return has_others and any(judge.differs(field) for field in _requested(dialect, name))
 
     return Change(lambda hooks: hooks.allow.append(hook), tuple(d.name for d in DIALECTS if differs(d)))
 

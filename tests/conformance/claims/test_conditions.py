@@ -13,6 +13,12 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "group-id-kept": "read-back/restore/set_group_address",
+    "lk-speed-ramp-late": "timing/write_parameter/speed-ramp-under-way-move_multi_turn",
+    "limits-passed-at-once": "motion/set_home/end-limit-stops-move_absolute_pulses",
+    "right-limit-passed-slowly": "motion/set_home/end-limit-stops-run_speed-right",
+    "zero-speed-5-at-corners": "ranges/set_zero_mode/at-corners",
+    "home-direction-2-at-corners": "ranges/set_home/at-corners",
     "lk-torque-without-sign": "motion/read_state_2/torque-sign",
     "lk-torque-limit-one-way": "motion/write_parameter/torque-limit-at-once-run_torque",
     "fe-of-old-zero": "motion/home/zero",
