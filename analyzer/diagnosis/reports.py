@@ -30,7 +30,7 @@ _LINE = (
 )
 #: A number of an exception, as libraries write it: behind the word, in brackets, in hexadecimal.
 _CODE = (
-    r"(?:\b(?:modbus )?exception (?:code|response|status)?\s*[:=#]?\s*\(?(?:0x0?)?{0}\b(?!\.\d)"
+    r"(?:\b(?:modbus )?exception(?: (?:code|response|status)\b)?\s*[:=#]?\s*\(?(?:0x0?)?{0}\b(?!\.\d)"
     r"|ExceptionResponse\(\d+, ?\d+, ?{0}\b|\bexception_code\s*[:=]\s*{0}\b|request result: 0x0?{0}\b)"
 )
 
@@ -71,6 +71,10 @@ REPORTS = (
         r"|\blooking for \d+ bytes?, received (?!0\b)\d+"
         r"|\b(?:response|reply|message|packet|frame) (?:is |was )?(?:too short|incomplete)\b|\btoo short (?:response|reply)",
         "reply_cut", "a part of the reply came", "Read until the length of the reply is there or a timeout has passed",
+    ),
+    Report(
+        r"\bdata length errors?\b(?!, expected)", "split_frame", "a read has another length than the reply",
+        "Join what is read until the length of the reply is there: a library with a buffer does it (connectRTUBuffered)",
     ),
     Report(
         r"\blength not corresponding to the computed length", "wrong_length",
