@@ -98,7 +98,8 @@ REPORTS = (
         "no_reply", "no reply came in time", _TRY,
     ),
     Report(
-        r"\bresponse address \d+ is different from request address \d+|\bE[14] - (?:invalid server|server id mismatch)",
+        r"\bask for id=\d+ but got id=\d+"
+        r"|\bresponse address \d+ is different from request address \d+|\bE[14] - (?:invalid server|server id mismatch)",
         "wrong_address", "the reply comes from another address than the one that was asked",
         "Ask at the address from which the reply comes; 0 is for all units, and none should answer from it; then look for "
         "stray bytes before the reply in a log of the raw bytes",

@@ -59,6 +59,8 @@ def plain(line: str) -> str:
     """Return a line of a post without the marks of its layout, and without the casts that Java and C need."""
     if "`" in line and (quoted := _INLINE.fullmatch(line)) is not None:
         line = quoted[1]
+    if "-0x" in line:
+        line = _BULLET.sub("", line)
     if "**" in line:
         line = _EMPHASIS.sub("", line)
     if "</" in line:
@@ -139,6 +141,8 @@ _BEGIN = re.compile(
 )
 #: A line of a log that a post shows as a piece of code of its own.
 _INLINE = re.compile(r"\s*`([^`]+)`\s*")
+#: The dash of a list in a post, which no byte has.
+_BULLET = re.compile(r"^\s*-(?=0x[0-9A-Fa-f]{1,2}\b)")
 #: What makes letters bold in a post.
 _EMPHASIS = re.compile(r"(?<=[\s\dA-Fa-f_])\*\*_?|_?\*\*(?=[\s\dA-Fa-f_])")
 _TAG = re.compile(r"</?(?:b|i|u|em|p|br|li|td|tr|pre|code|span|strong)(?: [^<>]*)?/?>", re.IGNORECASE)

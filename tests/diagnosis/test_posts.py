@@ -82,6 +82,15 @@ def causes_of(tmp_path):
             "value_out_of_range",
         ),
         (f"Data length errors, no data. With another tool:\nTx: {ASKED}\nRx: {REPLIED}\n", "split_frame"),
+        # Half a reply of Modbus TCP, as an item of a list.
+        ("The message is split in two piece:\n-0x0 0x1 0x0 0x0 0x0 0x7 0x3 0x3 0x4 0x0 0x0 0x3 -> ignored\n", "split_frame"),
+        (
+            "ERROR: request ask for id=1 but got id=0, Skipping. >>>>> send: 0x0 0x19 0x0 0x0 0x0 0x6 0x1 0x6 0x0 0x1f 0x0 0x1 "
+            ">>>>> recv: 0x0 0x19 0x0 0x0 0x0 0x6 0x0 0x0 0x0 0x0 0x0 0x0 extra data:",
+            "wrong_address",
+        ),
+        # One line of candump among many words.
+        ("What is wrong?\n" * 30 + "```\ncan0  001   [4]  F6 01 40 02\n```\n", "missing_checksum"),
         # A master of CANopen that has more nodes than the one it asks.
         (
             "can2  3B3   [8]  **D9 D6 00 00** 00 00 00 00\ncan2  1B4   [3]  60 92 00\ncan2  1B5   [3]  60 92 00\n"
