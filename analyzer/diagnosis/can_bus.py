@@ -317,6 +317,10 @@ def _others(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         return
     # Who is asked for a service object also sends its values by itself.
     asked = {can.id - base for _, can in standard if _is_canopen(can) for base in _OBJECTS if can.id - base in _NODES}
+    objects = {can.id for _, can in standard if _is_canopen(can)}
+    if any(objects.issuperset(node + base for base in _OBJECTS) for node in asked):
+        # A master that asks one node and is answered has others, too.
+        asked = set(_NODES)
     open_frames = [
         (p, can)
         for p, can in standard

@@ -261,7 +261,7 @@ def _split_replies(scene: Scene) -> Iterator[Suspicion]:
 
 def _in_parts(scene: Scene) -> Iterator[Suspicion]:
     """Suspect frames that are received in several reads, where a log shows that of most of them, or words ask about it."""
-    asked = any(_ASKS_OF_PARTS.search(words) for words in scene.words)
+    asked = any(ASKS_OF_PARTS.search(words) for words in scene.words)
     waits = any(_WAITS.search(words) for words in scene.words)
     # The program that wrote the log judges each read alone.
     failed = any(_FAILED.search(words) for words in scene.words)
@@ -308,9 +308,10 @@ _FAILED = re.compile(
 #: Words of a library that has got a part of a frame.
 _WAITS = re.compile(r"\bframe\b[^\n]{0,20} not ready\b", re.IGNORECASE)
 #: Words of people who get a frame in parts.
-_ASKS_OF_PARTS = re.compile(
+ASKS_OF_PARTS = re.compile(
     r"\b(?:split\w*|chunk(?:s|ed)|fragment\w*|pieces|in parts|partial(?:ly)?|byte by byte|not all at once"
-    r"|(?:several|multiple|different|two|\d+) (?:different )?(?:buffers|reads|events|messages|packets|callbacks|times))\b",
+    r"|(?:several|multiple|different|two|\d+) (?:different )?"
+    r"(?:pieces?|parts|buffers|reads|events|messages|packets|callbacks|times))\b",
     re.IGNORECASE,
 )
 

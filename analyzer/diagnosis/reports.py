@@ -30,7 +30,7 @@ _LINE = (
 )
 #: A number of an exception, as libraries write it: behind the word, in brackets, in hexadecimal.
 _CODE = (
-    r"(?:\b(?:modbus )?exception (?:code|response|status)?\s*[:=#]?\s*\(?(?:0x0?)?{0}\b(?!\.\d)"
+    r"(?:\b(?:modbus )?exception(?: (?:code|response|status)\b)?\s*[:=#]?\s*\(?(?:0x0?)?{0}\b(?!\.\d)"
     r"|ExceptionResponse\(\d+, ?\d+, ?{0}\b|\bexception_code\s*[:=]\s*{0}\b|request result: 0x0?{0}\b)"
 )
 
@@ -73,6 +73,10 @@ REPORTS = (
         "reply_cut", "a part of the reply came", "Read until the length of the reply is there or a timeout has passed",
     ),
     Report(
+        r"\bdata length errors?\b(?!, expected)", "split_frame", "a read has another length than the reply",
+        "Join what is read until the length of the reply is there: a library with a buffer does it (connectRTUBuffered)",
+    ),
+    Report(
         r"\blength not corresponding to the computed length", "wrong_length",
         "a reply has another length than its function and its count make",
         "Compare the reply with the manual byte by byte, and empty the input behind each reply that does not fit",
@@ -94,7 +98,8 @@ REPORTS = (
         "no_reply", "no reply came in time", _TRY,
     ),
     Report(
-        r"\bresponse address \d+ is different from request address \d+|\bE[14] - (?:invalid server|server id mismatch)",
+        r"\bask for id=\d+ but got id=\d+"
+        r"|\bresponse address \d+ is different from request address \d+|\bE[14] - (?:invalid server|server id mismatch)",
         "wrong_address", "the reply comes from another address than the one that was asked",
         "Ask at the address from which the reply comes; 0 is for all units, and none should answer from it; then look for "
         "stray bytes before the reply in a log of the raw bytes",

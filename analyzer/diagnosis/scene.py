@@ -313,13 +313,24 @@ class Scene:
         return (*damaged, *others)
 
     def _is_body(self, stretch: Stretch) -> bool:
-        """Say whether bytes are those of the frame right behind them without its check: programs print both."""
+        """Say whether bytes are those of the frame right behind them without its check, or what a request carries.
+
+        Programs print both.
+        """
+        if stretch.opens and stretch.ends and stretch.data in self._carried:
+            return True
         at = bisect_left(self.pieces, stretch.stop, key=lambda piece: piece.offset)
         whole = self.pieces[at] if stretch.opens and stretch.ends and at < len(self.pieces) else None
         return (
             whole is not None and whole.sound and whole.can is None and whole.message is not None
             and whole.data[: -len(whole.message.frame.dialect.link.checks(whole.data)[-1].expected)] == stretch.data
         )  # fmt: skip
+
+    @cached_property
+    def _carried(self) -> frozenset[bytes]:
+        """What requests of Modbus have between address and CRC, where words stand beside them."""
+        requests = (p.data for p in self.requests if p.can is None and len(p.data) >= _CARRIES) if self.words else ()
+        return frozenset(data[1:-2] for data in requests)
 
     def _followed(self) -> frozenset[int]:
         """Return the numbers of the requests behind which damaged bytes come before anything else."""
@@ -375,6 +386,8 @@ class Scene:
         return [t for t in self.damaged if t.stretch is not None and t.stretch.can_id is None and not t.stretch.checked]
 
 
+#: The shortest request of Modbus that carries something.
+_CARRIES = 8
 #: No frame of any dialect is longer, and more stretches show nothing new.
 _LONG = 300
 _MOST_DAMAGED = 1000

@@ -64,7 +64,10 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if stretch is None or stretch.can_id is not None:
             continue
         found = _with_start(scene, stretch, heads)
-        if found is not None and not _leaves_out(scene, stretch, found[0][: len(found[0]) - len(stretch.data)]):
+        if found is not None and _leaves_out(scene, stretch, found[0][: len(found[0]) - len(stretch.data)]):
+            # Nothing is wrong with it.
+            scene.explained.add(trouble)
+        elif found is not None:
             lost.append(_Edge(trouble, b"", *found))
     missing = {edge.trouble for edge in lost}
     for trouble, at, stray, frame in _around(scene):

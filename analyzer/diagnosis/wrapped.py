@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
+from analyzer.diagnosis.pace import ASKS_OF_PARTS
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.requests import EXCEPTIONS
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
@@ -202,6 +203,7 @@ def _split_headers(scene: Scene) -> Iterator[Suspicion]:
         if 0 < len(rest.data) == header.promised - len(header.body):
             found.append((header.burst, rest))
     if not found:
+        yield from _half(scene)
         return
     one, other = found[0]
     parts = {part.offset for pair in found for part in pair}
@@ -212,6 +214,25 @@ def _split_headers(scene: Scene) -> Iterator[Suspicion]:
         f"{shown(one.data)} + {shown(other.data)} at byte {one.offset} are one reply; {counted(len(found), 'time')}",
         "Join what is read until as many bytes are there as the header promises: its bytes 4 and 5 are the length of the rest",
         tuple(Shown(a.offset, shown(a.data), shown(a.data + b.data)) for a, b in found),
+    )  # fmt: skip
+
+
+def _half(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a read that ends within a reply of Modbus TCP where words ask about parts, and show no more of it."""
+    cut = [
+        h for h in _headers(scene)
+        if h.burst.direction is not Role.REQUEST and h.burst.ends and len(h.body) < h.promised == _LEAST_COUNT + h.body[2]
+        and h.body[1] in READS
+    ]  # fmt: skip
+    if not cut or not any(ASKS_OF_PARTS.search(words) for words in scene.words):
+        return
+    burst = cut[0].burst
+    yield Suspicion(
+        "split_frame", Confidence.LIKELY, [t for t in scene.troubles if any(t.offset == h.burst.offset for h in cut)],
+        "A reply of Modbus TCP comes in parts: TCP carries a stream of bytes, and no frames.",
+        f"{shown(burst.data)} at byte {burst.offset} has {counted(len(cut[0].body), 'byte')} of {cut[0].promised} behind its header",
+        "Join what is read until as many bytes are there as the header promises: its bytes 4 and 5 are the length of the rest",
+        tuple(Shown(h.burst.offset, shown(h.burst.data)) for h in cut),
     )  # fmt: skip
 
 

@@ -70,6 +70,7 @@ _FEW_SCORE, _SURE_SHAPES = (
     0.34,
     frozenset(("call", "call-id-data", "call-object", "cansend", "hash", "quoted", "candump", "pcan")),
 )
+_CANDUMP_SCORE = 0.36
 
 
 class _Line(NamedTuple):
@@ -96,7 +97,8 @@ def score(head: bytes) -> float:
         return 0.0
     if share >= _LEAST_SHARE:
         return 0.5 + 0.45 * share
-    return _FEW_SCORE if shape.name in _SURE_SHAPES else 0.0
+    # No sentence has an interface, an identifier and the length of the bytes.
+    return _CANDUMP_SCORE if shape.name == "candump" else _FEW_SCORE if shape.name in _SURE_SHAPES else 0.0
 
 
 def _shape_of(lines: list[str]) -> Shape | None:

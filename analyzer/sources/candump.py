@@ -165,7 +165,8 @@ def _special(source: Source, line: int, t_ns: int, found: re.Match[str]) -> CanF
 
 def _screen(source: Source, line: str, number: int, time_of: Callable[[str], int]) -> CanFrame | Comment | None:
     """Return what a line of the screen form holds; None with a problem noted if it fits neither form."""
-    found = _SCREEN.match(line)
+    # A post may show bytes in bold, or the line as code.
+    found = _SCREEN.match(line) or _SCREEN.match(line.replace("**", "").strip(" `"))
     if found is None:
         if _ERROR_TEXT.match(line):
             # `candump -e` explains an error frame on the lines below it.

@@ -58,9 +58,9 @@ class Shape(StrEnum):
 class HexLine(NamedTuple):
     """A line taken apart.
 
-    `stamp`: its time as printed. `role`: who sent, by words and signs. `sign`: the sign before the bytes, or the brackets
-    around each of them. `worded`: a word says who sent. `name`: of the bus line. `number`: it stands before the bytes.
-    `led`: no colon parts it from them.
+    `stamp`: its time as printed. `role`: who sent, by words and signs. `sign`: the sign before the bytes, the brackets around
+    each of them, or `binary` for a byte that is printed bit by bit. `worded`: a word says who sent. `name`: of the bus line.
+    `number`: it stands before the bytes. `led`: no colon parts it from them.
     `declared`: what a program calls the bytes. `note`: a comment behind the bytes. `passed`: words before the mark.
     `text`: what could not be understood, if anything.
     `radix`: how sure the bytes are.
@@ -248,7 +248,8 @@ def _of_one(byte: re.Match[str]) -> HexLine:
         pass
     words = [word for word in re.findall(r"[^\W\d_]+", byte["before"].lower()) if word in WORDS]
     data = bytes((int(byte["hex"], 16),))
-    return HexLine(Shape.TRAFFIC, data, before.stamp, role_of(words), worded=bool(words), number=len(data))
+    sign = "binary" if (byte.groupdict().get("binary")) else ""
+    return HexLine(Shape.TRAFFIC, data, before.stamp, role_of(words), sign=sign, worded=bool(words), number=len(data))
 
 
 @lru_cache(maxsize=256)

@@ -24,6 +24,9 @@ _DECIMAL_BYTES, _DECIMAL_HEADS = 4, 4
 _READ_BYTES, _REGISTERS, _AROUND = 8, (0x03, 0x04), 5
 #: An odd number of digits without a gap, and the number of such lines that is no slip.
 _ODD_DIGITS, _UNPADDED_LINES = re.compile(r"\s*[0-9A-F](?:[0-9A-F]{2}){2,}\s*"), 2
+#: Bytes with gaps between them, and one of one digit beside one of two.
+_SHORT = re.compile(r"\s*(?:[0-9A-Fa-f]{1,2}\s+){2,}[0-9A-Fa-f]{1,2}\s*")
+_BOTH = re.compile(r"(?=.*\b[0-9A-Fa-f]\b).*\b[0-9A-Fa-f]{2}\b")
 SINGLE = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,2}|\d{3})\s*")
 _DIGIT = re.compile(r"\s*[0-9A-Fa-f]\s*")
 _QUOTED = re.compile(r"\s*>\s?")
@@ -124,6 +127,8 @@ class Manner(NamedTuple):
     cells: bool = False
     #: All bytes stand in comments of a program.
     commented: bool = False
+    #: Bytes stand without their zeros: where a line has nothing but single digits, these are bytes, too.
+    short: bool = False
     #: Bytes stand without gaps and without their zeros: where one ends cannot be told.
     unpadded: bool = False
 
@@ -151,6 +156,7 @@ class Manner(NamedTuple):
             prose=prose,
             fields=prose and has_fields(lines),
             cells=prose and has_cells(lines),
+            short=any(_SHORT.fullmatch(line) and _BOTH.search(line) for line in lines),
             unpadded=sum(1 for line in lines if _ODD_DIGITS.fullmatch(line)) >= _UNPADDED_LINES,
             commented=prose and not traffic and not says([p for p in parts if not p.text.startswith("#")]),
         )
@@ -160,6 +166,9 @@ class Manner(NamedTuple):
         line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal, self.led)
         if self.lone and _is_digit(line):
             line = line._replace(shape=Shape.TRAFFIC, data=bytes((int(line.text.strip(), 16),)), radix=Radix.HEX)
+        if self.short and line.shape is Shape.BROKEN and _SHORT.fullmatch(text) is not None:
+            data = bytes(int(digit, 16) for digit in text.split())
+            line = line._replace(shape=Shape.TRAFFIC, data=data, radix=Radix.EITHER)
         role = line.role
         if self.deaf or (self.arrow and not line.worded):
             role = Role.UNKNOWN

@@ -427,7 +427,9 @@ class _Reader:
         """Say whether another layer of a program prints at once what the line before has."""
         before = self._printed
         self._printed = (line.data, line.role, (line.sign, line.worded, line.passed), t_ns)
-        if before is None or line.role is Role.UNKNOWN or len(line.data) < _SAID_BYTES:
+        # Of single bytes the layers take turns: one prints each bit by bit.
+        layers = before is not None and "binary" in (before[2][0], line.sign)
+        if before is None or not (layers or (line.role is not Role.UNKNOWN and len(line.data) >= _SAID_BYTES)):
             return False
         data, role, style, then_ns = before
         same = (data, role) == (line.data, line.role) and style != self._printed[2]

@@ -57,6 +57,10 @@ _DIGITS = re.compile(r"-?\d{1,3}(?:[\s,;]+-?\d{1,3})*[\s,;]*|\d{1,3}(?:-\d{1,3})
 
 def plain(line: str) -> str:
     """Return a line of a post without the marks of its layout, and without the casts that Java and C need."""
+    if "`" in line and (quoted := _INLINE.fullmatch(line)) is not None:
+        line = quoted[1]
+    if "-0x" in line:
+        line = _BULLET.sub("", line)
     if "**" in line:
         line = _EMPHASIS.sub("", line)
     if "</" in line:
@@ -135,6 +139,10 @@ def _decimal(text: str) -> Written | None:
 _BEGIN = re.compile(
     r"[\[{(<\"'\\$&-]|16#|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|(?:[0-9A-Fa-f]{2}\.){5}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"
 )
+#: A line of a log that a post shows as a piece of code of its own.
+_INLINE = re.compile(r"\s*`([^`]+)`\s*")
+#: The dash of a list in a post, which no byte has.
+_BULLET = re.compile(r"^\s*-(?=0x[0-9A-Fa-f]{1,2}\b)")
 #: What makes letters bold in a post.
 _EMPHASIS = re.compile(r"(?<=[\s\dA-Fa-f_])\*\*_?|_?\*\*(?=[\s\dA-Fa-f_])")
 _TAG = re.compile(r"</?(?:b|i|u|em|p|br|li|td|tr|pre|code|span|strong)(?: [^<>]*)?/?>", re.IGNORECASE)

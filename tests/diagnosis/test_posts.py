@@ -1,0 +1,127 @@
+"""Posts of people, from the text to the cause, with other numbers than theirs; and the same without the trouble."""
+
+from __future__ import annotations
+
+import pytest
+
+from analyzer import dialects as registry
+from analyzer.diagnosis.diagnose import diagnosis
+from analyzer.diagnosis.watch import Watch
+from analyzer.pipeline import Pipeline
+from analyzer.records import CanFrame
+from analyzer.sources import open_source
+from tests.diagnosis.test_pastes import checked
+
+ASKED, REPLIED = checked("11 03 00 10 00 02"), checked("11 03 04 3C A6 43 6A")
+LAYERS = "".join(
+    f"`[10:00:06][VV][uart_esp32:125]:     Read 0b{byte:08b} (0x{byte:02X})`\n"
+    f"`[10:00:06][V][modbus:058]: Modbus received Byte  {byte} (0X{byte:x})`\n"
+    for byte in bytes.fromhex(checked("11 84 02"))
+)
+IDF = "E (7221) TWAI1 Master: TWAI Error Detected (0x10):\nE (7221) TWAI1 Master:  - ACK Error\n"
+ASKED_TWICE = "10:00:18.940 Serial Send: {}\n10:00:{} Serial Send: {}\n10:00:19.{} Serial Received: {}\n"
+
+
+@pytest.fixture
+def causes_of(tmp_path):
+    """Return what is suspected of a text, with its words."""
+
+    def of(text):
+        path = tmp_path / "post.txt"
+        path.write_text(text + "\n", encoding="utf-8")
+        with open_source(path) as source:
+            items = list(source)
+        kind = "can" if any(isinstance(item, CanFrame) for item in items) else "serial"
+        dialects = [d for d in registry.every() if d.bus == kind]
+        watch = Watch()
+        pipeline = Pipeline(dialects, [watch])
+        for item in items:
+            watch.take(item)
+            pipeline.feed(item)
+        pipeline.close()
+        return [each.suspicion.cause for each in diagnosis(watch, dialects).causes]
+
+    return of
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        # Request and reply in one read: words call it the response, or the program shows what it has sent.
+        (f"It does not work.\nResponse with the code below: {ASKED} {REPLIED};", "echo"),
+        (f"uint8_t request[] = {{0x11, 0x03, 0x00, 0x10, 0x00, 0x02}};\nResponse: {ASKED} {REPLIED}", "echo"),
+        # BACnet answers where Modbus is asked.
+        ("TX = 55 03 3F FF 00 01\nRX = 55 FF 01 .....\nI am expecting 03 in the second one.", "unsupported_dialect"),
+        ("TX = 55 03 3F FF 00 01\nRX = 55 FF 00 10 05 00 00 8C", "unsupported_dialect"),
+        # What ESP-IDF logs of a bus without another node.
+        (IDF * 3 + "I (7221) TWAI1 Master: state changed: error_active -> error_warning\n", "can_no_ack"),
+        # An identifier of 36 bits, of which 11 go out.
+        (
+            "CAN0.sendMsgBuf(0x810EC4040, 8, data4);\nI get\n"
+            "Standard ID: 0x040       DLC: 8  Data: 0x47 0x36 0x52 0x53 0x31 0x45 0x34 0x33\n",
+            "can_extended_id",
+        ),
+        # Requests that do not wait for the reply to the one before.
+        (
+            ASKED_TWICE.format(
+                checked("04 03 01 00 00 09"), "19.054", checked("04 03 10 0A 00 02"), "136", checked("04 03 04 00 01 AB 00")
+            ),
+            "too_fast",
+        ),
+        (
+            f"1-Rx:{checked('01 06 00 0A 01 31')} {checked('01 06 00 0A 01 32')}\n"
+            f"2-Rx:{checked('01 06 00 0A 01 33')} {checked('01 06 00 0A 01 34')}\n",
+            "too_fast",
+        ),
+        # Bytes of two layers of a program, each line as a piece of code.
+        (LAYERS + "`[10:00:06][W][modbus:108]: Modbus error function code: 0x84 exception: 2`\n", "wrong_register"),
+        # A library logs neither address nor CRC of what it sends, and no address of what it gets.
+        (
+            "Modbus poll:\nTx: 0F 03 07 04 00 01 C5 91\nRx: 0F 03 02 03 CD 10 E0\nIn the debug of the ESP32, which fails:\n"
+            "3 7 4 0 1\n83 3 60 F2\nRequest result: 0x3\n",
+            "value_out_of_range",
+        ),
+        (f"Data length errors, no data. With another tool:\nTx: {ASKED}\nRx: {REPLIED}\n", "split_frame"),
+        # Half a reply of Modbus TCP, as an item of a list.
+        ("The message is split in two piece:\n-0x0 0x1 0x0 0x0 0x0 0x7 0x3 0x3 0x4 0x0 0x0 0x3 -> ignored\n", "split_frame"),
+        (
+            "ERROR: request ask for id=1 but got id=0, Skipping. >>>>> send: 0x0 0x19 0x0 0x0 0x0 0x6 0x1 0x6 0x0 0x1f 0x0 0x1 "
+            ">>>>> recv: 0x0 0x19 0x0 0x0 0x0 0x6 0x0 0x0 0x0 0x0 0x0 0x0 extra data:",
+            "wrong_address",
+        ),
+        # One line of candump among many words.
+        ("What is wrong?\n" * 30 + "```\ncan0  001   [4]  F6 01 40 02\n```\n", "missing_checksum"),
+        # A master of CANopen that has more nodes than the one it asks.
+        (
+            "can2  3B3   [8]  **D9 D6 00 00** 00 00 00 00\ncan2  1B4   [3]  60 92 00\ncan2  1B5   [3]  60 92 00\n"
+            "can2  3B5   [8]  61 CD FE FF 00 00 00 00\ncan2  5B6   [8]  43 00 18 01 B6 01 00 00\n"
+            "can2  636   [8]  40 00 18 01 00 00 00 00`\n",
+            "unsupported_dialect",
+        ),
+    ],
+)  # fmt: skip
+def test_a_post(text, cause, causes_of):
+    assert causes_of(text)[0] == cause
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # A listener receives both.
+        f"received: {ASKED} {REPLIED}\nreceived: {ASKED} {REPLIED}\n",
+        # The reply to the first comes before the second.
+        "".join(f"10:00:1{n}.940 Send: {ASKED}\n10:00:1{n}.960 Received: {REPLIED}\n" for n in range(3)),
+        # Two units, of which the first is silent.
+        f"{checked('01 06 00 0A 01 31')} {checked('01 06 00 0A 01 31')}\n" * 3,
+        # A program that speaks of errors has none.
+        "if (alerts & TWAI_ALERT_BUS_ERROR) Serial.println(\"TWAI: ACK error, error_passive\");\ncan0  123   [2]  01 02\n",
+    ],
+)  # fmt: skip
+def test_a_post_without_it(text, causes_of):
+    assert {"echo", "too_fast", "can_no_ack"}.isdisjoint(causes_of(text))
+
+
+def test_the_head_of_bacnet_has_a_check(causes_of):
+    """The standard's own example: a token from 5 to 10h has the check 8C."""
+    heard = "TX: 55 03 3F FF 00 01\nRX: 55 FF 00 10 05 00 00 {}"
+    assert [causes_of(heard.format(check))[0] for check in ("8C", "8D")] == ["unsupported_dialect", "missing_checksum"]
