@@ -36,11 +36,10 @@ from typing import Any, NamedTuple
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.codec import Codec, codec
 from analyzer.context import Context
-from analyzer.link import MORE, TIE, Slicer
-from analyzer.records import Chunk, Frame, Junk, JunkReason
+from analyzer.junk import JUNK_PIECE, Reasons
+from analyzer.link import MORE, TIE, Slicer, places_in
+from analyzer.records import Chunk, Frame, Junk
 
-#: Junk is passed on in pieces of at most this many bytes, so that noise without end does not pile up.
-JUNK_PIECE = 4096
 #: A pause that no adapter puts inside a frame: USB adapters hold bytes back for up to 16 ms.
 SILENCE_NS = 25_000_000
 #: Times that go back further than this begin anew; less is jitter and is smoothed.
@@ -111,7 +110,8 @@ class Framer:
         self.dialects = tuple(dialects)
         self._slicers = [d.link.slicer(d.commands, context.expects) for d in dialects]
         self._judges = [_Judge(d) for d in dialects]
-        self._starts = re.compile(b"|".join(s.starts for s in self._slicers), re.DOTALL)
+        #: Where a frame may begin.
+        self.starts = re.compile(b"|".join(s.starts for s in self._slicers), re.DOTALL)
         self._longest = max(s.longest for s in self._slicers)
         # By first byte: the slicers that know it (as indexes), what looks there, and whose frame it is if that is sure.
         self._by_head: list[tuple[int, ...]] = [()] * 256
@@ -122,6 +122,8 @@ class Framer:
             only = len(known) == 1
             self._looks[head] = self._slicers[known[0]].look if only else self._look_at_several
             self._owners[head] = self.dialects[known[0]] if only else None
+        #: Why bytes are junk.
+        self.reasons = Reasons(self.dialects, self._slicers, self._by_head, self.starts)
         self._byte_ns = byte_ns
         self._silence_ns = silence_ns
         self._buffer = b""
@@ -373,13 +375,16 @@ class Framer:
         """Return the next place where a frame may begin, a burst does, or a piece of junk is full."""
         # Noise is searched a piece at a time, or a long stretch of it would be searched again for each piece.
         limit = min(len(self._buffer), self._junk_from + JUNK_PIECE)
-        found = self._starts.search(self._buffer, at + 1, limit)
+        found = self.starts.search(self._buffer, at + 1, limit)
         target = found.start() if found else limit
         for burst in self._bursts:
             if burst > self._base + at:
                 target = min(target, burst - self._base)
                 break
         return target
+
+    def _places_in(self, at: int, stop: int) -> Iterator[int]:
+        return places_in(self.starts, self._buffer, at, stop)
 
     def _reach_burst(self) -> Iterator[Junk]:
         """Forget the boundaries passed; at one, junk ends and the framer is in step."""
@@ -433,7 +438,7 @@ class Framer:
                     return MORE if follower == MORE else longer
         index = self._owner(self._buffer[at:stop])
         strong = self._slicers[index].strong_check
-        for start in range(at + 1, stop):
+        for start in self._places_in(at + 1, stop):
             inner = self._shortest(start, closed)
             if inner == MORE:
                 return MORE
@@ -479,7 +484,7 @@ class Framer:
 
         A row of frames inside it shows that a byte of junk looks like a package's head, and that the sum fits by chance.
         """
-        for start in range(at + 1, at + length):
+        for start in self._places_in(at + 1, at + length):
             inner = self._shortest(start, closed)
             if inner == MORE:
                 return MORE
@@ -503,7 +508,7 @@ class Framer:
                 stop = at + burst
                 firm = self._is_firm(stop, closed)
                 fits = any(s.whole(buffer[at:stop]) and (firm or s.foreign(buffer, at)) for s in known)
-                if fits and not any(self._looks[buffer[n]](buffer, n, stop, True) for n in range(at + 1, stop)):
+                if fits and not any(self._looks[buffer[n]](buffer, n, stop, True) for n in self._places_in(at + 1, stop)):
                     return burst, True
         for slicer in known:
             if slicer.strong_head or offset == self._step:
@@ -527,7 +532,7 @@ class Framer:
         follower = self._follower(at + length, closed)
         if follower in (0, MORE):
             return follower
-        for start in range(at + 1, at + length):
+        for start in self._places_in(at + 1, at + length):
             inner = self._look_at(start, closed)
             if inner:
                 return MORE if inner == MORE else 0
@@ -549,46 +554,16 @@ class Framer:
         return known[0]
 
     def _drop_junk(self) -> Iterator[Junk]:
-        """Give the junk away, the beginning of a truncated frame at its end apart."""
+        """Give the junk away, by its reasons."""
         start, stop = self._junk_from, self._at
         if stop <= start:
             return
-        data = self._buffer[start:stop]
         offset = self._base + start
-        size = self._broken_off(data)
-        for part, reason in ((data[:size], self._reason(data[:size])), (data[size:], JunkReason.TRUNCATED)):
-            if part:
-                first_ns, last_ns = self._times(offset, offset + len(part))
-                offset += len(part)
-                self._junk_from += len(part)
-                yield Junk(self.port, first_ns, last_ns, offset - len(part), part, reason)
-
-    def _broken_off(self, data: bytes) -> int:
-        """Return where the beginning of a known frame stands that the end of the junk cuts off."""
-        size = len(data)
-        if size >= JUNK_PIECE:
-            return size
-        for at in range(max(0, size - self._longest), size):
-            for index in self._by_head[data[at]]:
-                slicer = self._slicers[index]
-                if at and not (slicer.strong_head and size - at > 2):
-                    continue
-                if slicer.look(data, at, size, False) == MORE:
-                    return at
-        return size
-
-    def _reason(self, data: bytes) -> JunkReason:
-        """Say why bytes are junk: where several known frames begin and none is whole, two senders spoke at once."""
-        if any(dialect.link.left_out for dialect in self.dialects):
-            return JunkReason.LEFT_OUT
-        size = len(data)
-        heads = 0
-        if size <= 2 * self._longest:
-            for found in self._starts.finditer(data):
-                at = found.start()
-                known = (self._slicers[i] for i in self._by_head[data[at]])
-                heads += size - at > 2 and any(s.strong_head and s.damaged(data, at, size) for s in known)
-        return JunkReason.COLLISION if heads > 1 else JunkReason.NOISE
+        for part, reason in self.reasons.parts(self._buffer[start:stop]):
+            first_ns, last_ns = self._times(offset, offset + len(part))
+            offset += len(part)
+            self._junk_from += len(part)
+            yield Junk(self.port, first_ns, last_ns, offset - len(part), part, reason)
 
     def _times(self, start: int, stop: int) -> tuple[int, int]:
         """Return the times of the first and the last byte, each from the chunk that brought it."""

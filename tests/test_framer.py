@@ -15,7 +15,8 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.context import Context
 from analyzer.decoder import Decoder
-from analyzer.framer import BURST_CHARACTERS, JUNK_PIECE, SILENCE_NS, SLOWEST_BYTE_NS, Framer
+from analyzer.framer import BURST_CHARACTERS, SILENCE_NS, SLOWEST_BYTE_NS, Framer
+from analyzer.junk import JUNK_PIECE
 from analyzer.link import HeadLink, modbus_crc, sum8
 from analyzer.records import Chunk, Frame, Junk, JunkReason
 from analyzer.transactions import Transactions

@@ -20,7 +20,7 @@ LAYERS = (
     ("analyzer.catalogue",),
     ("analyzer.protocols",),
     ("analyzer.dialects", "analyzer.records"),
-    ("analyzer.context", "analyzer.foreign"),
+    ("analyzer.context", "analyzer.foreign", "analyzer.junk"),
     ("analyzer.framer", "analyzer.decoder", "analyzer.encoder"),
     ("analyzer.findings",),
     ("analyzer.transactions", "analyzer.events"),

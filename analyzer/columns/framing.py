@@ -3,10 +3,11 @@
 Theory of operation. A link finds all places of a block where a frame that checks begins (`Slicer.scan`). Where such frames
 stand one right behind the other, they are what the framer would find: it stands at the first of them, and it believes a frame
 that another one or a boundary follows. So wherever the framer comes to such a row, the row is given away whole, and the framer
-goes on behind it. All else goes through the framer, chunk by chunk: junk, damage, frames of two lengths, unknown codes.
+goes on behind it. So are gaps between rows that hold plain damage (`analyzer.columns.gaps`). All else goes through the framer,
+chunk by chunk: frames of two lengths, unknown codes, damage that can be read in several ways.
 
-    bytes    FA 01 31 2C | FB 01 31 .. 2D | 7F | FA 01 ..
-    by       a row of frames  - - - - - -   the framer   a row of frames
+    bytes    FA 01 31 2C | FB 01 31 .. 2D | 7F | FA 01 .. | FA FA 01 31 .. | FA 01 ..
+    by       a row of frames  - - - - - -   gap  a row ..   the framer       a row of frames
 
 A place that is passed over costs time alone. A row never reaches beyond a silence within a frame.
 """
@@ -14,7 +15,7 @@ A place that is passed over costs time alone. A row never reaches beyond a silen
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,8 +23,11 @@ import numpy as np
 
 from analyzer.columns.block import DIRECTIONS, ByteBlock, FrameBlock
 from analyzer.columns.codec import Flags, Integers
-from analyzer.framer import BURST_CHARACTERS, Framer, LineState, Mark, slowest_ns
+from analyzer.columns.gaps import Gap, GapReader, Piece
+from analyzer.framer import BURST_CHARACTERS, Framer, Mark, slowest_ns
+from analyzer.junk import JUNK_PIECE
 from analyzer.link.arrays import Found
+from analyzer.link.interface import Slicer
 from analyzer.records import Frame, Junk
 
 #: Fewer frames than this are found faster one by one.
@@ -65,10 +69,8 @@ class Framing:
         span = rows.at(framer.standing)
         while True:
             if span is not None:
-                row = rows.row(*span, block.taken)
-                yield row
-                block.taken = int(row.decided[-1])
-                fed, events = rows.go_on(framer, span[1])
+                stop = yield from rows.told(*span)
+                fed, events = rows.go_on(framer, stop)
             for event in events:
                 yield event
                 span = rows.at(framer.standing)
@@ -88,16 +90,17 @@ class Framing:
         if slicer is None or block.t_ns[0] < line.last_ns:
             return None
         found = slicer.scan(np.frombuffer(line.held + block.data, dtype=np.uint8))
-        return None if found is None else _Rows(self.framer.port, block, line, found, timed=self._timed)
+        return None if found is None else _Rows(self.framer, slicer, block, found, timed=self._timed)
 
 
 class _Rows:
     """Rows of frames in what a framer held before a block, and in the block. Places count from the first byte held."""
 
-    def __init__(self, port: str, block: ByteBlock, line: LineState, found: Found, *, timed: bool) -> None:
+    def __init__(self, framer: Framer, slicer: Slicer, block: ByteBlock, found: Found, *, timed: bool) -> None:
         assert block.t_ns is not None
-        self._port, self._block, self._line, self._timed = port, block, line, timed
-        held = len(line.held)
+        self._port, self._dialect, self._block, self._timed = framer.port, framer.dialects[0], block, timed
+        line = self._line = framer.line
+        held = self._held = len(line.held)
         self._whole = line.held + block.data if held else block.data
         sizes = np.diff(block.stops, prepend=0)
         self._begins = block.stops - sizes + held
@@ -115,11 +118,13 @@ class _Rows:
         known = np.array([each - line.offset for each in line.bursts], dtype=np.int64)
         self._opened = self._begins[opened]
         self._closed = np.concatenate((known, self._stops[block.bursts]))
-        self._find(*found)
+        self._slicer, self._reader = slicer, GapReader(framer, slicer, self._whole)
+        self._find(found)
 
-    def _find(self, starts: Integers, sizes: Integers, looks: Integers) -> None:
+    def _find(self, found: Found) -> None:
         """Tell where rows of frames begin and end."""
-        ends = starts + sizes
+        starts, looks = found.starts, found.looks
+        ends = starts + found.sizes
         if len(self._silences):
             whole = self._silences.searchsorted(starts, side="right") >= self._silences.searchsorted(ends)
             starts, ends, looks = starts[whole], ends[whole], looks[whole]
@@ -136,12 +141,31 @@ class _Rows:
         self._starts, self._ends, self._looks = starts, ends, looks
         lasts = np.append(np.flatnonzero(starts[1:] != ends[:-1]), len(starts) - 1) if len(starts) else starts
         firsts = np.append(0, lasts[:-1] + 1) if len(starts) else starts
+        self._firsts, self._lasts = firsts, lasts
         # The last of a row is believed only where a boundary follows it.
         stops = lasts + (self._is_in(self._opened, ends[lasts]) | self._is_in(self._closed, ends[lasts]))
-        long = stops - firsts >= SHORTEST_ROW
-        self._firsts, self._stops_of_rows = firsts[long].tolist(), stops[long].tolist()
-        self._places = starts[firsts[long]].tolist()
-        self._limits = ends[stops[long] - 1].tolist()
+        self._stops_of_rows = stops
+        self._long = np.flatnonzero(stops - firsts >= SHORTEST_ROW)
+        self._gaps = self._plain_gaps(found)
+        self._places = starts[firsts[self._long]].tolist()
+        self._limits = ends[stops[self._long] - 1].tolist()
+
+    def _plain_gaps(self, found: Found) -> dict[int, Gap]:
+        """Return, by the row before, the gaps in which the framer weighs nothing, unless a frame begins where it is unsure."""
+        slicer, lasts, firsts = self._slicer, self._lasts[:-1], self._firsts[1:]
+        begins, starts, stops, ends = self._starts[lasts], self._ends[lasts], self._starts[firsts], self._ends[firsts]
+        # With one byte more, a frame that ends with a sum may have had one inserted.
+        nearest = starts if slicer.strong_check else starts + 1
+        plain = (self._lasts[1:] > firsts) & (stops > nearest) & (stops - starts < JUNK_PIECE) & (starts > self._held)
+        chunks = self._stops.searchsorted(starts)
+        # The framer looks for frames up to where one would end that begins in the gap.
+        plain &= ends + 2 * slicer.longest <= self._stops.take(chunks, mode="clip")
+        plain &= found.starts.searchsorted(ends) - found.starts.searchsorted(begins) == 2
+        rows = np.flatnonzero(plain)
+        columns = [each[rows].tolist() for each in (chunks, starts, stops)]
+        unsure = (found.unsure.searchsorted(each[rows]).tolist() for each in (begins, ends))
+        places = [found.unsure[first:last].tolist() if first < last else [] for first, last in zip(*unsure, strict=True)]
+        return dict(zip(rows.tolist(), map(Gap, *columns, places), strict=True))
 
     @staticmethod
     def _is_in(places: Integers, wanted: Integers) -> Flags:
@@ -153,15 +177,16 @@ class _Rows:
     # --- where the framer stands --------------------------------------------------------------------------------------
 
     def at(self, offset: int) -> tuple[int, int] | None:
-        """Return which frames follow each other from a place on the port on, enough of them; None where there are none."""
+        """Return which row has enough frames from a place on the port on, and the first of them; None where none has."""
         place = offset - self._line.offset
-        row = bisect_right(self._places, place) - 1
-        if row < 0 or place >= self._limits[row]:
+        number = bisect_right(self._places, place) - 1
+        if number < 0 or place >= self._limits[number]:
             return None
-        first, stop = self._firsts[row], self._stops_of_rows[row]
-        if place != self._places[row]:
+        row = int(self._long[number])
+        first, stop = int(self._firsts[row]), int(self._stops_of_rows[row])
+        if place != self._places[number]:
             first += int(self._starts[first:stop].searchsorted(place))
-        return (first, stop) if stop - first >= SHORTEST_ROW and self._starts[first] == place else None
+        return (row, first) if stop - first >= SHORTEST_ROW and self._starts[first] == place else None
 
     def go_on(self, framer: Framer, stop: int) -> tuple[int, Iterator[Frame | Junk]]:
         """Let the framer go on behind some frames. Return how many chunks it has then, and what it finds in them."""
@@ -216,7 +241,31 @@ class _Rows:
         frames = FrameBlock(self._port, self._whole, line.offset, *about, self._timed)
         return frames, np.maximum(decided + 1 - len(held), 0)
 
-    def row(self, first: int, stop: int, taken: int) -> Row:
-        """Return some frames. `taken`: chunks that were needed to come to them."""
+    def told(self, row: int, first: int) -> Generator[Frame | Junk | Row, None, int]:
+        """Yield the frames of a row from one on, then gaps and rows up to a gap that is left. Return which frame is next."""
+        block = self._block
         frames, decided = self._frames
-        return Row(frames, first, stop, np.maximum(decided[first:stop], taken))
+        while True:
+            gap = self._gaps.get(row)
+            pieces = None if gap is None else self._reader.pieces(gap)
+            stop = int(self._stops_of_rows[row] if pieces is None else self._lasts[row] + 1)
+            told = np.maximum(decided[first:stop], block.taken)
+            yield Row(frames, first, stop, told)
+            block.taken = int(told[-1])
+            if gap is None or pieces is None:
+                return stop
+            block.taken = max(block.taken, gap.chunk + 1)
+            yield from self._pieces(gap.chunk, pieces)
+            row += 1
+            first = int(self._firsts[row])
+
+    def _pieces(self, chunk: int, pieces: list[Piece]) -> Iterator[Frame | Junk]:
+        """Yield what stands in a gap."""
+        line, block = self._line, self._block
+        assert block.t_ns is not None
+        before_ns, t_ns = int(self._before_ns[chunk]), int(block.t_ns[chunk])
+        end, direction = int(self._stops[chunk]), DIRECTIONS[block.directions[chunk]]
+        for start, stop, reason in pieces:
+            first_ns, last_ns = (max(before_ns, t_ns - (end - 1 - each) * line.byte_ns) for each in (start, stop - 1))
+            place = self._port, first_ns, last_ns, line.offset + start, self._whole[start:stop]
+            yield Frame(*place, self._dialect, direction, False) if reason is None else Junk(*place, reason)

@@ -19,6 +19,7 @@ from analyzer.link.interface import (
     Part,
     Role,
     Slicer,
+    places_in,
     sum8,
 )
 from analyzer.link.lk import LkLink
@@ -52,6 +53,7 @@ __all__ = [
     "Slicer",
     "guarded",
     "modbus_crc",
+    "places_in",
     "read_bytes",
     "sum8",
 ]

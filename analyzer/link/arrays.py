@@ -14,11 +14,15 @@ Flags = NDArray[np.bool_]
 
 
 class Found(NamedTuple):
-    """Where frames begin, in ascending order, and how long they are. `looks`: how many bytes had to be looked at to tell."""
+    """Where frames begin, in ascending order, and how long they are. `looks`: how many bytes had to be looked at to tell.
+
+    `unsure`: where else one may begin, in ascending order, or one of another length, too.
+    """
 
     starts: Integers
     sizes: Integers
     looks: Integers
+    unsure: Integers
 
 
 class Sums:

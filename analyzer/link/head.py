@@ -227,10 +227,12 @@ class _HeadSlicer(Slicer):
         starts = places_of(codes, self.heads, 3)
         kinds = codes[starts].astype("u2") << 8 | codes[starts + 2]
         sizes = self._lengths_by_head[kinds]
+        unsure = [starts[:0]]
         for (head, code), lengths in self._choices.items():
             if len(lengths) > 1:
                 rows = (kinds == head << 8 | code).nonzero()[0]
                 sizes[rows] = self._chosen(sums, starts[rows], lengths)
+                unsure.append(starts[rows])
         known = (sizes > 0) & (starts + sizes <= len(codes))
         starts, sizes = starts[known], sizes[known].astype("i8")
         good = sums.fit(starts, starts + sizes - 1)
@@ -240,8 +242,8 @@ class _HeadSlicer(Slicer):
             if any(other == one + 1 for one, other in pairwise(lengths)):
                 # The byte behind could make a tie.
                 own = (codes[starts] == head) & (codes[starts + 2] == code)
-                looks = sizes + (own & np.isin(sizes + 1, lengths))
-        return Found(starts, sizes, looks)
+                looks = looks + (own & np.isin(sizes + 1, lengths))
+        return Found(starts, sizes, looks, np.sort(np.concatenate(unsure)))
 
     @staticmethod
     def _chosen(sums: Sums, starts: Integers, lengths: Sequence[int]) -> Integers:

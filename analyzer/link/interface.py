@@ -16,6 +16,7 @@ Bytes that check may still not be a frame: `analyzer.framer` decides.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from enum import StrEnum
@@ -236,9 +237,19 @@ class Slicer(ABC):
     def scan(self, codes: Bytes) -> Found | None:
         """Return, by operations over arrays, where `look` finds a frame and of which length, in ascending order.
 
-        A place that is left out costs time and nothing else; a `TIE` must be. None: frames can only be found one by one.
+        A place that is unsure costs time and nothing else; a `TIE` must be. What bytes to come can change, less than `longest`
+        before the end, is left out. None: frames can only be found one by one.
         """
         return None
+
+
+def places_in(starts: re.Pattern[bytes], buffer: bytes, at: int, stop: int) -> Iterator[int]:
+    """Yield the places from one to another where a frame may begin. `starts`: made of those of the slicers that count."""
+    found = starts.search(buffer, at, stop)
+    while found:
+        place = found.start()
+        yield place
+        found = starts.search(buffer, place + 1, stop)
 
 
 class Link(ABC):

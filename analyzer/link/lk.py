@@ -160,7 +160,7 @@ class _LkSlicer(Slicer):
         known = np.where(own > 0, own <= _LK_LONGEST, bare[codes[starts + 1]]) & (starts + sizes <= len(codes))
         starts, sizes = starts[known], sizes[known]
         good = (sizes == 5) | sums.fit(starts + 5, starts + sizes - 1)
-        return Found(starts[good], sizes[good], sizes[good])
+        return Found(starts[good], sizes[good], sizes[good], starts[:0])
 
 
 class _LkFinder(Finder):

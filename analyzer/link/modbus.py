@@ -54,6 +54,8 @@ _MOST_COILS = 2000
 #: Characters of silence between frames, and the silence above a baud rate.
 _SILENT_CHARACTERS = 3.5
 _FAST_BAUD, _FAST_SILENCE_NS = 19200, 1_750_000
+#: Bytes that a read reply counts at most.
+_MOST_COUNTED = 250
 #: Longer frames are found one by one: bytes inside others begin some of every length, and each length is a search.
 _LONGEST_SCANNED = 40
 
@@ -202,6 +204,8 @@ class _ModbusSlicer(Slicer):
     def __init__(self, link: ModbusLink, expects: Callable[[int, int], int], units: frozenset[int] = frozenset()) -> None:
         self._link = link
         self._expects = expects
+        #: By first byte, whether it is an address; empty where each is that Modbus has.
+        self._addresses = bytes(byte in units for byte in range(256)) if units else b""
         if units:
             self.heads = bytes(sorted(units))
             self.starts = b"[" + b"".join(rb"\x%02x" % unit for unit in self.heads) + b"]" + _STARTS[len(_ANY_UNIT) :]
@@ -219,7 +223,7 @@ class _ModbusSlicer(Slicer):
             count = buffer[at + 2]
             quantity = buffer[at + 4] << 8 | buffer[at + 5]
             is_request = 1 <= quantity <= (_MOST_COILS if function < 3 else 125)
-            if 1 <= count <= 250 and (function < 3 or count % 2 == 0) and buffer[at] != 0:
+            if 1 <= count <= _MOST_COUNTED and (function < 3 or count % 2 == 0) and buffer[at] != 0:
                 if not is_request or count == 3:
                     return (5 + count,)
                 return (5 + count, 8) if count < 3 else (8, 5 + count)
@@ -305,7 +309,10 @@ class _ModbusSlicer(Slicer):
         room = max(0, len(codes) - _LONGEST_SCANNED)
         # A table of bytes is looked up in faster than arrays do it.
         kinds = np.frombuffer(codes[1 : room + 1].tobytes().translate(_KINDS), dtype=np.uint8)
-        kinds = kinds * (codes[:room] <= _MODBUS_HIGHEST)
+        if self._addresses:
+            kinds = kinds * np.frombuffer(codes[:room].tobytes().translate(self._addresses), dtype=np.bool_)
+        else:
+            kinds = kinds * (codes[:room] <= _MODBUS_HIGHEST)
         reads, writes_one, writes_many, exceptions = (kinds == kind for kind in range(1, 1 + len(_FUNCTIONS_OF_KIND)))
         # Of each place: whether a frame of 8 bytes can begin there, and the other length that one can have, 0 for none. To
         # reckon it at all places is faster than to pick out first where a read can begin.
@@ -317,6 +324,8 @@ class _ModbusSlicer(Slicer):
         eight, other = eight.take(places), other.take(places)
         own = np.flatnonzero(writes_many.take(places))
         other[own] = self._of_writes(windows(codes, places.take(own), 8))
+        long = np.flatnonzero(other > _LONGEST_SCANNED)
+        other[long] = 0
         crc, sizes = Crc16(codes, _LONGEST_SCANNED), np.zeros(len(places), dtype=np.uint8)
         own = np.flatnonzero(other != 0)
         own = own.take(np.flatnonzero(crc.fit_each(places.take(own), other.take(own))))
@@ -325,12 +334,13 @@ class _ModbusSlicer(Slicer):
         own = own.take(np.flatnonzero(crc.fit(places.take(own), 8)))
         # Of two lengths the shorter counts; where they are one apart, it is a tie.
         beside = sizes.take(own)
+        unsure = places.take(np.concatenate((long, own.compress(beside > 0))))
         sizes[own] = np.where((beside == 7) | (beside == 9), 0, np.where((beside > 0) & (beside < 8), beside, 8))
         own = np.flatnonzero(sizes != 0)
         found = sizes.take(own)
         # Where two lengths are one apart, the longer was looked at, too.
         more = ((found == 7) & eight.take(own)) | ((found == 8) & (other.take(own) == 9))
-        return Found(places.take(own), found.astype(np.int64), (found + more).astype(np.int64))
+        return Found(places.take(own), found.astype(np.int64), (found + more).astype(np.int64), np.sort(unsure))
 
     @staticmethod
     def _of_reads(columns: Sequence[Bytes]) -> tuple[Flags, Bytes]:
@@ -343,12 +353,14 @@ class _ModbusSlicer(Slicer):
         asks = (high == 0) & (low > 0) & ((low <= 125) | few)
         most = _MOST_COILS >> 8
         asks |= few & (high > 0) & ((high < most) | ((high == most) & (low <= _MOST_COILS & 0xFF)))
-        tells = (count > 0) & (count <= _LONGEST_SCANNED - 5) & ((count & 1 == 0) | few) & (address > 0)
+        tells = (count > 0) & (count <= _MOST_COUNTED) & ((count & 1 == 0) | few) & (address > 0)
         sizes = tells * (count + 5)
         return asks | (sizes == 8), sizes * (sizes != 8)
 
     def _of_writes(self, rows: Bytes) -> Bytes:
-        """Return how long a write of several registers or coils is, by its first 8 bytes; 0: it is none."""
+        """Return how long a write of several registers or coils is, by its first 8 bytes; 0: it is none. At most 255."""
+        import numpy as np
+
         _, function, *registers, count, _ = rows.T
         register, quantity = (high.astype("i8") << 8 | low for high, low in (registers[:2], registers[2:]))
         wanted = quantity * 2
@@ -356,7 +368,7 @@ class _ModbusSlicer(Slicer):
             wanted[register == number] = odd
         coils = function == 0x0F
         wanted[coils] = (quantity[coils] + 7) // 8
-        sizes: Bytes = ((quantity > 0) & (count == wanted) & (count <= _LONGEST_SCANNED - 9)) * (count + 9)
+        sizes: Bytes = ((quantity > 0) & (count == wanted)) * (np.minimum(count, 0xFF - 9) + 9)
         return sizes
 
 
