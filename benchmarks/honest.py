@@ -51,8 +51,6 @@ TRAITS: tuple[tuple[str, int, tuple[str, ...]], ...] = (
     ("warm", 30, ("",)),
     ("line-errors", 15, ("0.1%", "0.5%", "1%")),
 )
-#: Claims that judge the line: one that turns bits over is refuted by these, and by no other one.
-_OF_THE_LINE = ("resilience/reads/good", "traffic/reply_checks")
 
 
 #: Of a hundred settings that a drive can store, how many are not the usual ones; how many drives keep a zero or a run.
@@ -124,7 +122,8 @@ def accused(
     wanted = [claim for claim in plan.selected(target) if part in claim.id]
     for verdict in engine.run(wanted[seed % every :: every], rig):
         counts[verdict.outcome.value] += 1
-        of_the_line = "line-errors=" in text and verdict.claim.id.endswith(_OF_THE_LINE)
+        # A line that turns bits over is refuted by the claim that judges it, and by no other one.
+        of_the_line = "line-errors=" in text and verdict.claim.of_line
         if verdict.outcome is Outcome.REFUTED and not of_the_line:
             refuted.append(f"{verdict.claim.id}: {verdict.reason} ({verdict.expected}; {verdict.got})")
     return f"{text} (seed {seed}, settings {'told' if tells else 'not told'})", counts, refuted

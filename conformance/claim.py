@@ -152,6 +152,7 @@ class Claim:
     switch, cut power), so it needs an emulated drive. `settings`: fields of settings that it changes (they are put back).
     `covers`: command and aspect pairs. `quirks`: those that it knows, by name. `parameters`: what tells it from its
     siblings. `commands`: those that it is about. `hasty`: if it holds, the drive takes settings without a gap between them.
+    `of_line`: it judges what the line makes of replies.
     """
 
     id: str
@@ -174,6 +175,7 @@ class Claim:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     commands: tuple[str, ...] = ()
     hasty: bool = False
+    of_line: bool = False
 
     def __post_init__(self) -> None:
         if self.id.split("/", 2)[:2] != [self.dialect, self.theme.value]:
@@ -198,7 +200,8 @@ class Verdict:
     `reason`: why it is inconclusive or did not run, what was observed, or what refuted it. `expected`, `got`: of a
     refutation. `exchange`: the evidence. `traffic`: all bytes on the line. `first_ns`, `last_ns`: on the line's clock.
     `quirks`: names of the quirks shown. `measured`: figures by name (latencies, ramp times);
-    `series`: curves by name; `latencies`: command and ns, of its exchanges. `steps`: that led to a refutation.
+    `series`: curves by name; `latencies`: command and ns, of its exchanges. `steps`: that led to a refutation. `disturbed`:
+    whether bytes came damaged, of a claim that does not judge the line.
     """
 
     claim: Claim
@@ -216,3 +219,4 @@ class Verdict:
     series: Mapping[str, Curve] = field(default_factory=dict)
     latencies: tuple[tuple[str, int], ...] = ()
     steps: tuple[Any, ...] = ()
+    disturbed: bool = False

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, MotionKind, Risk, Verb
 from analyzer.layout import Field
+from analyzer.protocols.mks_shared import ZeroStatus
 from conformance.claim import Inconclusive, NotRun, Refuted
 from conformance.gate.gate import Refused as GateRefused
 from conformance.model.twin import Told, Twin
@@ -118,7 +119,7 @@ class Walk:
         self._own: set[tuple[str, str]] = set()
         self._missing: set[Verb] = set()
         #: Settings, by field, that the drive does not tell and the walk has not set.
-        self._untold = set() if Verb.READ_PARAMETER in self.dialect.by_verb else {_EN_LEVEL}
+        self._untold = set() if Verb.READ_PARAMETER in self.dialect.by_verb else {_EN_LEVEL, _ZERO_MODE}
         #: The codes whose statuses are compared when the shaft has come to rest: what ends is told unasked.
         self._codes = {c.code for c in self.dialect.commands if c.motion is not None and c.motion.tells_end}
         #: What the twin said of them since the shaft stood last; since when the drive may have.
@@ -164,6 +165,20 @@ class Walk:
             held |= {} if answer is None else {n: v for n, v in answer.values.items() if n != "parameter"}
         self.twin.change(lambda drive: drive.hold(held))
         self._take_encoder()
+
+    def _take_way_back(self) -> None:
+        """Let the twin tell what the drive tells of a way back to zero at power-on, where no read tells whether one is set."""
+        command = self.dialect.by_verb.get(Verb.READ_ZERO_STATUS)
+        if command is None or _ZERO_MODE not in self._untold:
+            return
+        answer, _ = self._asked(command)
+        status = None if answer is None else answer.values["status"]
+        if status in (ZeroStatus.SUCCESS, ZeroStatus.FAILED):
+
+            def take(drive: Any) -> None:
+                drive.memory.zero_status = status
+
+            self.twin.change(take)
 
     def _take_encoder(self) -> None:
         """Let the encoder of the twin differ from its position by what that of the drive does."""
@@ -279,6 +294,7 @@ class Walk:
                 twin.wait(twin.now_ns + 10 * MS)
             self._anchor()
             self.running = False
+            self._take_way_back()
         if (
             verb in _LOOSENS
             or (was_turning and kind is not None and kind is not MotionKind.MOVE_TO)
@@ -627,6 +643,8 @@ class Walk:
 
 #: At which level of its pin a motor is enabled in pulse modes.
 _EN_LEVEL = "enable_level"
+#: The setting that decides whether a drive goes back to a kept zero at power-on.
+_ZERO_MODE = "zero_mode"
 _UNPROMISED_FIELDS = frozenset(
     {"power", "torque_current", "phase_a_current", "phase_b_current", "phase_c_current", "temperature", "current"}
 )

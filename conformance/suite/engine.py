@@ -1,5 +1,8 @@
 """The engine: runs claims on a rig and returns the verdict of each. Its callers show them.
 
+A line turns bits over now and then, and what is missed by that can look like a fault of the drive. A claim that refutes while
+the line damaged something is therefore begun anew. A fault of the drive comes again.
+
 A refutation on a real drive is repeated before it is reported: a drive that fails once of two times is refuted too, and the
 reason says so. Where the claim was a sequence of steps (a walk), emulated drives are given the same steps: one as the
 manual has it, and one with each known fault. Where the steps refute one of them in the same way, they are shortened there,
@@ -38,6 +41,8 @@ from conformance.talk.probe import Probe, Rig
 _SEARCH_SECONDS = 30.0
 #: Claims that judge the bytes of replies alone, not the shaft.
 _OF_BYTES = (Theme.SHAPE, Theme.FRAMING, Theme.TRAFFIC)
+#: How often a claim is begun at most that refutes while the line damages something.
+_ATTEMPTS = 3
 #: A quirk that spoils claims which do not name it, the claim that shows it, and the least delay that it causes.
 _LATE, _SHOWS_LATE, _LATE_NS = "slow-replies-in-motion", "timing/read_speed/while-moving", 100_000_000
 #: How many emulated drives with a quirk are tried: what a quirk does may depend on chance.
@@ -54,13 +59,27 @@ def run_claim(claim: Claim, rig: ClaimRig) -> Verdict:
     missing = rig.missing(claim)
     if missing:
         return Verdict(claim, Outcome.NOT_RUN, missing)
-    verdict = _once(claim, rig)
+    verdict = _undisturbed(claim, rig)
     if verdict.outcome is Outcome.REFUTED and not rig.emulated:
         verdict = _confirmed(claim, rig, verdict)
     if claim.hasty and verdict.outcome is Outcome.CONFIRMED:
         rig.drop_write_gap()
     rig.shown |= set(verdict.quirks)
     return _unless_set_otherwise(claim, rig, _explained(claim, rig, verdict))
+
+
+def _undisturbed(claim: Claim, rig: ClaimRig) -> Verdict:
+    """Return the verdict of a claim, begun anew where it refutes while the line damaged something."""
+    try:
+        verdict = _once(claim, rig)
+        while verdict.outcome is Outcome.REFUTED and verdict.disturbed and rig.attempt < _ATTEMPTS - 1:
+            rig.attempt += 1
+            rig.recordings.clear()
+            verdict = _once(claim, rig)
+            verdict = replace(verdict, measured={**verdict.measured, "attempts": rig.attempt + 1})
+        return verdict
+    finally:
+        rig.attempt = 0
 
 
 def _once(claim: Claim, rig: ClaimRig) -> Verdict:
@@ -157,6 +176,7 @@ def _verdict(claim: Claim, probe: Probe, outcome: Outcome, reason: str, error: R
         dict(probe.series),
         tuple(probe.latencies),
         error.steps if error is not None else (),
+        not claim.of_line and any(exchange.damaged for exchange in probe.traffic),
     )
 
 

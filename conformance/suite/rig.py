@@ -22,7 +22,7 @@ class ClaimRig(Rig, ABC):
     by name; `looked_for`: quirks that the run tested for in addition to the claims. `searched`: for how
     long (s) it searched for emulated drives that fail alike. `set_alike`: ideal drives, by the settings that this one has or
     may have. `untold`: settings, by field, that neither the drive nor the
-    user tells.
+    user tells. `attempt`: how often the claim that runs was begun before.
     """
 
     name: str
@@ -38,6 +38,7 @@ class ClaimRig(Rig, ABC):
         self.shown: set[str] = set()
         self.looked_for: set[str] = set()
         self.searched = 0.0
+        self.attempt = 0
         self.set_alike: dict[Hashable, ClaimRig] = {}
 
     @property

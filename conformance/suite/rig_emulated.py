@@ -32,6 +32,9 @@ UNLIMITED = 1 << 60
 #: How long power has been on when a claim begins, of a drive that turns by itself since.
 _POWERED_NS = 3 * SECOND_NS
 
+#: From the seed of an emulated drive to that of the same one when a claim is begun anew.
+_ANEW = 1 << 40
+
 #: What ideal drives show at rest, by dialect, address, model and speed.
 _quiet: dict[tuple[str, int, str, int | None], Noise] = {}
 
@@ -80,7 +83,8 @@ class EmulatedRig(ClaimRig):
 
     def make_drive(self) -> Drive:
         """Return a new drive of the specification."""
-        return make.make(self.specification, settings=self._settings, seed=self.seed)
+        # Chance is another one when a claim is begun anew.
+        return make.make(self.specification, settings=self._settings, seed=self.seed + self.attempt * _ANEW)
 
     @property
     def held(self) -> Mapping[str, int]:

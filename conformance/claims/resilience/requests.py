@@ -82,7 +82,9 @@ def _reads_answered(probe: Probe) -> None:
     )
 
 
-@_resilience("a reply that is garbled", name="reads/good", statement=f"The replies to {_MANY} reads in a row all check.")
+@_resilience(
+    "a reply that is garbled", name="reads/good", statement=f"The replies to {_MANY} reads in a row all check.", of_line=True
+)
 def _reads_check(probe: Probe) -> None:
     read = plain_read(probe.dialect)
     exchanges = [probe.ask(read, quiet_ns=0) for _ in range(_MANY)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from conformance.claim import Claim, Inconclusive, Outcome, Refuted, Theme, Verdict
@@ -105,3 +107,52 @@ def test_a_walk_tells_the_steps_of_a_real_drive(tmp_path, monkeypatch):
         assert verdict.steps or "after 0 steps" in verdict.reason
     else:
         assert verdict.outcome is Outcome.CONFIRMED, verdict.reason
+
+
+#: Of reads on a line that turns bits over so often, most come damaged; on one that does not, none.
+NOISY, CLEAN = "mks-rs485@1,line-errors=80%", "mks-rs485@1"
+READS = 40
+
+
+@pytest.mark.parametrize(
+    ("drive", "facts", "fails", "outcome", "attempts"),
+    [
+        (NOISY, {}, 1, Outcome.CONFIRMED, 2),
+        (NOISY, {}, 2, Outcome.CONFIRMED, 3),
+        (NOISY, {}, 9, Outcome.REFUTED, 3),
+        (NOISY, {"of_line": True}, 1, Outcome.REFUTED, 1),
+        (CLEAN, {}, 1, Outcome.REFUTED, 1),
+    ],
+)
+def test_what_fails_while_the_line_damages_something_is_begun_anew(drive, facts, fails, outcome, attempts):
+    rig = EmulatedRig(make.parse(drive))
+    came = []
+
+    def check(probe):
+        came.append([probe.ask("read_speed").received for _ in range(READS)])
+        if len(came) <= fails:
+            raise Refuted("it was slow")
+
+    verdict = engine.run_claim(replace(only(check), **facts), rig)
+    assert verdict.outcome is outcome
+    assert verdict.measured.get("attempts", 1) == len(came) == attempts
+    # On another line the same drive is damaged elsewhere: each attempt has a chance of its own.
+    assert len({tuple(each) for each in came}) == attempts
+
+
+def test_a_motion_that_several_claims_judge_is_recorded_anew_for_one_that_is_begun_anew():
+    rig = EmulatedRig(make.parse(NOISY))
+    recorded = []
+
+    def motion(probe):
+        recorded.append([probe.ask("read_speed") for _ in range(READS)])
+        return len(recorded)
+
+    def check(probe):
+        if probe.recorded(motion) == 1:
+            raise Refuted("it was slow")
+
+    assert engine.run_claim(only(check), rig).outcome is Outcome.CONFIRMED
+    assert len(recorded) == 2
+    assert engine.run_claim(only(check), rig).outcome is Outcome.CONFIRMED
+    assert len(recorded) == 2
