@@ -230,7 +230,8 @@ def _half(scene: Scene) -> Iterator[Suspicion]:
     yield Suspicion(
         "split_frame", Confidence.LIKELY, [t for t in scene.troubles if any(t.offset == h.burst.offset for h in cut)],
         "A reply of Modbus TCP comes in parts: TCP carries a stream of bytes, and no frames.",
-        f"{shown(burst.data)} at byte {burst.offset} has {counted(len(cut[0].body), 'byte')} of {cut[0].promised} behind its header",
+        f"{shown(burst.data)} at byte {burst.offset} has {counted(len(cut[0].body), 'byte')} of {cut[0].promised} "
+        "behind its header",
         "Join what is read until as many bytes are there as the header promises: its bytes 4 and 5 are the length of the rest",
         tuple(Shown(h.burst.offset, shown(h.burst.data)) for h in cut),
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,8 @@ _TIMES = 24
 _SWINGS = 4
 #: How often a supply or a speed is looked at, and the bytes before a reply.
 _FEWER = 12
+#: How often a measurement is begun in which the line damages something.
+_ATTEMPTS = 4
 #: Fields of the supply.
 _SUPPLY = ("voltage", "current", "temperature")
 #: Bytes that a line shows while nothing sends, and how many of them at most.
@@ -85,39 +88,53 @@ def let_stand(probe: Probe) -> bool:
 def in_motion(probe: Probe) -> Noise:
     """Turn the shaft for a moment; return the noise with that of the speed and of a shaft that has just come to rest.
 
-    Where the drive does not run, the noise is that at rest, and the hindrance what the drive says of it.
+    Where the drive does not run, the noise is that at rest, and the hindrance what the drive says of it. What the line damages
+    is measured anew.
     """
-    try:
-        motion.ready_to_move(probe)
-        before = motion.position(probe).value
-        asked = motion.ask(probe, _move(probe.dialect), _WAY, rpm=_RPM, acceleration=motion.QUICK, quiet_ns=0)
-        if motion.refused(probe, asked):
-            return replace(probe.noise, hindrance=_protection(probe))
-        begun_ns = probe.gate.now_ns()
-        probe.wait(_GOING_NS)
-        speeds: list[float] = []
-        while len(speeds) < _TIMES and probe.gate.now_ns() - begun_ns < _STEADY_NS:
-            now = abs(motion.speed(probe).value)
-            if speeds and now < speeds[0] / 2:
-                # At some subdivisions the shaft is faster than was sent, and is there before.
-                break
-            speeds.append(now)
-        mean = sum(speeds) / len(speeds) if speeds else 0.0
-        another = mean > _RESTS and abs(mean - _RPM) > _RPM * _ANOTHER
-        if another and probe.dialect.subdivision is not None and not probe.noise.rescaled:
+    found = probe.noise
+    for _ in range(_ATTEMPTS):
+        since = len(probe.traffic)
+        with suppress(Inconclusive, Refused):
+            found = _in_motion(probe)
+        if not any(exchange.damaged for exchange in probe.traffic[since:]):
+            break
+        with suppress(Inconclusive, Refused):
             motion.stand_still(probe)
-            probe.noise = replace(probe.noise, rescaled=True)
-            return in_motion(probe)
-        swings = _arriving(probe)
-        motion.wait_standing(probe)
-        # A loop goes on towards its target when the shaft seems to stand.
-        after = [sample.value for sample in motion.sampled(probe, _CREEPS_NS, _CREEPS_NS // _TIMES)]
-        hindrance = _hindrance(probe, abs(after[-1] - before)) or _limits(probe)
-        if hindrance:
-            return replace(probe.noise, hindrance=hindrance)
-        lag = max([_lag(probe), *(abs(after[-1] - place) for place in swings)])
-    except (Inconclusive, Refused):
-        return probe.noise
+    return found
+
+
+def _in_motion(probe: Probe) -> Noise:
+    """Measure that. Raises Inconclusive, Refused where the drive does not run."""
+    motion.ready_to_move(probe)
+    before = motion.position(probe).value
+    asked = motion.ask(probe, _move(probe.dialect), _WAY, rpm=_RPM, acceleration=motion.QUICK, quiet_ns=0)
+    if motion.refused(probe, asked):
+        return replace(probe.noise, hindrance=_protection(probe))
+    begun_ns = probe.gate.now_ns()
+    probe.wait(_GOING_NS)
+    speeds: list[float] = []
+    while len(speeds) < _TIMES and probe.gate.now_ns() - begun_ns < _STEADY_NS:
+        now = abs(motion.speed(probe).value)
+        if speeds and now < speeds[0] / 2:
+            # At some subdivisions the shaft is faster than was sent, and is there before.
+            break
+        speeds.append(now)
+    mean = sum(speeds) / len(speeds) if speeds else 0.0
+    another = mean > _RESTS and abs(mean - _RPM) > _RPM * _ANOTHER
+    if another and probe.dialect.subdivision is not None and not probe.noise.rescaled:
+        motion.stand_still(probe)
+        probe.noise = replace(probe.noise, rescaled=True)
+        return _in_motion(probe)
+    swings = _arriving(probe)
+    motion.wait_standing(probe)
+    # A loop goes on towards its target when the shaft seems to stand.
+    after = [sample.value for sample in motion.sampled(probe, _CREEPS_NS, _CREEPS_NS // _TIMES)]
+    if len(after) <= _SETTLING:
+        raise Inconclusive("the replies come too late to look at a shaft again and again")
+    hindrance = _hindrance(probe, abs(after[-1] - before)) or _limits(probe)
+    if hindrance:
+        return replace(probe.noise, hindrance=hindrance)
+    lag = max([_lag(probe), *(abs(after[-1] - place) for place in swings)])
     # A loop that stands still may rest beside its target all the same, and no read of a resting shaft shows that.
     missed = abs(abs(after[-1] - before) - _WAY) / 2
     loop = max(probe.noise.loop, missed if missed <= LOOP_DEGREES else 0.0)
@@ -241,21 +258,24 @@ def _of_line(probe: Probe) -> Noise:
     behind: set[bytes] = set()
     last: set[bytes] = set()
     repeated: set[int] = set()
-    checked = False
+    checked, lost = False, 0
     # The replies end in different bytes.
     reads = (motion.reads_position(probe.dialect), motion.reads_speed(probe.dialect)) * (_FEWER // 2)
-    asked = [probe.ask(command, quiet_ns=0) for command in reads]
-    # What the line damaged now and then does not show what it adds each time.
-    for exchange in [e for e in asked if e.is_read] or asked:
+    for command in reads:
+        exchange = probe.ask(command, quiet_ns=0)
         answer = exchange.reply
-        if answer is None:
-            return QUIET
-        checked = checked or (answer.is_whole and not answer.bare)
+        if answer is None or not answer.is_whole:
+            # What the line damaged now and then does not show what it adds each time.
+            lost += 1
+            continue
+        checked = checked or not answer.bare
         first, _, rest = exchange.received.partition(answer.data)
         before.add(first)
         behind.add(rest)
         last.add(answer.data[-1:])
         repeated.add(len(rest) if rest and answer.data.endswith(rest) else 0)
+    if lost > _FEWER // 2:
+        return QUIET
     trailing = _idle(behind)
     # A driver that lets go of the line makes a start bit of it, and ones; a byte of zeros is sent.
     trailing = trailing if trailing.strip(_HIGH) == b"" else b""

@@ -42,6 +42,9 @@ _ANYTHING = object()
 _PAUSE_NS = 30 * MS
 #: So long after a setting it may be answered once more, as real drives were seen to do.
 _SECOND_REPLY_NS = 30 * MS
+#: Risks of what does the same when it is sent once more, and what does so beside.
+_SAME_AGAIN = frozenset({Risk.READ, Risk.SETTING, Risk.TORQUE})
+_ENABLING = (Verb.ENABLE, Verb.MOTOR_ON)
 #: Latencies that are kept of one claim.
 _KEPT_LATENCIES = 400
 
@@ -417,16 +420,18 @@ class Probe:
         return answer
 
     def sound(self, exchange: Exchange) -> Exchange:
-        """Return an exchange, or a read or a setting sent once more whose reply the line damaged.
+        """Return an exchange, or one sent once more whose reply the line damaged: a read, a setting, or enabling.
 
         A damaged reply is judged once, not by each claim.
         """
         if exchange.again is not None:
             return exchange.again
         answer, command = exchange.reply, exchange.command
-        if answer is None or answer.message.frame.checksum_ok or answer.bare or command is None:
+        # What came may be no frame any more.
+        is_damaged = exchange.damaged and not exchange.is_read and (answer is None or not answer.bare)
+        if not is_damaged or command is None:
             return exchange
-        if not command.all_risks <= {Risk.READ, Risk.SETTING} or exchange.address is None:
+        if not (command.all_risks <= _SAME_AGAIN or command.verb in _ENABLING) or exchange.address is None:
             return exchange
         built = self.build(command, exchange.values, address=exchange.address)
         if built.item() != exchange.sent:

@@ -168,8 +168,10 @@ def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
     elif not refused:
         # A reply that was lost or late let the older motion go on.
         since = max(0.0, (exchange.sent_ns - before.t_ns + before.spread_ns) / SECOND_NS * CALM * 6)
-        back = 0 if row.turn > 0 else abs(before.value - start.value)
-        far = since + (abs(before.value - zero) if row.zero else near + back)
+        # It may be beyond a place the same way already: a look whose reply the line damaged comes late.
+        gone = abs(before.value - start.value)
+        beyond = gone if row.turn < 0 else max(0.0, gone - 2 * near)
+        far = since + (abs(before.value - zero) if row.zero else near + beyond)
         least_ns = far / 6 / row.rpm * SECOND_NS
         most_ns = (far + _SPARE) / 6 / row.rpm * (1 + CLOCK_SHARE) * SECOND_NS + 2 * change_ns
         end = arriving.come_to_rest(probe, exchange, int(least_ns), int(most_ns))

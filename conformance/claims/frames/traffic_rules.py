@@ -119,6 +119,9 @@ ROWS: tuple[Row, ...] = (
     Row("decoder", "decoder_fault", _W, "The decoder does not fail.", _OPEN, Seen.NOTHING),
 )  # fmt: skip
 
+#: Rules of what a frame holds.
+_OF_CONTENT = frozenset(rule for _, rule, *_ in _BY_SIDE if rule != "bad_checksum")
+
 _BY_RULE: Mapping[str, tuple[Row, ...]] = {
     rule: tuple(row for row in ROWS if row.rule == rule) for rule in dict.fromkeys(row.rule for row in ROWS)
 }
@@ -246,10 +249,19 @@ class Judge:
         node = found.port, found.address
         if node in self._described and node not in self._spoken:
             return
+        if self._is_damaged(found):
+            return
         row = row_of(found)
         name = self._dialect_of(found)
         count = self._counts.setdefault((name, row.name), Count(row, name))
         count.add(Example(found, self._bytes_of(found)), self.first_few)
+
+    def _is_damaged(self, found: Finding) -> bool:
+        """Say whether a finding is about what a damaged frame holds: its sender may have said something else."""
+        last = self._last
+        if last is None or last.sequence != found.sequence or found.rule not in _OF_CONTENT:
+            return False
+        return not last.message.frame.checksum_ok
 
     def comment(self, comment: Comment) -> None:
         """Do nothing: a comment is no traffic."""

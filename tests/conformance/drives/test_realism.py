@@ -273,6 +273,14 @@ def test_a_fault_of_the_line_is_one_verdict(drive, judge):
     assert [v.claim.id for v in verdicts if v.outcome is Outcome.REFUTED] == [judge]
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_what_the_line_damages_is_no_part_of_what_is_measured(seed):
+    each = EmulatedRig(make.parse("mks-rs485@1,speed-noise=2%,turnaround-noise=FF,line-errors=3%"), seed=seed)
+    probe = each.probe(next(c for c in registry.every(each.dialect) if resting.can_turn(each.dialect, c)))
+    assert probe.noise.stray == b"\xff"
+    assert probe.noise.share > 0.005
+
+
 def test_a_read_whose_reply_is_damaged_is_asked_again_and_counted():
     each = rig("mks-rs485@1,line-errors=20%")
     probe = each.probe(next(iter(registry.every(each.dialect))))

@@ -8,9 +8,10 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from analyzer import dialects
+from analyzer.catalogue import Role
 from analyzer.cli import main
 from analyzer.findings import RULES
-from analyzer.records import CanFrame, Finding, Severity
+from analyzer.records import CanFrame, Chunk, Finding, Severity
 from conformance.claim import Outcome, Theme
 from conformance.claims.frames import traffic as theme
 from conformance.claims.frames.traffic_rules import ROWS, Party, row_of
@@ -60,13 +61,23 @@ def test_a_fault_is_refuted_by_the_finding_about_it(fault, dialect, name):
     assert name in refuted(Theme.TRAFFIC, f"{dialect}@1,fault={fault}")
 
 
-def test_a_session_is_shared_and_a_claim_that_runs_again_has_its_own():
+def test_a_session_is_shared():
     rig = EmulatedRig(make.parse("mks-can@1"))
     one, other = claims_of(Theme.TRAFFIC, rig)[:2]
-    probes = [rig.probe(c) for c in (one, other, one)]
+    probes = [rig.probe(c) for c in (one, other)]
     for probe in probes:
         probe.claim.check(probe)
-    assert [bool(p.raw) for p in probes] == [True, False, True]
+    assert probes[0].raw
+    assert all(mine is shared for mine, shared in zip(*(p.raw for p in probes), strict=True))
+
+
+# A status of 3B beyond its choices with a wrong sum, and with the right one.
+@pytest.mark.parametrize(("frame", "found"), [("FB 01 3B 81 B9", {"reply_checks"}), ("FB 01 3B 81 B8", {"reply_choices"})])
+def test_what_a_damaged_reply_holds_is_not_judged(frame, found):
+    items = [Chunk(0, "", bytes.fromhex("FA 01 3B 36"), Role.REQUEST), Chunk(5_000_000, "", bytes.fromhex(frame), Role.REPLY)]
+    judge = theme.judged(items, dialects.get("mks-rs485"))
+    of_drive = [c.row.name for c in judge.counts() if c.found and c.row.about is Party.DRIVE]
+    assert set(of_drive) - {"answered"} == found
 
 
 def test_a_quirk_that_makes_replies_unreadable_is_named():
