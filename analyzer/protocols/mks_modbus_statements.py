@@ -276,6 +276,7 @@ _WRITES = (
             "0 is the address of all drives.",
             "addressing/broadcast/*",
             "read-back/settings/restart-broadcast",
+            "read-back/*/restart-broadcast-*",
             "ranges/set_address/new_address/below",
         ),
         unseen("8.2.15/shown", "The display shows the new address.", DISPLAY),

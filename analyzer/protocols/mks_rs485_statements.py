@@ -259,6 +259,7 @@ _SETTINGS = (
             "addressing/group/*_*/*",
             "addressing/group/executed",
             "read-back/settings/restart-group",
+            "read-back/*/restart-group-*",
             "examples/*/to_group_*",
         ),
         said(
@@ -386,6 +387,7 @@ _SETTINGS = (
         "addressing/package/set_*",
         "addressing/package/as-sent",
         "read-back/settings/restart-package",
+        "read-back/*/restart-package-*",
         "read-back/save_speed/package",
     ),
     said("5.7/length", "A package has 52 bytes.", "addressing/package/length", "addressing/package/broken_off"),
@@ -415,6 +417,7 @@ _FRAMES = (
         "addressing/broadcast/executed",
         "addressing/broadcast/set_*",
         "read-back/settings/restart-broadcast",
+        "read-back/*/restart-broadcast-*",
     ),
     said(
         "4/broadcast-silent",

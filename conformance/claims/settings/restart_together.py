@@ -4,6 +4,7 @@
     settings/restart-broadcast    to all drives
     settings/restart-group        to its group
     settings/restart-package      in a slot of a package
+    SETTING/restart-group-FIELD   a field of it that shows by hands on an emulated drive, and so for all ways but the first
     save_speed/broadcast, ...     a run that is kept and forgotten so, and a restart that is asked for so
 
 Rules kept here:
@@ -20,9 +21,12 @@ from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
 from conformance.claims.addressing import many, package
 from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case
+from conformance.claims.ranges import edges
 from conformance.claims.resilience.settings import expect_effects
+from conformance.claims.settings import kept_effects
+from conformance.claims.settings.kept_effects import Kept
 from conformance.claims.settings.known_settings import ReadableSetting, Setting, every_setting, needs
-from conformance.claims.settings.read_back import of_read_back
+from conformance.claims.settings.read_back import fields_of, of_read_back
 from conformance.motion import motion
 from conformance.motion.effects import Change
 from conformance.talk.exchange import Exchange
@@ -132,6 +136,44 @@ def _all_kept(probe: Probe, chosen: list[Setting], way: _Way) -> None:
             wanted = {n: held[each.name][n] for n in got if n in held[each.name]}
             probe.expect({n: got[n] for n in wanted}, equal=wanted, refutes=text, exchange=exchange, key=f"{each.name} lost")
     expect_effects(probe, chosen, held, f"{way.how} before a restart")
+
+
+def _fields_with_hands(dialect: Dialect) -> Iterator[Case]:
+    """Yield each way to several drives with the stored fields that show by hands alone."""
+    for way in _WAYS[1:] if Verb.RESTART in dialect.by_verb else ():
+        for command, row in kept_effects.rows(dialect) if way.heard(dialect) else ():
+            if row.hands:
+                risks = (*dialect.by_verb[Verb.RESTART].all_risks, *way.risks(dialect), *motion.risks(dialect))
+                facts = row.effect.needed(dialect, edges.needs(dialect, command, [row.values]), *risks)
+                facts |= {"parameters": {"field": row.name}, "emulated": True, "alone": True}
+                facts["settings"] = (*facts["settings"], *way.settings)
+                yield Case(dialect, command, {"row": row, "way": way, "kind": way.kind, "how": way.how}, facts)
+
+
+@of_read_back(
+    each=_fields_with_hands,
+    name="{command}/{kind}-{row}",
+    refuted_by="another setting",
+    fields=fields_of,
+    rests_on=(Doubt.ADDRESSING,),
+)
+def _kept_field(probe: Probe, command: Command, row: Kept, way: _Way) -> None:
+    """A restart keeps {row}, as {command} set it {how}."""
+    motion.ready_to_move(probe)
+    way.ready(probe)
+    row.effect.ready(probe)
+    default, values = row.effect.see(probe), edges.plain(probe, command, command.request_forms[0], **row.values)
+    exchange = way.send(probe, command, values)
+    expect_silence(probe, exchange, f"{command.name} {way.how} is answered")
+    restart(probe)
+    row.effect.ready(probe)
+    seen = row.effect.see(probe)
+    probe.do(command, values)
+    should = row.effect.see(probe)
+    kept_effects.need_difference(probe, row, should, default)
+    text = f"{row.name} that was set {way.how} is another one after a restart"
+    holds, expected = row.effect.same(probe, should, seen), row.effect.words(should)
+    probe.expect(row.effect.words(seen), holds=holds, expected=expected, refutes=text, exchange=exchange)
 
 
 #: The speed of a run that is kept, the other way of another one; how long a shaft has to get there.

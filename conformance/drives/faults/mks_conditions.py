@@ -626,6 +626,10 @@ def _limits_passed(when: Callable[[MksCore, str], bool]) -> Change:
     return tuned(install)
 
 
+def _is(message: Message, verb: Verb) -> bool:
+    return message.command is not None and message.command.verb is verb
+
+
 def _asked_of(drive: MksCore) -> tuple[int | None, int | None]:
     """Return the speed and the acceleration that the motion under way was asked with, as sent; None where there are none."""
     request = drive.task.request if drive.task is not None else None
@@ -994,6 +998,16 @@ DOING: Rows = {
             "a restart loses what was set in a package",
             _lost_if_sent(lambda drive, message: message.command is not None and message.command.slots is not None),
             NATIVE,
+        ),
+        Row(
+            "protection-of-all-unheard",
+            "88 to all drives is not heard",
+            taken(
+                lambda drive, frame, message, wanted: (
+                    wanted and not (_is(message, Verb.SET_PROTECTION) and message.address == drive.dialect.broadcast)
+                )
+            ),
+            SERIAL,
         ),
         Row("saved-run-once", "a saved run begins at one power-on alone", tuned(_once)),
         Row("saved-ramp-lost", "a saved run begins without its ramp", _stored_as("saved_acceleration", lambda v: 0)),
