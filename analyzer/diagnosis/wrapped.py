@@ -221,17 +221,16 @@ def _half(scene: Scene) -> Iterator[Suspicion]:
     """Suspect a read that ends within a reply of Modbus TCP where words ask about parts, and show no more of it."""
     cut = [
         h for h in _headers(scene)
-        if h.burst.direction is not Role.REQUEST and h.burst.ends and len(h.body) < h.promised == _LEAST_COUNT + h.body[2]
-        and h.body[1] in READS
+        if h.burst.direction is not Role.REQUEST and h.burst.ends and _LEAST_COUNT <= len(h.body) < h.promised
+        and h.body[1] in READS and h.promised == _LEAST_COUNT + h.body[2]
     ]  # fmt: skip
     if not cut or not any(ASKS_OF_PARTS.search(words) for words in scene.words):
         return
-    burst = cut[0].burst
+    burst, read = cut[0].burst, counted(len(cut[0].body), "byte")
     yield Suspicion(
         "split_frame", Confidence.LIKELY, [t for t in scene.troubles if any(t.offset == h.burst.offset for h in cut)],
         "A reply of Modbus TCP comes in parts: TCP carries a stream of bytes, and no frames.",
-        f"{shown(burst.data)} at byte {burst.offset} has {counted(len(cut[0].body), 'byte')} of {cut[0].promised} "
-        "behind its header",
+        f"{shown(burst.data)} at byte {burst.offset} has {read} of {cut[0].promised} behind its header",
         "Join what is read until as many bytes are there as the header promises: its bytes 4 and 5 are the length of the rest",
         tuple(Shown(h.burst.offset, shown(h.burst.data)) for h in cut),
     )  # fmt: skip

@@ -89,6 +89,12 @@ def causes_of(tmp_path):
             ">>>>> recv: 0x0 0x19 0x0 0x0 0x0 0x6 0x0 0x0 0x0 0x0 0x0 0x0 extra data:",
             "wrong_address",
         ),
+        # The request of another master, which could be the head of a reply of Modbus TCP.
+        (
+            "master.write_string(0, 'abc')\nInvalidResponseError: Wrong functioncode: 3 instead of 16. "
+            r"The response is: '\x01\x03\x00\x00\x00\x16\xc4\x04'" "\n",
+            "two_masters",
+        ),
         # One line of candump among many words.
         ("What is wrong?\n" * 30 + "```\ncan0  001   [4]  F6 01 40 02\n```\n", "missing_checksum"),
         # A master of CANopen that has more nodes than the one it asks.
