@@ -11,8 +11,7 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
+from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
 
@@ -27,7 +26,7 @@ from conformance.claims.known_quirks import known
 from conformance.claims.known_reads import plain_reads
 
 if TYPE_CHECKING:
-    from conformance.talk.probe import Probe, Rig
+    from conformance.talk.probe import Probe
 
 _PORT = "bus"
 _ROUNDS = 2
@@ -71,27 +70,19 @@ def _needs_recording(probe: Probe) -> None:
 # --- a session --------------------------------------------------------------------------------------------------------
 
 
-class _Session:
-    """What was found in a session, and the claims that have judged it. `bare`: replies came without a checksum."""
+class _Session(NamedTuple):
+    """What was found in a session of reads. `bare`: replies came without a checksum."""
 
-    def __init__(self, judge: Judge, bare: bool) -> None:
-        self.judge, self.bare = judge, bare
-        self.judged: set[str] = set()
-
-
-_kept: WeakKeyDictionary[Rig, _Session] = WeakKeyDictionary()
+    judge: Judge
+    bare: bool
 
 
 def _session(probe: Probe) -> _Session:
-    kept = _kept.get(probe.rig)
-    if kept is None or probe.claim.id in kept.judged:
-        start = len(probe.raw)
-        exchanges = [probe.ask(command) for _ in range(_ROUNDS) for command in plain_reads(probe.dialect)]
-        judge = judged(probe.raw[start:], probe.dialect, probe.rig.byte_ns, probe.rig.late_ns)
-        bare = any(answer.bare for exchange in exchanges for answer in exchange.answers)
-        kept = _kept[probe.rig] = _Session(judge, bare)
-    kept.judged.add(probe.claim.id)
-    return kept
+    """Ask every plain read and judge what was said."""
+    start = len(probe.raw)
+    exchanges = [probe.ask(command) for _ in range(_ROUNDS) for command in plain_reads(probe.dialect)]
+    judge = judged(probe.raw[start:], probe.dialect, probe.rig.byte_ns, probe.rig.late_ns)
+    return _Session(judge, any(answer.bare for exchange in exchanges for answer in exchange.answers))
 
 
 def judged(items: Iterable[Chunk | CanFrame], dialect: Dialect, byte_ns: int = 0, late_ns: int = 1_000_000_000) -> Judge:
@@ -111,7 +102,7 @@ def judged(items: Iterable[Chunk | CanFrame], dialect: Dialect, byte_ns: int = 0
 
 def _in_session(row: Row) -> Callable[[Probe], None]:
     def check(probe: Probe) -> None:
-        session = _session(probe)
+        session = probe.recorded(_session)
         if session.bare and NO_CHECKSUM in probe.claim.quirks:
             probe.meets(NO_CHECKSUM)
             return
