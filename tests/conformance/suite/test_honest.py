@@ -343,13 +343,21 @@ ONCE_ACCUSED_THOUGH_TOLD = [
         81100004,
         "state/walk/1",
     ),
+    # A session that several claims judge was on a line that damaged a reply, for each of them.
+    (
+        "mks-modbus@21,model=42D,encoder-noise=1,speed-noise=2.4%,speed-lag=20ms,hysteresis=3,first-late=300ms,dip=2,"
+        "settle=100ms,overshoot=10,latency=0.3..12ms,latency-timer=16ms,turnaround-noise=FF,voltage-noise=0.4,warm,"
+        "line-errors=1%,group_address=255",
+        91400000,
+        "traffic/",
+    ),
 ]
 
 
 @pytest.mark.parametrize(
     ("drive", "seed", "claims"),
     ONCE_ACCUSED_THOUGH_TOLD,
-    ids=["faster", "kept-run", "three-speeds", "kept-zero", "no-way-back"],
+    ids=["faster", "kept-run", "three-speeds", "kept-zero", "no-way-back", "session"],
 )
 def test_an_honest_drive_whose_settings_were_told_is_not_accused(drive, seed, claims):
     _, counts, refuted = honest.accused(drive, seed, part=claims)
