@@ -203,6 +203,10 @@ def _reply(printed: str, models: tuple[str, ...] = (), /, **values: int) -> Vect
     return Vector(printed, values, Role.REPLY, computed=True, models=models)
 
 
+def _echoed(printed: str, **values: int) -> tuple[Vector, Vector]:
+    return _request(printed, **values), _reply(printed, **values)
+
+
 def _errors(*names: str) -> dict[str, int]:
     return {f.name: int(f.name in names) for f in ERROR_BITS}
 
@@ -332,7 +336,7 @@ COMMANDS = (
         request=EMPTY,
         reply=EMPTY,
         notes=("the motor is on after power-up; its light is steady while on and flashes slowly while off",),
-        vectors=(_request("3E 80 01 00 BF"), _reply("3E 80 01 00 BF"), _request("3E 80 0E 00 CC"), _reply("3E 80 0E 00 CC")),
+        vectors=(*_echoed("3E 80 01 00 BF"), *_echoed("3E 80 0E 00 CC")),
     ),
     Command(
         name="motor_on",
@@ -344,7 +348,7 @@ COMMANDS = (
         request=EMPTY,
         reply=EMPTY,
         motion=HOLD,
-        vectors=(_request("3E 88 01 00 C7"), _reply("3E 88 01 00 C7"), _request("3E 88 0E 00 D4"), _reply("3E 88 0E 00 D4")),
+        vectors=(*_echoed("3E 88 01 00 C7"), *_echoed("3E 88 0E 00 D4")),
     ),
     Command(
         name="stop",
@@ -356,7 +360,7 @@ COMMANDS = (
         request=EMPTY,
         reply=EMPTY,
         motion=Motion(kind=MotionKind.STOP),
-        vectors=(_request("3E 81 01 00 C0"), _reply("3E 81 01 00 C0"), _request("3E 81 20 00 DF"), _reply("3E 81 20 00 DF")),
+        vectors=(*_echoed("3E 81 01 00 C0"), *_echoed("3E 81 20 00 DF")),
     ),
     Command(
         name="brake",
@@ -702,22 +706,14 @@ COMMANDS = (
         reply=PARAMETER_FORMS,
         notes=("holds at once, and until the power goes: it is written to RAM", "firmware 2.35 was seen not to have it"),
         vectors=(
-            _request("3E C1 01 07 07 0A 78 00 1E 00 05 00 A5", parameter=10, angle_kp=120, angle_ki=30, angle_kd=5),
-            _reply("3E C1 01 07 07 0A 78 00 1E 00 05 00 A5", parameter=10, angle_kp=120, angle_ki=30, angle_kd=5),
-            _request("3E C1 01 07 07 0B 3C 00 00 00 34 12 8D", parameter=11, speed_kp=60, speed_ki=0, speed_kd=4660),
-            _reply("3E C1 01 07 07 0B 3C 00 00 00 34 12 8D", parameter=11, speed_kp=60, speed_ki=0, speed_kd=4660),
-            _request("3E C1 01 07 07 0C C8 00 E8 03 00 00 BF", parameter=12, current_kp=200, current_ki=1000, current_kd=0),
-            _reply("3E C1 01 07 07 0C C8 00 E8 03 00 00 BF", parameter=12, current_kp=200, current_ki=1000, current_kd=0),
-            _request("3E C1 10 07 16 1E 00 00 08 07 00 00 2D", parameter=30, torque_limit=1800),
-            _reply("3E C1 10 07 16 1E 00 00 08 07 00 00 2D", parameter=30, torque_limit=1800),
-            _request("3E C1 10 07 16 20 00 00 90 5F 01 00 10", parameter=32, speed_limit=90000),
-            _reply("3E C1 10 07 16 20 00 00 90 5F 01 00 10", parameter=32, speed_limit=90000),
-            _request("3E C1 10 07 16 22 00 00 60 73 FF FF F3", parameter=34, angle_limit=-36000),
-            _reply("3E C1 10 07 16 22 00 00 60 73 FF FF F3", parameter=34, angle_limit=-36000),
-            _request("3E C1 1F 07 25 24 00 00 F4 01 00 00 19", parameter=36, current_ramp=500),
-            _reply("3E C1 1F 07 25 24 00 00 F4 01 00 00 19", parameter=36, current_ramp=500),
-            _request("3E C1 1F 07 25 26 00 00 80 84 1E 00 48", parameter=38, speed_ramp=2000000),
-            _reply("3E C1 1F 07 25 26 00 00 80 84 1E 00 48", parameter=38, speed_ramp=2000000),
+            *_echoed("3E C1 01 07 07 0A 78 00 1E 00 05 00 A5", parameter=10, angle_kp=120, angle_ki=30, angle_kd=5),
+            *_echoed("3E C1 01 07 07 0B 3C 00 00 00 34 12 8D", parameter=11, speed_kp=60, speed_ki=0, speed_kd=4660),
+            *_echoed("3E C1 01 07 07 0C C8 00 E8 03 00 00 BF", parameter=12, current_kp=200, current_ki=1000, current_kd=0),
+            *_echoed("3E C1 10 07 16 1E 00 00 08 07 00 00 2D", parameter=30, torque_limit=1800),
+            *_echoed("3E C1 10 07 16 20 00 00 90 5F 01 00 10", parameter=32, speed_limit=90000),
+            *_echoed("3E C1 10 07 16 22 00 00 60 73 FF FF F3", parameter=34, angle_limit=-36000),
+            *_echoed("3E C1 1F 07 25 24 00 00 F4 01 00 00 19", parameter=36, current_ramp=500),
+            *_echoed("3E C1 1F 07 25 26 00 00 80 84 1E 00 48", parameter=38, speed_ramp=2000000),
         ),
     ),
     Command(
@@ -783,7 +779,7 @@ COMMANDS = (
         risk=(always(Risk.SETTING),),
         request=EMPTY,
         reply=EMPTY,
-        vectors=(_request("3E 93 01 00 D2"), _reply("3E 93 01 00 D2"), _request("3E 93 0A 00 DB"), _reply("3E 93 0A 00 DB")),
+        vectors=(*_echoed("3E 93 01 00 D2"), *_echoed("3E 93 0A 00 DB")),
     ),
     Command(
         name="read_single_turn",
@@ -812,10 +808,8 @@ COMMANDS = (
         reply=Layout(i32le("position", unit="deg", scale=HUNDREDTH, printed="motorAngle")),
         notes=("holds until the power goes: it is written to RAM",),
         vectors=(
-            _request("3E 95 01 04 D8 28 23 00 00 4B", position=9000),
-            _reply("3E 95 01 04 D8 28 23 00 00 4B", position=9000),
-            _request("3E 95 0D 04 E4 4E 11 C9 FF 27", position=-3600050),
-            _reply("3E 95 0D 04 E4 4E 11 C9 FF 27", position=-3600050),
+            *_echoed("3E 95 01 04 D8 28 23 00 00 4B", position=9000),
+            *_echoed("3E 95 0D 04 E4 4E 11 C9 FF 27", position=-3600050),
         ),
     ),
 )
