@@ -22,13 +22,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, Dialect, Risk, Verb, always
-from analyzer.devices.dbc_child import LENGTH, MOST_ANSWERED, Answer, MessageFacts, SignalFacts, TooMuchError, begin_of
+from analyzer.devices.dbc_child import MOST_ANSWERED, Answer, MessageFacts, SignalFacts, TooMuchError, begin_of
 from analyzer.devices.text import Text
 from analyzer.layout import RESERVED_NAMES, Field, FieldKind, MisfitError, ReadLayout
 from analyzer.link import EXTENDED_ID, MessageLink
 from analyzer.link.can import j1939_group
 from analyzer.port import topic_name
-from analyzer.system import bounded
+from analyzer.system import bounded, sized
 from analyzer.system.own_process import without
 from analyzer.values import printable
 
@@ -113,8 +113,7 @@ def _answered(data: bytes, command: Sequence[str], seconds: int) -> bytes:
         assert child.stdout is not None
         # A process that has ended takes no more, and its answer is short.
         with contextlib.suppress(OSError):
-            child.stdin.write(LENGTH.pack(len(data)) + data)
-            child.stdin.flush()
+            sized.put(child.stdin, data)
         answered = child.stdout.read(MOST_ANSWERED)
         return answered if child.wait() == 0 else b""
     finally:

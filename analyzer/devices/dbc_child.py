@@ -1,6 +1,6 @@
 """The process that parses a file of CAN messages: cantools can take all memory, or minutes, for a small file of a stranger.
 
-    parent --> length (4 bytes, little endian), file        child --> pickled Answer
+    parent --> a message, the file        child --> pickled Answer
 
 The parent holds standard input open while it waits. The process ends where that ends, so none is left behind.
 """
@@ -12,7 +12,6 @@ import math
 import os
 import pickle
 import re
-import struct
 import sys
 import threading
 import traceback
@@ -23,14 +22,13 @@ from typing import IO, TYPE_CHECKING, Any
 
 from analyzer.devices.text import Text
 from analyzer.errors import ServotapError
-from analyzer.system import bounded
+from analyzer.system import bounded, sized
 from analyzer.system.own_process import without
 from analyzer.table.extras import needed
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
 
-LENGTH = struct.Struct("<L")
 #: Bytes of an answer. A file of the largest size that tools write takes half of it; the parent holds it in memory.
 MOST_ANSWERED = 16 << 20
 #: The longest message that J1939 carries, in bytes.
@@ -78,7 +76,7 @@ Answer = list[MessageFacts] | Exception
 def main(out: IO[bytes], path: str, format: str, memory: str, seconds: str) -> None:
     """Write the answer to `out`, within so many bytes of memory and seconds of CPU time."""
     stream = sys.stdin.buffer
-    data = stream.read(LENGTH.unpack(stream.read(LENGTH.size))[0])
+    data = bytes(sized.take(stream))
     threading.Thread(target=_end_with, args=(stream.fileno(),), daemon=True).start()
     bounded.limit(int(memory), int(seconds))
     answer: Answer

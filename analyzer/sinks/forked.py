@@ -1,4 +1,4 @@
-"""A process that is forked from this one, with a pipe each way. Both carry messages, each behind its length.
+"""A process that is forked from this one, with a pipe each way. Both carry messages.
 
 Rules: Ctrl-C and its like reach the parent alone, which decides what they mean. A child whose parent is gone reads the end of
 its pipe, and ends. A child that is gone gives empty answers.
@@ -12,6 +12,8 @@ import os
 import signal
 from collections.abc import Callable
 
+from analyzer.system import sized
+
 try:
     import fcntl
 except ImportError:  # Windows, which forks nothing
@@ -19,7 +21,6 @@ except ImportError:  # Windows, which forks nothing
 
 #: Bytes that a pipe is to hold, where the system lets one say so: fewer turns for a long message.
 _PIPE = 1 << 20
-_LENGTH = 8
 #: What this process holds of all its pipes: while a child held such an end too, the other end would not learn of our death.
 _held: set[io.FileIO] = set()
 
@@ -38,24 +39,11 @@ class Ends:
 
     def give(self, data: bytes) -> None:
         """Send a message. Raises BrokenPipeError where the other side has gone."""
-        for part in (len(data).to_bytes(_LENGTH, "little"), data):
-            view = memoryview(part)
-            while view:
-                view = view[self._target.write(view) :]
+        sized.put(self._target, data)
 
     def take(self) -> bytearray:
         """Return the next message; nothing where the other side has gone."""
-        return self._read(int.from_bytes(self._read(_LENGTH), "little"))
-
-    def _read(self, size: int) -> bytearray:
-        data = bytearray(size)
-        view = memoryview(data)
-        while view:
-            count = self.source.readinto(view)
-            if not count:
-                return bytearray()
-            view = view[count:]
-        return data
+        return sized.take(self.source)
 
     def close(self) -> None:
         """Close both."""

@@ -21,9 +21,9 @@ from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
 from analyzer.sources import magic
 from analyzer.sources.budget import child_limits
-from analyzer.sources.mf4_child import LENGTH, Batch
+from analyzer.sources.mf4_child import Batch
 from analyzer.sources.source import Source
-from analyzer.system import bounded
+from analyzer.system import bounded, sized
 from analyzer.system.scratch import scratch_folder
 
 _SHORT = "reading the MF4 file takes more memory than a process may have for it"
@@ -89,11 +89,7 @@ def _records(source: Source) -> Iterator[CanFrame]:
 def _batches(pipe: IO[bytes]) -> Iterator[Batch]:
     """Yield what the child sends, until it ends or dies."""
     decode = msgspec.msgpack.Decoder(Batch).decode
-    while len(head := pipe.read(LENGTH.size)) == LENGTH.size:
-        size = LENGTH.unpack(head)[0]
-        data = pipe.read(size)
-        if len(data) < size:
-            return
+    while data := sized.take(pipe):
         yield decode(data)
 
 

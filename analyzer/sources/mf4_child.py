@@ -1,6 +1,6 @@
 """The process that reads an MF4 file: asammdf's native code can crash on a damaged one, and must not take us with it.
 
-    parent --> path (argument)        child --> length (4 bytes, little endian), msgpack of a Batch | ... | the last one
+    parent --> path (argument)        child --> a message, msgpack of a Batch | ... | the last one
 
 A stream that ends without a batch marked as last means that the process died.
 """
@@ -8,17 +8,15 @@ A stream that ends without a batch marked as last means that the process died.
 from __future__ import annotations
 
 import logging
-import struct
 from collections.abc import Callable
 from typing import IO, Any, cast
 
 import msgspec
 
-from analyzer.system import bounded
+from analyzer.system import bounded, sized
 
 #: Frames of one batch.
 BATCH = 500
-LENGTH = struct.Struct("<L")
 
 
 class Row(msgspec.Struct, array_like=True):
@@ -82,6 +80,4 @@ def _row(message: Any) -> Row:
 
 
 def _send(out: IO[bytes], batch: Batch) -> None:
-    data = msgspec.msgpack.encode(batch)
-    out.write(LENGTH.pack(len(data)) + data)
-    out.flush()
+    sized.put(out, msgspec.msgpack.encode(batch))

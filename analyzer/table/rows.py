@@ -6,7 +6,6 @@ row of their message; one that is told later (a request that stayed unanswered) 
 
 from __future__ import annotations
 
-import struct
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -20,11 +19,11 @@ from analyzer.decoder import physical
 from analyzer.pipeline import Entry
 from analyzer.records import Comment, Finding, Junk
 from analyzer.sources.times import Clock, ShownTime, is_dated
+from analyzer.system import sized
 from analyzer.table.columns import SLOTS, TWIN, Column, fields_of, reader_of
 
 _BATCH = 1000
 _IN_MEMORY = 32 << 20
-_LENGTH = struct.Struct("<I")
 
 
 class Row(msgspec.Struct, array_like=True, gc=False):
@@ -98,8 +97,8 @@ class Recorded:
         decode = msgspec.msgpack.Decoder(list[Row]).decode
         stream = self.stream
         stream.seek(0)
-        while head := stream.read(_LENGTH.size):
-            yield from decode(stream.read(_LENGTH.unpack(head)[0]))
+        while data := sized.take(stream):
+            yield from decode(data)
 
     def position(self) -> int:
         """Return how many of `size` bytes were read."""
@@ -225,8 +224,7 @@ class Rows:
         self._rows.append(row)
 
     def _write(self, rows: list[Row]) -> None:
-        data = self._encode(rows)
-        self.recorded.stream.write(_LENGTH.pack(len(data)) + data)
+        sized.put(self.recorded.stream, self._encode(rows))
 
 
 def _state_parts(form: Form, columns: tuple[Column, ...]) -> tuple[tuple[str, int, float], ...]:

@@ -1,16 +1,15 @@
-"""What passes between a suite and its guard: one request, one answer, over pipes. Length first, then MessagePack."""
+"""What passes between a suite and its guard: one request, one answer, over pipes, as MessagePack."""
 
 from __future__ import annotations
 
-import struct
 from typing import IO
 
 import msgspec
 
 from analyzer.records import CanFrame, Chunk
+from analyzer.system import sized
 from conformance.gate.permissions import Allowance
 
-_LENGTH = struct.Struct("<I")
 _LIMIT = 64 << 20
 #: A time that does not end.
 NO_END_NS = 1 << 62
@@ -129,28 +128,15 @@ Answer = Done | Got | Failed | Busy
 
 def put(stream: IO[bytes], message: Request | Answer) -> None:
     """Write a message. Raises OSError where the other end has gone."""
-    data = msgspec.msgpack.encode(message)
-    stream.write(_LENGTH.pack(len(data)) + data)
-    stream.flush()
+    sized.put(stream, msgspec.msgpack.encode(message))
 
 
 def take(stream: IO[bytes]) -> bytes:
     """Return the next message as bytes. Raises EOFError when the other end has gone."""
-    head = _exactly(stream, _LENGTH.size)
-    (length,) = _LENGTH.unpack(head)
-    if length > _LIMIT:
-        raise EOFError(f"a message of {length} bytes")
-    return _exactly(stream, length)
-
-
-def _exactly(stream: IO[bytes], count: int) -> bytes:
-    data = b""
-    while len(data) < count:
-        part = stream.read(count - len(data))
-        if not part:
-            raise EOFError("the other end has gone")
-        data += part
-    return data
+    data = sized.take(stream, _LIMIT)
+    if not data:
+        raise EOFError("the other end has gone")
+    return bytes(data)
 
 
 def wire(item: bytes | CanFrame | Chunk) -> Wire:

@@ -16,7 +16,7 @@ from cantools.database import Database, can, conversion
 
 from analyzer.cli import main
 from analyzer.decoder import physical
-from analyzer.devices import dbc, dbc_child, load
+from analyzer.devices import dbc, load
 from analyzer.devices.text import MOST_BYTES
 from analyzer.dialects import get
 from analyzer.errors import ServotapError
@@ -24,7 +24,7 @@ from analyzer.link import sum8
 from analyzer.pipeline import Pipeline
 from analyzer.port import Options
 from analyzer.records import CanFrame, Role
-from analyzer.system import bounded
+from analyzer.system import bounded, sized
 from tests.collect import Collect
 from tests.columns.both_ways import blocks, messages, outcome, short_runs
 
@@ -429,7 +429,7 @@ def test_the_process_ends_with_its_parent():
     command = bounded.command("analyzer.devices.dbc_child", "nested.dbc", "dbc", 1 << 40, 10_000)
     data = HOSTILE["nested.dbc"].encode()
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
-        child.stdin.write(dbc_child.LENGTH.pack(len(data)) + data)
+        sized.put(child.stdin, data)
         child.stdin.close()
         assert child.wait(60) == 1
         assert child.stdout.read() == b""
