@@ -20,9 +20,9 @@ from analyzer.cli.output import free_target, write_whole
 from analyzer.cli.reading import add_reading_arguments
 from analyzer.dialects import every
 from analyzer.errors import UsageError
+from analyzer.report.kept import extremes
 from analyzer.report.picture import Panel, draw, size
 from analyzer.report.series import Series, series
-from analyzer.report.traffic import extremes
 from analyzer.sources.times import SECOND, ShownTime, is_dated, is_estimated
 from analyzer.table.extras import needed
 from analyzer.values import printable, quote

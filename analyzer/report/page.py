@@ -16,7 +16,8 @@ from analyzer.findings import RULES
 from analyzer.layout import STATE_UNITS
 from analyzer.page import Chart, packed
 from analyzer.records import Severity
-from analyzer.report.traffic import Breaches, Bus, Drive, Integers, Marks, Numbers, Talk, Traffic, busiest, extremes
+from analyzer.report.kept import Breaches, Bus, Drive, Integers, Marks, Numbers, Talk, busiest, extremes
+from analyzer.report.traffic import Traffic
 from analyzer.sources.times import SECOND, ShownTime, is_dated, is_estimated
 
 #: Bytes of a page, and by how much all is cut down until it keeps to them.

@@ -16,7 +16,8 @@ import msgspec
 
 from analyzer.errors import UsageError
 from analyzer.findings import RULES
-from analyzer.report.traffic import LATEST_NS, number_of
+from analyzer.report.kept import number_of, properties_of
+from analyzer.report.traffic import LATEST_NS
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Source, describe
 from analyzer.values import identifier, near, quote
@@ -54,7 +55,7 @@ class _Topic:
         #: What can be plotted: each field with its unit, and how many of that unit one of the log is.
         self.fields: dict[str, tuple[str, str, float]] = {}
         for key, about in properties.items():
-            kind, unit = (about.get("type"), str(about.get("unit", ""))) if isinstance(about, dict) else (None, "")
+            kind, unit = about.get("type"), str(about.get("unit", ""))
             if kind in ("integer", "number") and (not key.startswith("_") or key == "_latency"):
                 latency = key == "_latency"
                 self.fields[key.removeprefix("_")] = (key, "ms", 1e3) if latency else (key, unit, 1.0)
@@ -120,7 +121,7 @@ def series(
                     kept.sequence.append(record.sequence)
                     kept.values.append(value * factor)
         elif isinstance(record, Schema):
-            schemas[record.id] = _properties(record.data)
+            schemas[record.id] = properties_of(record.data)
         elif isinstance(record, Metadata):
             time_source = record.metadata.get("time_source", time_source)
         elif isinstance(record, Channel):
@@ -144,15 +145,6 @@ def series(
 def _is_field_topic(topic: str) -> bool:
     parts = topic.split("/")
     return (len(parts), parts[-1]) in ((5, "request"), (5, "reply"), (5, "message"), (4, _STATE))
-
-
-def _properties(schema: bytes) -> Mapping[str, Any]:
-    """Return the fields that a schema describes; of one of another program, maybe none."""
-    try:
-        found = msgspec.json.decode(schema, type=dict[str, Any]).get("properties")
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _chosen(name: str, topics: Sequence[_Topic]) -> list[Series]:

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer.cli import main
-from analyzer.report.traffic import Marks, Traffic, extremes
+from analyzer.report.kept import Marks, extremes
+from analyzer.report.traffic import Traffic
 from analyzer.sources import open_source
 from tests.test_readme import ROOT
 
