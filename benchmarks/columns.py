@@ -11,9 +11,9 @@ plausible sessions (`captures/make.py`: polls, settings, motion). Each work is d
 - a filter over a log: a loop over the messages by `mcap` and `json`
 
 CPU seconds count all processes of a command, and its start; Python finds modules compiled, as where they are installed, for all
-programs alike. `decode` uses one process. A second table has what a second core gains, in seconds of the clock by turns, for
-which the machine should have nothing else to do: one process on one core, one on two, and two on two. One process gains by a
-second core, too, for a thread of its own packs the log. So two processes are compared with one on one core.
+programs alike. `decode` uses one process. A second table shows the gain of a second core, in seconds of the clock and by turns:
+one process on one core, one on two, and two on two. The machine should be idle for it. One process gains by a second core, too,
+for a thread of its own packs the log. So two processes are compared with one on one core.
 """
 
 from __future__ import annotations

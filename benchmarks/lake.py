@@ -2,8 +2,8 @@
 
     python benchmarks/lake.py [--frames 500000] [--files 4] [--rounds 1] [--small 10000] [--rows 100000000]
 
-Captures are made: candump logs of four drives that are polled, with values that the manual allows. Long ones are ingested by
-one and by two workers of Dask, as they are and in ranges, and decoded by `servotap decode --to parquet --jobs 1`. Where the
+Captures are made: candump logs of four drives that are polled, with values that the manual allows. One worker of
+Dask and then two ingest the long ones, whole and in ranges; `servotap decode --to parquet --jobs 1` decodes them. Where the
 machine has other work, the clock says nothing: CPU seconds of the busiest process then say what two workers would take. Small
 ones are taken here, without Dask: CPU seconds of decoding alone, of taking them into files of a lake, of committing; 0 leaves
 a part out. For the question, rows of `states` are generated as drives of 100 machines would give them.

@@ -2,8 +2,8 @@
 
     python benchmarks/logic_levels.py [--samples 100000000]
 
-Three captures, each in a process of its own: a UART line that is seldom busy, one that is always busy, and a CAN bus, each
-beside seven other channels, of which one is a clock. The goal is ten seconds and 500 MiB.
+Three captures, each in a process of its own: a UART line that is seldom busy, one that is always busy, and a CAN bus. Each
+has seven other channels; one of them is a clock. The goal is ten seconds and 500 MiB.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Serial lines by columns: framing beside the framer that goes byte by byte, and beside pymodbus; whole decodes.
+"""Serial lines by columns: framing compared with the framer that goes byte by byte and with pymodbus; whole decodes.
 
     python benchmarks/serial_columns.py [--frames 400000] [--rounds 3]
 
@@ -6,8 +6,8 @@ Framing: exchanges of all commands of a dialect (`framing_noise.traffic`), repea
 that of `framing_noise.py`: 0.1 % of the bytes are flipped, dropped or have one inserted before them. What is found are frames
 with their places, times and junk. pymodbus gets each frame cut out, requests and replies apart: it has to search nothing.
 
-Whole decodes: polls with values that the manual allows, as raw bytes, clean and damaged likewise, from bytes to the messages of
-a log, by blocks and by chunks in the same process.
+Whole decodes: polls with values that the manual allows, as raw bytes, clean and damaged in the same way. They go from bytes to
+the messages of a log, by blocks and by chunks in the same process.
 
 All figures are CPU seconds of one process, the least of some rounds, which take turns.
 """

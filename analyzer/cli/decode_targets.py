@@ -104,7 +104,7 @@ def _below(folder: Path, known: set[tuple[int, int]]) -> Iterator[Path]:
         return
     for each in entries:
         if not each.is_dir():
-            # Links that lead nowhere are told when they are read; what is no file at all is passed over.
+            # Links that lead nowhere are told when they are read. Sockets, pipes and devices are passed over.
             if each.suffix != ".mcap" and (each.is_file() or each.is_symlink()):
                 yield each
         elif saleae_channels(each):

@@ -146,7 +146,7 @@ class Output:
 
 
 class OutputFolder:
-    """A folder of tables while they are written. It stands beside the target and takes the target's name only when it is whole.
+    """A folder of tables while they are written. It stands next to the target, and takes the target's name when it is whole.
 
     `target`: the name it is to have; `replace`: whether a folder of that name that holds nothing but tables may be replaced.
     Raises UsageError where no folder can be made.
@@ -196,7 +196,7 @@ def _new_file(*, prefix: str, suffix: str, dir: Path) -> str:
 
 
 def _held_part(target: Path, make: Callable[..., str]) -> tuple[Path, int]:
-    """Make what is to become the target; return it and its lock. What a killed process left of the same target is removed."""
+    """Make the part that will become the target; return it and its lock. Parts that a killed process left are removed."""
     name = re.compile(rf"\.{re.escape(target.name)}\.[a-z0-9_]{{8}}\.part")
     remove_left(path for path in _parts_in(target.parent) if name.fullmatch(path.name))
     return held(lambda: Path(make(prefix=f".{target.name}.", suffix=".part", dir=target.parent)))

@@ -52,7 +52,7 @@ def shapes(dialect: Dialect, address: int, role: Role) -> tuple[list[Shape], lis
     """Return what a file of one drive has, and what it leaves out, in the manual's order."""
     taken: dict[tuple[int, bytes], Shape] = {}
     left_out = []
-    # A form without fixed values stands for its code, whatever comes before it: a run for run and stop.
+    # A form without fixed values stands for its code, even behind others: a run for run and stop.
     every = sorted(_forms(dialect, role), key=lambda entry: any(f.fixed is not None for f in entry[1].layout.fields))
     for command, form in every:
         why = _inexpressible(form)

@@ -69,7 +69,7 @@ class Forked(Ends):
                 work(Ends(*childs))
                 status = 0
             except BrokenPipeError:
-                status = 0  # nobody is left to tell
+                status = 0  # no one is left to tell
             finally:
                 os._exit(status)
         for end in childs:

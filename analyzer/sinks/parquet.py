@@ -1,4 +1,4 @@
-"""Tables of a capture as Parquet files in one folder: a sink beside the log, with the same values under the same names.
+"""Tables of a capture as Parquet files in one folder: a sink with the values of the log, under the same names.
 
     mks-can.read_speed.reply.parquet    a table for each dialect, command and role
     unknown, foreign, junk              frames without a command, of other nodes; bytes that are no frame

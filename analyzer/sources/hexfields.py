@@ -3,7 +3,7 @@
     01 - slave address            | 0 | 01 | Slave    |            ser.write(0x01)
     03 - function                 | 1 | 03 | Function |            ser.write(0x03)
 
-Rules: rows are a frame if most are short, and, in other tables, if the first two names are those of a unit and of a function.
+Rules: rows are a frame if most are short. Rows of other tables are one if the first two names mean a unit and a function.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Files and folders that are of use for a while: scratch in the system's folder for it, and outputs under construction.
 
-A run that is killed cannot remove its own. So each of them is held by a lock, which ends with the process, and each new one
-first removes those that nobody holds. Where the system has no such locks (Windows, some network drives), they stay.
+A run that is killed cannot remove its own. So a lock holds each of them, and ends with the process. Each new run first removes
+those that no lock holds. Where the system has no such locks (Windows, some network drives), they stay.
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ _PIECE_SECONDS = 0.2
 def identity(endpoint: Endpoint) -> str:
     """Return what tells the port at an endpoint from another one that gets its name; nothing where nothing does.
 
-    An address of a server; a serial number that one port has; a USB adapter at its socket, and the port of it; another link,
-    which somebody keeps to mean one port. A number alone tells no port where a name or a link leads to it: adapters of some
+    An address of a server; a serial number that one port has; a USB adapter at its socket, and the port of it; another link
+    that a user has set up to mean one port. A number alone tells no port where a name or a link leads to it: adapters of some
     makers all have the same, and so have the four ports of one adapter.
     """
     if endpoint.kind == "tcp":

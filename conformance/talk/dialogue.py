@@ -297,7 +297,7 @@ class Dialogue:
         if not self._pending:
             data = rest
         elif self._half_way:
-            # It goes on with a frame, whatever its bytes look like. Only behind a whole one the next can begin.
+            # It goes on with a frame, even if its bytes look like a new one: that can begin only behind a whole one.
             pass
         elif data == self._stray and held is None:
             self._held, data = got, b""

@@ -351,7 +351,7 @@ class Finder:
         wrong = "" if message.frame.checksum_ok else "its checksum is wrong"
         if message.address != address:
             wrong = f"it answered for {message.who} when {drive_name(dialect, address)} was asked"
-        # An address that no drive has is no other drive's: the one that was asked answered wrongly.
+        # No drive has this address, so it was the drive at the asked one that answered wrongly.
         place = message.address if _possible(dialect, [message.address]) else address
         values = dict(physical(message)) | self._more(dialect, place, command)
         speed = self.dialogue.gate.line.endpoint.bits_per_second

@@ -3,8 +3,8 @@
     steps -> rehearsal (all judged, nothing sent) -> the gate, step by step -> comparison
 
 Times. Each step has its own time from the start, so delays do not add up. The last part of a wait is spent without sleeping.
-On a serial line, where frames can collide, a step waits for the replies to the step before that had come by then (for
-`PATIENCE_NS` longer than in the recording at most).
+On a serial line, where frames can collide, a step waits for replies to the step before: for those that had come by then in the
+recording. It waits at most `PATIENCE_NS` longer than they took there.
 
 Permission. A file grants none: all requests are judged before the first byte leaves, and each again as it leaves. When the
 replay is interrupted (Ctrl-C, a lost port), moving drives are stopped by a ramp and watched until they stand. At the end of

@@ -88,7 +88,7 @@ def test_a_folder_of_captures_becomes_a_folder_of_logs(tmp_path, cli):
     assert main(["decode", str(week), "-o", str(week / "mks_rs485.log")]) == 2
     assert main(["decode", str(week), "-o", str(logs)]) == 0
     assert sorted(os.listdir(logs)) == ["mks_can.candump.log.mcap", "mks_rs485.log.mcap"]
-    # What is no capture is told, and the others are decoded.
+    # A file that is no capture is named, and the others are decoded.
     (week / "a.bin").write_bytes(b"")
     assert main(["decode", str(week), "-o", str(logs), "--force"]) == 2
     assert sorted(os.listdir(logs)) == ["mks_can.candump.log.mcap", "mks_rs485.log.mcap"]

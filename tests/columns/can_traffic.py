@@ -114,7 +114,7 @@ def spoiled(pair: list[CanFrame], chance: random.Random) -> Iterator[CanFrame]:
 
 
 def interleaved(dialect: Dialect, frames: Sequence[CanFrame], chance: random.Random, share: float) -> list[CanFrame]:
-    """Let some frames come before the one that they followed, where that is of another drive."""
+    """Swap some frames with the one before them, if that is of another drive."""
     import msgspec
 
     def drive(frame: CanFrame) -> int:

@@ -57,7 +57,7 @@ def check(layout: Layout, rows: list[bytes]) -> None:
     wire = {name: values.tolist() for name, values in columns.wire(data).items()}
     assert [{name: values[n] for name, values in wire.items()} for n in range(len(rows))] == [single.wire(row) for row in rows]
     assert columns.matches(data).tolist() == [single.matches(row) for row in rows]
-    # What is no exact JSON number is left to the codec of single frames.
+    # The codec of single frames takes the numbers that JSON does not hold exactly.
     exact = [
         all(abs(v) * f.scale.numerator <= EXACT for v, f in zip(single.wire(row).values(), named, strict=True)) for row in rows
     ]

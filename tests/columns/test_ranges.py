@@ -79,7 +79,7 @@ def test_damaged_can(name, tmp_path, capsys, monkeypatch):
     WRITERS[name](list(rows("mks-can", 0.02)), whole)
     data = whole.read_bytes()
     for seed in range(6):
-        # Its beginning stays, so that it is of the same format.
+        # Its beginning stays, and with it the format.
         capture.write_bytes(data[:2000] + mutated(random.Random(seed), data[2000:]))
         both(capture, tmp_path, capsys, monkeypatch, "mks-can", 333)
 

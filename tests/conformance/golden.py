@@ -7,8 +7,8 @@ A change that means to change nothing leaves these files alone. One that means t
 difference shows what it did. `--only new`: those faults alone whose lines are not kept yet, or of which a name matches; the
 other lines stay. `--full FILE` writes the whole table of faults, every claim against each: an hour.
 
-A fault that none of its likeliest claims refutes is tried against the most telling ones and those that were found before, until
-one refutes it. `--search` tries all claims against such a fault: what is found is kept, and later runs need no search.
+Where none of the likeliest claims refutes a fault, the most telling ones are tried, and those that were found before, until one
+does. `--search` tries all claims against such a fault: what is found is kept, and later runs need no search.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""DBC files: what cantools decodes stands in the log, beside the drives; what is wrong with a file is told in one line."""
+"""DBC files: the log has what cantools decodes and the drives; what is wrong with a file is told in one line."""
 
 from __future__ import annotations
 

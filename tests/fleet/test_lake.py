@@ -1,4 +1,4 @@
-"""A lake holds each capture once, and all of a batch or none of it, whatever happens in between."""
+"""A lake holds each capture once, and all of a batch or none of it, even if a worker dies in between."""
 
 from __future__ import annotations
 

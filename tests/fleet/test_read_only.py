@@ -1,4 +1,4 @@
-"""A lake in folders that nobody may write to answers all the same. What has to write to it says so in a line."""
+"""A lake in read-only folders answers all the same. A command that has to write to it says so in a line."""
 
 from __future__ import annotations
 

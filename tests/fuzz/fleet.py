@@ -56,7 +56,7 @@ def _ingested(lake: Lake) -> None:
 
 # --- questions ------------------------------------------------------------------------------------------------------------
 
-#: A file beside the lake, which no question may read.
+#: A file next to the lake, which no question may read.
 _SECRET = b"name,value\nnobody,is-to-read-this\n"
 _QUESTIONS = (
     "from captures", "select * from findings where date > '2026-01-01' order by time desc limit 3", "captures",
@@ -135,7 +135,7 @@ def asked(given: Input, place: Place) -> None:
     _, said = heard_words(("ask", LAKE, *(["-o", f"out.{ending}"] if ending else []), "--seconds", "2", "--", query), place)
     out = place.folder / f"out.{ending}"
     if b"is-to-read-this" in said or (out.exists() and b"is-to-read-this" in out.read_bytes()):
-        raise Fault("a question read what is beside the lake")
+        raise Fault("a question read a file next to the lake")
     if more := _names(place) - before - {out.name}:
         raise Fault(f"a question wrote {sorted(more)}")
 

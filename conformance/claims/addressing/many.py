@@ -1,4 +1,4 @@
-"""Ways to several drives: all of them (broadcast), a group, and what is no motion in a package. Executed, never answered.
+"""Ways to several drives: all of them (broadcast), a group, and packages without motion. Executed, never answered.
 
 FA 00 F4 ..          every drive moves, none answers
 FA 50 F4 ..          every drive of the group 50h moves, none answers; each still answers its own address
@@ -13,7 +13,7 @@ from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Verb
 from conformance.claim import Theme
-from conformance.claims.addressing import guarded, package
+from conformance.claims.addressing import guarded_commands, package
 from conformance.claims.control_reads import ask_first, expect_silence, is_answered, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.known_reads import every_read
@@ -408,8 +408,8 @@ def _other_group(probe: Probe, many: _Many, shown: Observable) -> None:
 def _switches(dialect: Dialect) -> Iterator[Case]:
     """Yield each way to several drives with what switches, homes, sets the zero and writes ports."""
     for many in _ways(dialect):
-        for case in guarded.switches(dialect):
-            risks = many.risks(dialect) | guarded.risks(case)
+        for case in guarded_commands.switches(dialect):
+            risks = many.risks(dialect) | guarded_commands.risks(case)
             settings = case.facts.get("settings", motion.settings(dialect))
             facts = {**case.facts, "risks": risks, "settings": (*settings, *many.settings)}
             given = {"many": many, "what": many.what, "switch": case.command, "shown": case["guarded"]}
@@ -417,7 +417,7 @@ def _switches(dialect: Dialect) -> Iterator[Case]:
 
 
 @_addressing("no effect of it, or an answer", _switches, name="{many}/{switch}")
-def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded.Guarded) -> None:
+def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded_commands.Guarded) -> None:
     """{switch} by {what} is executed, and not answered."""
     shown.ready(probe)
     to = many.join(probe)
@@ -425,7 +425,7 @@ def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded.Guarded
     before = shown.see(probe)
     sent = probe.send(many.frame(probe, switch, values, to), timeout_ns=STEP_NS)
     after = shown.see(probe)
-    guarded.leave(probe, shown)
+    guarded_commands.leave(probe, shown)
     text = f"{switch.name} by {many.what} is not executed"
     holds = shown.shows(probe, before, after)
     probe.expect(f"{after:g}", holds=holds, expected=f"another value than {before:g}", refutes=text, exchange=sent)

@@ -213,7 +213,7 @@ def test_all_frames_are_read_unless_it_is_said_which():
     assert all(acceptance.takes(0x300, 0, 8) for _ in range(1000))
     acceptance.only({1, 2})
     assert all(acceptance.takes(1, 0, 8) for _ in range(1000))
-    # The first ones tell who else is there; an identifier of 29 bits is no drive's, whatever its number.
+    # The first ones tell who else is there; no drive has an identifier of 29 bits.
     assert [acceptance.takes(0x300, 0, 8) for _ in range(100)].count(True) == 32
     assert [acceptance.takes(1, CanFlag.EXTENDED, 8) for _ in range(100)].count(True) == 0
     assert [acceptance.takes(0x301, 0, 8) for _ in range(100)].count(True) == 32

@@ -1,4 +1,4 @@
-"""There is one place where bytes leave: whoever asks does so through the gate, and only lines open ports."""
+"""Bytes leave in one place: all requests go through the gate, and only lines open ports."""
 
 from __future__ import annotations
 

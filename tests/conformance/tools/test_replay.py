@@ -334,7 +334,7 @@ def test_ctrl_c_stops_the_motor_by_a_ramp(name: str):
 
 @pytest.mark.parametrize("broken_into", [RUN, STOP[:5]], ids=["the run", "the stop at the end"])
 def test_ctrl_c_that_falls_into_a_sending_leaves_no_motor_turning(broken_into: bytes):
-    """The motor turns as soon as the bytes have left, whatever of the sending is still to be done."""
+    """The motor turns as soon as the bytes have left, even while the sending is not over."""
     watched = Watched()
     left: list[bytes] = []
 
