@@ -194,10 +194,6 @@ class Scene:
         return any(read.direction is Role.REQUEST for read in self.reads)
 
     @cached_property
-    def _read_by_offset(self) -> dict[int, Read]:
-        return {read.offset: read for read in self.reads}
-
-    @cached_property
     def limits(self) -> frozenset[int]:
         """Where the capture says that a sending begins or ends."""
         found: set[int] = set()

@@ -1,4 +1,4 @@
-"""A lake holds each capture once, and all of a batch or none of it, even if a worker dies in between."""
+"""A lake holds each capture once, and all of a batch or none of it, even if others write to it at the same time."""
 
 from __future__ import annotations
 
