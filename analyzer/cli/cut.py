@@ -12,17 +12,16 @@ from operator import itemgetter
 from pathlib import Path
 from typing import IO, Any
 
-import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.log_copy import DAMAGED, TAGGED, Copy, Log, Taken
+from analyzer.cli.log_copy import TAGGED, Copy, Log, Taken
 from analyzer.cli.output import free_target, whole
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import WARM_NS, add_time_range_arguments
 from analyzer.errors import UsageError
 from analyzer.events import SETUPS, TOPIC
-from analyzer.sources.mcap_scan import LogMessage
+from analyzer.sources.mcap_scan import fields_of
 from analyzer.sources.recording_parts import METADATA
 from analyzer.sources.times import ShownTime, iso
 from analyzer.values import counted, printable
@@ -155,7 +154,7 @@ class _Cut:
         for taken in self._log.messages(*_EVERYTHING, lambda channel: channel.topic == TOPIC and wanted(channel)):
             if taken.message.log_ns >= self._since_ns:
                 break
-            said = _said(taken.message)
+            said = fields_of(taken.message.data)
             name, bus = str(said.get("event", "")), str(said.get("bus", ""))
             if name in SETUPS or name == "part":
                 # What is said of a bus is whole each time it is said.
@@ -177,7 +176,7 @@ class _Cut:
         """Say whether a message of a topic of all buses is of a wanted one."""
         if not self._buses or taken.channel.topic not in _SHARED:
             return True
-        bus = str(_said(taken.message).get("bus", ""))
+        bus = str(fields_of(taken.message.data).get("bus", ""))
         return bus == "" or bus in self._buses
 
     def _describe(self, copy: Copy) -> None:
@@ -191,11 +190,3 @@ class _Cut:
             values["buses"] = ",".join(sorted(self._buses))
         copy.describe("servotap", values)
         self.said = f"{counted(copy.messages, 'message')} from {iso(first_ns)} to {iso(copy.last_ns)}"
-
-
-def _said(message: LogMessage) -> dict[str, Any]:
-    """Return the values of a message, none of one that is damaged."""
-    try:
-        return msgspec.json.decode(message.data, type=dict[str, Any])
-    except DAMAGED:
-        return {}

@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, NamedTuple
 
-import msgspec
 from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema
 from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 
 from analyzer import __version__
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.sinks.mcap_chunk import CHUNK_SIZE
 from analyzer.sources import Source, open_source
 from analyzer.sources.mcap_records import bounds, records, records_of_part, skips_of, summary_of
 from analyzer.sources.mcap_scan import LogMessage
@@ -25,11 +25,8 @@ from analyzer.sources.recording_parts import CLOCK_METADATA
 from analyzer.sources.times import Clock
 from analyzer.values import counted
 
-CHUNK_SIZE = 1 << 20
 #: What a reply says of its request.
 TAGGED = re.compile(rb'"_request_sequence":(\d{1,10})(?!\d)')
-#: What reading the JSON of a message raises where it is damaged: no JSON, no UTF-8, too deep.
-DAMAGED = (msgspec.MsgspecError, ValueError, RecursionError)
 #: Messages after which it is told how far reading has come, for a person who waits.
 _TELL_EVERY = 4096
 #: Messages of an incomplete log that are skipped in search of its declarations.

@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from analyzer.records import Severity
 from analyzer.sinks.summary import Latencies
+from analyzer.sources.mcap_scan import fields_of
 from analyzer.values import fields_text
 
 Integers = NDArray[np.int64]
@@ -196,14 +196,6 @@ class Told(NamedTuple):
     t_ns: int
     bus: str
     text: str
-
-
-def fields_of(data: bytes) -> dict[str, Any]:
-    """Return a message as it is logged; nothing of one that is damaged."""
-    try:
-        return msgspec.json.decode(data, type=dict[str, Any])
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        return {}
 
 
 def properties_of(schema: bytes) -> dict[str, dict[str, Any]]:

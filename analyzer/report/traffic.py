@@ -20,21 +20,8 @@ from analyzer.catalogue import Verb
 from analyzer.errors import UsageError
 from analyzer.layout import STATE_UNITS
 from analyzer.records import Severity
-from analyzer.report.kept import (
-    Breaches,
-    Bus,
-    Drive,
-    Example,
-    Marks,
-    Talk,
-    Told,
-    Track,
-    fields_of,
-    number_of,
-    own_fields,
-    properties_of,
-)
-from analyzer.sources.mcap_scan import LogMessage
+from analyzer.report.kept import Breaches, Bus, Drive, Example, Marks, Talk, Told, Track, number_of, own_fields, properties_of
+from analyzer.sources.mcap_scan import DAMAGED, LogMessage, fields_of
 from analyzer.sources.source import Source, describe
 from analyzer.sources.times import SECOND
 from analyzer.values import fields_text, identifier
@@ -170,14 +157,14 @@ class _Parser(Generic[T]):
             rows: list[T] = self._many(b"[" + b",".join(topic.data) + b"]")
             if len(rows) == len(topic.data):
                 return rows
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        except DAMAGED:
             pass
         return [self._alone(topic, each) for each in topic.data]
 
     def _alone(self, topic: _Topic, data: bytes) -> T:
         try:
             return self._one(data)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        except DAMAGED as error:
             self._problem(f"a message of {topic.name}: {describe(error)}")
             return self._empty()
 

@@ -70,7 +70,7 @@ def require_foxglove() -> None:
 class FoxgloveServer:
     """Offers topics to clients. One serves all parts of a recording. Raises UsageError where it cannot listen."""
 
-    def __init__(self, place: Place, *, name: str = "servotap", backlog: int = BACKLOG) -> None:
+    def __init__(self, place: Place) -> None:
         require_foxglove()
         import foxglove
 
@@ -79,7 +79,7 @@ class FoxgloveServer:
         foxglove.set_log_level("CRITICAL")
         try:
             self._server = foxglove.start_server(
-                name=name, host=place.host, port=place.port, context=self._context, message_backlog_size=backlog
+                name="servotap", host=place.host, port=place.port, context=self._context, message_backlog_size=BACKLOG
             )
         except RuntimeError as error:
             reason = str(error).removeprefix("FoxgloveError: ")

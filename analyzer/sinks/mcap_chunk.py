@@ -222,7 +222,6 @@ class Part(NamedTuple):
 class Batch:
     """Messages that follow each other: those that are made, and those that are still rows of blocks, part by part."""
 
-    chunk_size: int
     pieces: list[Chunk | Run] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
 
@@ -238,7 +237,7 @@ class Batch:
                     made[-1].join(piece)
                 else:
                     made[-1] = piece
-                if made[-1].size >= self.chunk_size:
+                if made[-1].size >= CHUNK_SIZE:
                     made.append(Chunk())
                 continue
             part = self.parts[piece.part]
@@ -246,8 +245,8 @@ class Batch:
                 rows = _rows(part, gaps[piece.part])
             added, at = rows.messages(piece.start, piece.stop), 0
             while at < len(added.ends):
-                at = made[-1].fill(added, at, self.chunk_size)
-                if made[-1].size >= self.chunk_size:
+                at = made[-1].fill(added, at, CHUNK_SIZE)
+                if made[-1].size >= CHUNK_SIZE:
                     made.append(Chunk())
         return [chunk for chunk in made if chunk.parts]
 

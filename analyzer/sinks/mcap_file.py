@@ -149,20 +149,18 @@ class McapFile:
         *,
         profile: str,
         library: str,
-        chunk_size: int = CHUNK_SIZE,
         index: Index | None = None,
         patient: bool = False,
         packer: Packer | None = None,
     ) -> None:
-        self._begin(stream, chunk_size, index or MemoryIndex(), patient, packer or _Thread())
+        self._begin(stream, index or MemoryIndex(), patient, packer or _Thread())
         self._put(MCAP + record_bytes(Header(profile, library)))
 
-    def _begin(self, stream: Writable, chunk_size: int, index: Index, patient: bool, packer: Packer) -> None:
+    def _begin(self, stream: Writable, index: Index, patient: bool, packer: Packer) -> None:
         self._stream = stream
         self._patient = patient
         #: A chunk could not be written and waits.
         self.stalled = False
-        self._chunk_size = chunk_size
         self._index = index
         #: Messages behind the last rows; what stands before them in the batch; its parts, and how many rows they have.
         self._building = Chunk()
@@ -180,15 +178,13 @@ class McapFile:
         self._waiting: list[Pending] = []
 
     @classmethod
-    def resume(
-        cls, stream: Writable, state: Mapping[str, Any], index: Index, *, chunk_size: int = CHUNK_SIZE, patient: bool = False
-    ) -> McapFile:
+    def resume(cls, stream: Writable, state: Mapping[str, Any], index: Index, *, patient: bool = False) -> McapFile:
         """Go on with a file that another left after a `flush`.
 
         `state`: what it returned as such; `stream`: stands at that place; `index`: holds what it held.
         """
         file = cls.__new__(cls)
-        file._begin(stream, chunk_size, index, patient, _Thread())
+        file._begin(stream, index, patient, _Thread())
         for name in _STATE:
             setattr(file, name, state[name])
         return file
@@ -254,7 +250,7 @@ class McapFile:
         building.size += size + 31
         building.last_ns = log_ns
         building.messages += 1
-        if building.size >= self._chunk_size:
+        if building.size >= CHUNK_SIZE:
             self._end_batch()
 
     def add_rows(self, plain: Plain, channels: Integers, start: int, stop: int, sequence: int, log_ns: Integers) -> None:
@@ -341,7 +337,7 @@ class McapFile:
         self._end_part()
         if not self._pieces:
             return
-        batch = Batch(self._chunk_size, self._pieces, self._parts)
+        batch = Batch(self._pieces, self._parts)
         self._pieces, self._parts, self._rows = [], [], 0
         self._waiting.append(self._packer.submit(batch))
         while self._waiting and (len(self._waiting) > self._packer.ahead or self._waiting[0].done()):

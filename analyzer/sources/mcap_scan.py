@@ -13,6 +13,7 @@ from array import array
 from collections.abc import Callable, Iterator
 from typing import IO, TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
+import msgspec
 from fastcrc import crc32
 
 from analyzer.sources import budget
@@ -37,6 +38,9 @@ _COMPRESSIONS = ("", "zstd", "lz4")
 _LONGEST_NAME = 16
 _STEP = 1 << 20
 
+#: What reading the JSON of a message raises where it is damaged: no JSON, no UTF-8, too deep.
+DAMAGED = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
+
 T = TypeVar("T")
 
 
@@ -48,6 +52,14 @@ class LogMessage(NamedTuple):
     log_ns: int
     publish_ns: int
     data: bytes
+
+
+def fields_of(data: bytes) -> dict[str, Any]:
+    """Return the fields of a message, or what a schema says, from its JSON; nothing of one that is damaged."""
+    try:
+        return msgspec.json.decode(data, type=dict[str, Any])
+    except DAMAGED:
+        return {}
 
 
 class Messages(NamedTuple):
@@ -101,7 +113,7 @@ def packed(body: bytes) -> Packed:
     return Packed(start_ns, end_ns, size, crc, name.decode("ascii"), data)
 
 
-def unpack(chunk: Packed, *, check: bool = True) -> bytes:
+def unpack(chunk: Packed) -> bytes:
     """Return a chunk's records.
 
     Raises ValueError for one that grows beyond bounds or whose check does not fit, and what the decompressors raise.
@@ -126,7 +138,7 @@ def unpack(chunk: Packed, *, check: bool = True) -> bytes:
             if size > UNPACKED_LIMIT:
                 raise ValueError(f"{counted(len(chunk.data), 'byte')} unpacked to more than {UNPACKED_LIMIT >> 20} MiB")
         data = b"".join(parts)
-    if check and chunk.crc and (got := crc32.iso_hdlc(data)) != chunk.crc:
+    if chunk.crc and (got := crc32.iso_hdlc(data)) != chunk.crc:
         raise ValueError(f"the check of a chunk does not fit: expected {chunk.crc:08x}, got {got:08x}")
     return data
 

@@ -54,7 +54,7 @@ class _Waiting(NamedTuple):
 class CanBus(Bus):
     """Drives and one host on one CAN bus.
 
-    `stuffing`: count the bits that stuffing adds. `arbitration` False: frames go in the order in which they are ready.
+    `arbitration` False: frames go in the order in which they are ready.
     `room`: frames that may wait for the bus; the host's next ones are lost. None: all wait.
     """
 
@@ -65,13 +65,11 @@ class CanBus(Bus):
         name: str = "bus",
         speed: int | None = None,
         wire_time: bool = True,
-        stuffing: bool = True,
         arbitration: bool = True,
         room: int | None = None,
         faults: WireFaults | None = None,
     ) -> None:
         super().__init__(drives, name=name, speed=speed, wire_time=wire_time)
-        self.stuffing = stuffing
         self.arbitration = arbitration
         self.room = room
         #: Frames of the host that found no room.
@@ -173,7 +171,7 @@ class CanBus(Bus):
         self._free_ns = t_ns + (self._length_ns(chosen.frame) if self.wire_time else 0)
 
     def _length_ns(self, frame: CanFrame) -> int:
-        bits = frame_bits(frame.id, frame.data, extended=frame.extended, stuffed=self.stuffing)
+        bits = frame_bits(frame.id, frame.data, extended=frame.extended)
         rate = self.speed or (self.stations[0].speed if self.stations else _ANY_RATE)
         return bits * SECOND_NS // rate
 

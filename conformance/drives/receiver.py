@@ -40,14 +40,14 @@ _KEPT = 512
 class Receiver:
     """Finds the frames of one dialect in the bytes that a drive receives.
 
-    `byte_ns`: the time of a byte at the drive's own speed. `pause_ns`: another pause than the dialect's.
+    `byte_ns`: the time of a byte at the drive's own speed.
     """
 
-    def __init__(self, dialect: Dialect, port: str = "bus", *, byte_ns: int, pause_ns: int | None = None) -> None:
+    def __init__(self, dialect: Dialect, port: str = "bus", *, byte_ns: int) -> None:
         self.dialect = dialect
         self.port = port
         self.byte_ns = byte_ns
-        self.pause_ns = (dialect.link.silence_ns(byte_ns) or PAUSE_NS) if pause_ns is None else pause_ns
+        self.pause_ns = dialect.link.silence_ns(byte_ns) or PAUSE_NS
         self._slicer = dialect.link.slicer(dialect.commands, _expect_nothing)
         self._buffer = b""  # received since the last frame or pause
         self._times: list[int] = []  # when each byte of the buffer was complete

@@ -103,13 +103,13 @@ def _stray(layout: Layout, name: str, leeway: Leeway) -> SearchStrategy[Stray]:
     return st.fixed_dictionaries(drawn).map(lambda values: Stray(name, values))
 
 
-def reserved_set(layout: Layout, leeway: Leeway = NO_BOUNDS) -> SearchStrategy[bytes]:
+def reserved_set(layout: Layout) -> SearchStrategy[bytes]:
     """Draw data of a layout, all named values allowed and some reserved bits set; nothing where none are reserved."""
     masks = reserved_masks(layout)
     if not masks:
         return st.nothing()
     drawn = st.lists(st.sampled_from(masks), min_size=1, unique=True).map(sum)
-    return st.builds(lambda values, mask: with_bits(layout, values, mask), layouts(layout, leeway), drawn)
+    return st.builds(lambda values, mask: with_bits(layout, values, mask), layouts(layout), drawn)
 
 
 # --- requests ---------------------------------------------------------------------------------------------------------

@@ -329,14 +329,13 @@ def mean_speed(probe: Probe, over_ns: int = SECOND_NS) -> tuple[float, float]:
     return speed_between(first, position(probe))
 
 
-def sampled(probe: Probe, duration_ns: int, every_ns: int, what: str = "position") -> list[Sample]:
-    """Measure again and again for a time; `what`: position or speed."""
-    measure = {"position": position, "speed": speed}[what]
+def sampled(probe: Probe, duration_ns: int, every_ns: int) -> list[Sample]:
+    """Measure the position again and again for a time."""
     until_ns = probe.gate.now_ns() + duration_ns
     found = []
     while True:
         begun_ns = probe.gate.now_ns()
-        found.append(measure(probe))
+        found.append(position(probe))
         now_ns = probe.gate.now_ns()
         if now_ns >= until_ns:
             return found

@@ -60,11 +60,11 @@ def answers(probe: Probe, address: int | None = None) -> bool:
     return any(a.message.frame.checksum_ok and a.command is not None for exchange in asked for a in exchange.answers)
 
 
-def need_reliable_replies(probe: Probe, quiet_ns: int | None = None) -> None:
+def need_reliable_replies(probe: Probe) -> None:
     """Raise Inconclusive where the line loses replies or the drive is late: then silence says nothing."""
     read = plain_read(probe.dialect)
     for _ in range(_RELIABLE):
-        probe.reply(probe.ask(read, quiet_ns=quiet_ns))
+        probe.reply(probe.ask(read))
 
 
 def need_plain_replies(probe: Probe) -> None:

@@ -121,7 +121,7 @@ def test_what_a_dead_worker_was_to_do_is_done(killed):
 def test_an_error_in_a_worker_is_raised_here():
     workers = Workers(1, [MKS])
     with pytest.raises(IndexError):
-        workers.submit(Batch(1 << 20, [Run(0, 0, 1)])).result()
+        workers.submit(Batch([Run(0, 0, 1)])).result()
     workers.shutdown(at_once=True)
 
 

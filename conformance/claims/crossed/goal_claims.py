@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -40,7 +41,7 @@ from conformance.claims.crossed.goals import (
 )
 from conformance.claims.crossed.looks import Look
 from conformance.claims.declare import Case
-from conformance.claims.motion.motion_claim import of_motion, risks_by
+from conformance.claims.motion.motion_claim import of_motion, of_rows, risks_by
 from conformance.motion import motion
 from conformance.motion.motion import FORCE, MS
 from conformance.talk.noise import CLOCK_SHARE
@@ -74,10 +75,6 @@ _all_motions = risks_by(Verb.RUN_SPEED, Verb.MOTOR_OFF, Verb.MOTOR_ON, Verb.STOP
 _STRENGTHS = ("torque_current", "power")
 
 
-def _of_goals(**facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    return of_motion(each=cases, at_best=Certainty.LIKELY, risks=_all_motions, settings=_position, **facts)
-
-
 def _position(case: Case) -> tuple[str, ...]:
     assert case.command is not None
     return ("position",) if motion.of(case.command).kind is MotionKind.MOVE_TO else ()
@@ -92,16 +89,15 @@ def _rows(probe: Probe, command: Command, *, few: bool = False) -> tuple[Tried, 
     return sound
 
 
+_of_goals = partial(of_rows, _rows, each=cases, at_best=Certainty.LIKELY, risks=_all_motions, settings=_position)
+
+
 # --- the motions ------------------------------------------------------------------------------------------------------
 
 
 @_of_goals(name="{command}/crossed-taken", refuted_by="no answer")
-def _taken(probe: Probe, command: Command) -> None:
+def _taken(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} is answered in all conditions, and so is what comes on its way."""
-    _taken_in(probe, command, _rows(probe, command))
-
-
-def _taken_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     for tried in rows:
         for edge in tried.edges:
             assert edge.exchange.command is not None  # it was asked for
@@ -111,12 +107,8 @@ def _taken_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
 
 
 @_of_goals(name="{command}/crossed-tells", refuted_by="another temperature, torque current, speed or encoder")
-def _tells(probe: Probe, command: Command) -> None:
+def _tells(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} is answered with what 9C tells: at rest, and while the shaft turns either way, slow and fast."""
-    _tells_in(probe, command, _rows(probe, command))
-
-
-def _tells_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     for tried in rows:
         for edge in (tried.begun, tried.again):
             answer = edge.exchange.reply if edge is not None else None
@@ -166,12 +158,8 @@ def _expect_strength(
 
 
 @_of_goals(name="{command}/crossed-ends", refuted_by="another way")
-def _ends(probe: Probe, command: Command) -> None:
+def _ends(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} goes as requested, slow and fast, from rest and out of a run, also if the motor is switched on meanwhile."""
-    _ends_in(probe, command, _rows(probe, command))
-
-
-def _ends_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     for tried in rows:
         if tried.row.meets in (STOP, OFF):
             continue
@@ -219,12 +207,8 @@ def _gone(probe: Probe, tried: Tried) -> float:
 
 
 @_of_goals(name="{command}/crossed-stopped", refuted_by="a shaft that goes on, or another state")
-def _stopped(probe: Probe, command: Command) -> None:
+def _stopped(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} is ended by 80 and 81: the shaft stands, and 80 leaves the motor off. 88 takes nothing up and ends nothing."""
-    _stopped_in(probe, command, _rows(probe, command))
-
-
-def _stopped_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     for tried in rows:
         edge = tried.met
         if edge is None:
@@ -255,12 +239,8 @@ def _stopped_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None
 
 
 @_of_goals(name="{command}/crossed-speed", refuted_by="another speed, or another way")
-def _speed(probe: Probe, command: Command) -> None:
+def _speed(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} turns the shaft no faster than it is told, and as fast where the way is long, as its positions tell."""
-    _speed_in(probe, command, _rows(probe, command))
-
-
-def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     if motion.of(command).kind is MotionKind.TORQUE or not motion.of(command).speed:
         return
     for tried in rows:
@@ -301,7 +281,7 @@ def _first_cases(dialect: Dialect) -> Iterator[Case]:
 def _first(probe: Probe, command: Command) -> None:
     """{command} is answered, goes and ends as asked in a few motions, in which each condition comes once."""
     rows = _rows(probe, command, few=True)
-    for judge in (_taken_in, _tells_in, _ends_in, _stopped_in, _speed_in):
+    for judge in (_taken, _tells, _ends, _stopped, _speed):
         judge(probe, command, rows)
 
 

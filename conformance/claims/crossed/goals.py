@@ -50,6 +50,8 @@ _USUAL = 110
 _RUN_NS, _AFTER_NS, _BEFORE_NS = 750 * MS, 150 * MS, 200 * MS
 #: Where on its way a move meets what comes, and what a row takes beside its motion.
 _MET_AT, _OVERHEAD_NS = 0.45, 400 * MS
+#: Between two positions that tell a speed.
+_APART_NS = 50 * MS
 #: From one look to the next one; how long a shaft has to get going; how long it stays where it is when it stands.
 _LOOK_NS, _SET_OFF_NS, _STANDS_NS = 12 * MS, 200 * MS, 60 * MS
 #: How far the way of a move to a place stays away from zero, in degrees.
@@ -382,13 +384,13 @@ def _rest(probe: Probe) -> tuple[Look, ...]:
     return looks.at_rest(probe, reads_of(probe.dialect))
 
 
-def speeds(places: list[Sample], apart_ns: int = 50 * MS) -> Iterator[tuple[Sample, Sample, float, float]]:
+def speeds(places: list[Sample]) -> Iterator[tuple[Sample, Sample, float, float]]:
     """Yield pairs of positions that are so far apart at least, with the speed between them (rpm) and its uncertainty."""
     first = 0
     for last in range(len(places)):
-        while first < last and places[last].t_ns - places[first + 1].t_ns >= apart_ns:
+        while first < last and places[last].t_ns - places[first + 1].t_ns >= _APART_NS:
             first += 1
-        if places[last].t_ns - places[first].t_ns >= apart_ns:
+        if places[last].t_ns - places[first].t_ns >= _APART_NS:
             yield (places[first], places[last], *motion.speed_between(places[first], places[last]))
 
 

@@ -11,12 +11,13 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 from analyzer.catalogue import Certainty, Command, MotionKind
 from conformance.claims.crossed.course import Tried, cases, crossed, first_of, moved, sense, sound
 from conformance.claims.crossed.looks import place
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion.motion_claim import expect_between, of_motion, that_tell_their_end
+from conformance.claims.motion.motion_claim import expect_between, of_motion, of_rows, that_tell_their_end
 from conformance.claims.motion.ramps import LATE, TOO_LATE_NS
 from conformance.motion import arriving, motion
 from conformance.motion.motion import Sample
@@ -30,13 +31,16 @@ _BLIND = 0.1
 _OPEN_DEGREES = 14 * COUNT
 
 
-@of_motion(each=cases, name="{command}/crossed-taken", refuted_by="a refusal, or no answer")
-def _taken(probe: Probe, command: Command) -> None:
+def _all_rows(probe: Probe, command: Command) -> tuple[Tried, ...]:
+    return probe.recorded(crossed, command)
+
+
+_of_all = partial(of_rows, _all_rows)
+
+
+@_of_all(each=cases, name="{command}/crossed-taken", refuted_by="a refusal, or no answer")
+def _taken(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} is taken in all conditions: fast and slow, either way, by any ramp, in each mode and subdivision."""
-    _taken_in(probe, command, probe.recorded(crossed, command))
-
-
-def _taken_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     for tried in rows:
         text = f"{command.name} is refused or not answered in one condition"
         # What the line damaged is no answer of the drive's.
@@ -44,18 +48,14 @@ def _taken_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
         probe.expect(str(tried.row), holds=holds, expected="an answer", refutes=text, exchange=tried.begun)
 
 
-@of_motion(
+@_of_all(
     each=that_tell_their_end(cases),
     name="{command}/crossed-replies",
     refuted_by="other statuses, or another order",
     quirks=may_meet(LATE),
 )
-def _replies(probe: Probe, command: Command) -> None:
+def _replies(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} and its stop are answered in all conditions as the manual says, begin and end."""
-    _replies_in(probe, command, probe.recorded(crossed, command))
-
-
-def _replies_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     for tried in sound(rows):
         if LATE in probe.claim.quirks and tried.latest_ns / 2 > TOO_LATE_NS:
             # What is told at the end may then come before what was told at the begin.
@@ -76,13 +76,9 @@ def _told(tried: Tried) -> Iterator[tuple[Exchange, list[int], list[int]]]:
         yield tried.stopped, list(tried.told_of_stop), ends
 
 
-@of_motion(each=cases, name="{command}/crossed-ends", refuted_by="another way, or another direction in one condition")
-def _ends(probe: Probe, command: Command) -> None:
+@_of_all(each=cases, name="{command}/crossed-ends", refuted_by="another way, or another direction in one condition")
+def _ends(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} goes the same way for a direction, and as far as it was asked to, in all conditions."""
-    _ends_in(probe, command, probe.recorded(crossed, command))
-
-
-def _ends_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     way = sense(command, rows)
     for tried in sound(rows):
         if tried.row.start:
@@ -104,18 +100,14 @@ def _end(tried: Tried) -> tuple[float, float]:
     return tried.turns(tried.after[-1])
 
 
-@of_motion(
+@_of_all(
     each=cases,
     name="{command}/crossed-course",
     refuted_by="a place that no such ramp or speed leads to",
     at_best=Certainty.LIKELY,
 )
-def _course(probe: Probe, command: Command) -> None:
+def _course(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} is on the course of the law in all conditions: on its ramps and at its speed."""
-    _course_in(probe, command, probe.recorded(crossed, command))
-
-
-def _course_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     for tried in sound(rows):
         if tried.row.start or not moved(tried):
             continue
@@ -136,13 +128,9 @@ def _course_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
             )
 
 
-@of_motion(each=cases, name="{command}/crossed-speed", refuted_by="another speed in one condition", at_best=Certainty.LIKELY)
-def _speed(probe: Probe, command: Command) -> None:
+@_of_all(each=cases, name="{command}/crossed-speed", refuted_by="another speed in one condition", at_best=Certainty.LIKELY)
+def _speed(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} turns the shaft at the speed that was asked for in all conditions, as its positions tell."""
-    _speed_in(probe, command, probe.recorded(crossed, command))
-
-
-def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     for tried in sound(rows):
         steady = _steady(tried, probe.noise.place)
         if len(steady) < 2:
@@ -166,8 +154,8 @@ def _speed_in(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
 def _first(probe: Probe, command: Command) -> None:
     """{command} is taken, ends where asked and keeps its course and speed in a few motions, each condition once."""
     rows = first_of(probe, command)
-    told = (_replies_in,) if arriving.tells_end(probe.dialect) else ()
-    for judge in (_taken_in, *told, _ends_in, _course_in, _speed_in):
+    told = (_replies,) if arriving.tells_end(probe.dialect) else ()
+    for judge in (_taken, *told, _ends, _course, _speed):
         judge(probe, command, rows)
 
 

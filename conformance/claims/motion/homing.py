@@ -80,16 +80,16 @@ def set_home(probe: Probe, **values: int) -> Exchange:
     return done[0]
 
 
-def find_home(probe: Probe, limit_ns: int = _LIMIT_NS) -> Exchange:
+def find_home(probe: Probe) -> Exchange:
     """Ask for homing and follow it to its end. Raises Inconclusive where it is refused."""
     home = probe.command(Verb.HOME)
     telling = arriving.tells_end(probe.dialect)
-    exchange = probe.ask(home, until=Until.DONE if telling else Until.REPLY, timeout_ns=limit_ns if telling else None)
+    exchange = probe.ask(home, until=Until.DONE if telling else Until.REPLY, timeout_ns=_LIMIT_NS if telling else None)
     probe.reply(exchange)
     if probe.refused(exchange):
         raise Inconclusive("homing was refused")
     if not telling:
-        motion.wait_until(probe, lambda: _status_now(probe) != HOMING, every_ns=200 * MS, limit_ns=limit_ns)
+        motion.wait_until(probe, lambda: _status_now(probe) != HOMING, every_ns=200 * MS, limit_ns=_LIMIT_NS)
     return exchange
 
 
@@ -116,14 +116,12 @@ def _prepared(probe: Probe, mode: str = "", **values: int) -> float:
     return bench.shaft(probe)
 
 
-def _expect_shaft(
-    probe: Probe, exchange: Exchange, refutes: str, *, near: float, within: float | None = None, **how: Any
-) -> None:
+def _expect_shaft(probe: Probe, exchange: Exchange, refutes: str, *, near: float, **how: Any) -> None:
     """Expect the shaft at a place (counts of its own); where it is elsewhere, stop it."""
     at = bench.shaft(probe)
-    if abs(at - near) > (probe.within("counts") if within is None else within):
+    if abs(at - near) > probe.within("counts"):
         _halt(probe)
-    probe.expect(at, near=near, within=within, unit="counts", refutes=refutes, exchange=exchange, **how)
+    probe.expect(at, near=near, unit="counts", refutes=refutes, exchange=exchange, **how)
 
 
 def _expect_flags(probe: Probe, exchange: Exchange) -> None:

@@ -65,6 +65,25 @@ def of_motion(
     return claim(theme, each=each, refuted_by=refuted_by, risks=all_risks, settings=all_settings, **facts)
 
 
+def of_rows(
+    rows: Callable[[Probe, Command], Any], **facts: Any
+) -> Callable[[Callable[[Probe, Command, Any], None]], Callable[[Probe, Command, Any], None]]:
+    """Declare a judge of what several motions showed, as `of_motion` does: its claim judges what `rows` returns.
+
+    The judge itself takes any rows, so that another claim can have it judge some of them.
+    """
+
+    def declared(judge: Callable[[Probe, Command, Any], None]) -> Callable[[Probe, Command, Any], None]:
+        def check(probe: Probe, command: Command) -> None:
+            judge(probe, command, rows(probe, command))
+
+        check.__name__, check.__doc__, check.__module__ = judge.__name__, judge.__doc__, judge.__module__
+        of_motion(**facts)(check)
+        return judge
+
+    return declared
+
+
 def _need_room(probe: Probe) -> None:
     """Raise Inconclusive where a claim is about a move to a place, and a drive's own limit of the angle is in its way."""
     commands = (probe.dialect.by_name.get(name) for name in probe.claim.commands)

@@ -173,13 +173,13 @@ class Position:
 class LkMotor:
     """The shaft of one motor and what acts on it.
 
-    `angle`: where the shaft stands when the power comes; `zero`: the angle of the shaft that the encoder calls 0.
+    `angle`: where the shaft stands when the power comes. `zero` is the angle of the shaft that the encoder calls 0.
     """
 
-    def __init__(self, build: Build, limits: Limits, *, angle: float = 0.0, zero: float = 0.0) -> None:
+    def __init__(self, build: Build, limits: Limits, *, angle: float = 0.0) -> None:
         self.build = build
         self.limits = limits
-        self.zero = zero
+        self.zero = 0.0
         self.origin = 0.0
         self.on = True
         self.braked = False

@@ -27,7 +27,6 @@ from enum import StrEnum
 from fractions import Fraction
 from math import ceil
 
-from analyzer.catalogue import Ramp
 from analyzer.protocols.mks_shared import RAMP
 
 Number = int | Fraction
@@ -47,9 +46,9 @@ class Phase(StrEnum):
     SLOWING_DOWN = "slowing_down"
 
 
-def ramp_step_ns(acceleration: int, law: Ramp = RAMP) -> int:
+def ramp_step_ns(acceleration: int) -> int:
     """Return the time of one rpm for an acceleration as sent: 0 is at once, else the less the higher it is."""
-    return 0 if acceleration == 0 else (law.steps - acceleration) * law.unit_ns
+    return 0 if acceleration == 0 else (RAMP.steps - acceleration) * RAMP.unit_ns
 
 
 def ramp_ns(start: Number, end: Number, step_ns: int) -> int:
