@@ -30,7 +30,7 @@ from conformance.drives import make
 from conformance.gate.gate import Allowance, Gate, Refused, parse_allow
 from conformance.motion import motion
 from conformance.safety import messages as say
-from conformance.safety.guarded import GuardedLine, beginning
+from conformance.safety.guarded_line import GuardedLine, beginning
 from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, stop, stop_or_cut, stopping
 from conformance.serve.log import BusLog
 from conformance.suite.preflight import check

@@ -27,7 +27,7 @@ MODULES = (
     # framing
     "frames.framing",
     "frames.without_pause",
-    "frames.effects",
+    "frames.executed",
     # examples
     "frames.examples",
     "frames.examples_many",

@@ -33,7 +33,7 @@ from conformance.cli.endpoint import add_on_argument, endpoint_of
 from conformance.gate.gate import Allowance, Gate, Judge, add_gate_arguments, allowance_from, shown
 from conformance.gate.permissions import narrow
 from conformance.safety import messages as say
-from conformance.safety.guarded import GuardedLine, beginning
+from conformance.safety.guarded_line import GuardedLine, beginning
 from conformance.safety.signals import as_interrupt
 from conformance.talk.dialogue import Dialogue
 from conformance.talk.drive_state import read_drive_state

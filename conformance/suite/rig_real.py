@@ -30,7 +30,7 @@ from conformance.gate.permissions import READS, Allowance
 from conformance.motion import answering, motion, resting
 from conformance.safety import messages as say
 from conformance.safety import settings
-from conformance.safety.guarded import GuardedLine, beginning
+from conformance.safety.guarded_line import GuardedLine, beginning
 from conformance.safety.journal import Entry, Journal
 from conformance.safety.keeper import Keeper
 from conformance.safety.signals import undisturbed

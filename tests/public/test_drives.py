@@ -15,7 +15,7 @@ import servotap
 from analyzer import dialects
 from conformance.pytest_plugin.fixtures import port_of
 from conformance.safety import messages as say
-from conformance.safety.guarded import GuardedLine
+from conformance.safety.guarded_line import GuardedLine
 
 ROOT = Path(__file__).parents[2]
 RUN = {"direction": "cw", "speed": 60, "acceleration": 250}

@@ -23,7 +23,7 @@ from conformance.gate.gate import Allowance, Gate
 from conformance.motion import motion
 from conformance.safety import journal
 from conformance.safety import messages as say
-from conformance.safety.guarded import GuardedLine
+from conformance.safety.guarded_line import GuardedLine
 from conformance.safety.stopping import GuardLost
 from conformance.talk.probe import plain_probe
 from tests.conformance.drives.served import on_pty, wait_for

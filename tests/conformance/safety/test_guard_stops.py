@@ -28,7 +28,7 @@ from conformance.motion import motion
 from conformance.pytest_plugin import plugin
 from conformance.safety import messages as say
 from conformance.safety.guard import Guard
-from conformance.safety.guarded import GuardedLine, beginning
+from conformance.safety.guarded_line import GuardedLine, beginning
 from conformance.safety.stopping import stop, stopping
 from conformance.serve.clock import Clock
 from conformance.serve.pty import PtyPort

@@ -22,7 +22,7 @@ from conformance.gate.gate import Allowance, Gate
 from conformance.gate.permissions import parse_allow
 from conformance.safety import messages as say
 from conformance.safety import stopping
-from conformance.safety.guarded import GuardedLine, beginning
+from conformance.safety.guarded_line import GuardedLine, beginning
 from conformance.safety.journal import Entry, Journal
 from conformance.suite import engine
 from conformance.suite.preflight import Neighbours, neighbours
