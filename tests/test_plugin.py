@@ -7,6 +7,7 @@ import json
 import pytest
 
 from analyzer.plugins import attempt
+from tests.logs import messages
 from tests.plugin_site import make_site, servotap
 
 MODULE = '''
@@ -90,12 +91,9 @@ def test_it_is_found_decoded_and_logged(site):
     assert summary["frames"] == 42
     assert {f["rule"] for f in summary["findings"]} == {"out_of_range", "failed_status"}
 
-    from mcap.reader import make_reader
-
-    with (site / "toy.log.mcap").open("rb") as stream:
-        messages = [(c.topic, json.loads(m.data)) for _, c, m in make_reader(stream).iter_messages()]
-    assert ("/serial/1/state", {"speed": 7.0}) in messages
-    assert any(topic == "/serial/1/read_speed/reply" and value["gate_name"] == "shut" for topic, value in messages)
+    found = messages(site / "toy.log.mcap")
+    assert ("/serial/1/state", {"speed": 7.0}) in found
+    assert any(topic == "/serial/1/read_speed/reply" and value["gate_name"] == "shut" for topic, value in found)
 
 
 def test_a_package_whose_files_are_damaged_is_named_and_left_out(tmp_path, monkeypatch):

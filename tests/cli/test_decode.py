@@ -15,15 +15,11 @@ import pytest
 from mcap.reader import make_reader
 
 from analyzer.cli import main
+from tests.logs import metadata
 
 ROOT = Path(__file__).parents[2]
 CAPTURES = ROOT / "captures"
 BENCH = CAPTURES / "mks_rs485.log"
-
-
-def metadata(path):
-    with path.open("rb") as stream:
-        return next(iter(make_reader(stream).iter_metadata())).metadata
 
 
 def test_without_o_the_log_stands_beside_the_capture(tmp_path, capsys):

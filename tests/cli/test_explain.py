@@ -23,13 +23,8 @@ from analyzer.link import HeadLink
 from analyzer.reference.explanation import Explainer
 from analyzer.reference.explanation_text import explanation_lines
 from analyzer.reference.hex_frame import read_frame
+from tests.cli.vectors import VECTORS
 
-VECTORS = [
-    pytest.param(dialect, command, vector, id=f"{dialect.name}-{command.name}-{vector.printed}-{number}")
-    for dialect in dialects.every()
-    for command in dialect.commands
-    for number, vector in enumerate(command.vectors)
-]
 ALL = dialects.every()
 
 

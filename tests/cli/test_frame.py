@@ -6,16 +6,9 @@ import json
 
 import pytest
 
-from analyzer import dialects
 from analyzer.catalogue import Command, Dialect, Role, Vector
 from analyzer.cli import main
-
-VECTORS = [
-    pytest.param(dialect, command, vector, id=f"{dialect.name}-{command.name}-{vector.printed}-{number}")
-    for dialect in dialects.every()
-    for command in dialect.commands
-    for number, vector in enumerate(command.vectors)
-]
+from tests.cli.vectors import VECTORS
 
 
 @pytest.fixture

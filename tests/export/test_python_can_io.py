@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import json
 import os
 import signal
 import subprocess
@@ -14,7 +13,6 @@ from pathlib import Path
 
 import can
 import pytest
-from mcap.reader import make_reader
 
 from analyzer import dialects
 from analyzer.cli import main
@@ -22,6 +20,7 @@ from analyzer.encoder import build
 from analyzer.errors import ServotapError
 from analyzer.export.python_can_io import McapReader, McapWriter
 from tests.conformance.drives.served import Emulated, wait_for
+from tests.logs import messages, metadata
 
 MKS = dialects.get("mks-can")
 READ = build(MKS, "read_speed", 1)
@@ -50,8 +49,7 @@ def same(a: can.Message, b: can.Message) -> bool:
 
 
 def topics(path: Path) -> list[str]:
-    with path.open("rb") as stream:
-        return [c.topic for _, c, _ in make_reader(stream).iter_messages()]
+    return [topic for topic, _ in messages(path)]
 
 
 def test_every_kind_of_frame_comes_back_as_it_was(tmp_path: Path) -> None:
@@ -70,8 +68,7 @@ def test_what_is_logged_is_decoded(tmp_path: Path, capsys: pytest.CaptureFixture
         logger(KINDS[0])
         logger(KINDS[1])
     assert topics(path)[:2] == ["/can0/1/read_encoder_carry/request", "/can0/1/read_encoder_carry/reply"]
-    with path.open("rb") as stream:
-        values = next(m for m in make_reader(stream).iter_metadata() if m.name == "servotap").metadata
+    values = metadata(path)
     assert (values["dialect"], values["model"], values["bit_rate"], values["frames"]) == ("mks-can", "42E", "500000", "2")
     assert main(["show", str(path)]) == 0
     assert "carry=1" in capsys.readouterr().out
@@ -215,8 +212,7 @@ def test_can_logger_writes_and_can_player_sends_it_again(tmp_path: Path) -> None
     found = topics(log)
     assert found.count("/can/1/read_speed/request") == 20
     assert found.count("/can/1/read_speed/reply") == 20
-    with log.open("rb") as stream:
-        replies = [json.loads(m.data) for _, c, m in make_reader(stream).iter_messages() if c.topic.endswith("/reply")]
+    replies = [value for topic, value in messages(log) if topic.endswith("/reply")]
     assert all(0 <= reply["_latency"] < 1 for reply in replies)
 
     other = f"239.75.{GROUP.split('.', 2)[2]}"

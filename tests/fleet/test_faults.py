@@ -22,14 +22,6 @@ def captures(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def clean(captures, tmp_path_factory):
-    """What stands in a lake after a run in which nothing went wrong."""
-    made = Lake(Place(str(tmp_path_factory.mktemp("clean") / "lake")), make=True)
-    ingest(made, captures)
-    return rows(made)
-
-
-@pytest.fixture(scope="module")
 def mortal(captures):
     """What has a process ingest, and returns how it ended."""
     command = [sys.executable, "-m", "tests.fleet.mortal"]

@@ -27,13 +27,6 @@ def captures(tmp_path_factory):
     return hall(tmp_path_factory.mktemp("hall"), 6)
 
 
-@pytest.fixture(scope="module")
-def clean(captures, tmp_path_factory):
-    made = Lake(Place(str(tmp_path_factory.mktemp("clean") / "lake")), make=True)
-    ingest(made, captures)
-    return rows(made)
-
-
 @pytest.fixture
 def bucket(monkeypatch):
     """A bucket on a server that refuses every fifth call."""

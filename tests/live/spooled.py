@@ -125,12 +125,6 @@ def read(path):
         ]
 
 
-def metadata(path, name="servotap"):
-    with open(path, "rb") as stream:
-        found = [m.metadata for m in make_reader(stream).iter_metadata() if m.name == name]
-    return found[-1]
-
-
 def content(path):
     """Return what a log says of the traffic: all but what came as it came, and the counts of each second."""
     return [(topic, message.sequence, value) for topic, message, value in read(path) if not topic.endswith(("/raw", "/stats"))]

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
 
 from analyzer import dialects
 from analyzer.catalogue import Dialect, Role
@@ -22,6 +21,7 @@ from analyzer.records import Chunk
 from conformance.drives.uart import BITS, SECOND_NS, SentBytes, hear
 from conformance.serve.line_speed import line_speed
 from tests.live.recorded import Recorded
+from tests.logs import metadata
 
 SERIAL = [d for d in dialects.every() if d.bus == "serial"]
 ENDPOINT = parse("left=serial:/dev/ttyUSB0,baud=auto")
@@ -231,8 +231,7 @@ def test_record_finds_the_rate_and_says_how(tmp_path: Path) -> None:
             assert recorded.end() == 0
     finally:
         talker.close()
-    with recorded.log.open("rb") as stream:
-        values = next(m for m in make_reader(stream).iter_metadata() if m.name == "servotap").metadata
+    values = metadata(recorded.log)
     assert values["bus.left.baud"] == "115200"
     assert "115200 baud, mks-rs485" in values["notes"]
 

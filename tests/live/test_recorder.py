@@ -16,7 +16,8 @@ from analyzer.devices import read as read_files
 from analyzer.live.config import CONTROL
 from analyzer.live.spool import CanFlag
 from tests.collect import crc, sum8
-from tests.live.spooled import START, UTC, Spools, content, decoded_of, metadata, port, raw_of, read, traffic
+from tests.live.spooled import START, UTC, Spools, content, decoded_of, port, raw_of, read, traffic
+from tests.logs import metadata
 from tests.test_readme import ROOT
 
 DEVICES = ROOT / "captures" / "devices"

@@ -14,7 +14,8 @@ from analyzer.cli import main
 from analyzer.sources import open_source
 from tests.collect import sum8
 from tests.live.recorded import small_disk
-from tests.live.spooled import Spools, decoded_of, metadata, port, raw_of, read
+from tests.live.spooled import Spools, decoded_of, port, raw_of, read
+from tests.logs import metadata
 
 EXCHANGE = bytes.fromhex(sum8("FA 01 32") + sum8("FB 01 32 FE D4"))
 LIMIT = 30_000

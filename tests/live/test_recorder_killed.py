@@ -17,7 +17,8 @@ from analyzer.records import Chunk
 from analyzer.sources import open_source
 from tests.collect import sum8
 from tests.conformance.drives.served import wait_for
-from tests.live.spooled import MS, START, UTC, Spools, content, decoded_of, metadata, port, raw_of, read, traffic
+from tests.live.spooled import MS, START, UTC, Spools, content, decoded_of, port, raw_of, read, traffic
+from tests.logs import metadata
 
 LEFT = port("1-left", "left", byte_ns=260_416, speed=38400)
 RIGHT = port("2-right", "right", dialects=())

@@ -18,8 +18,9 @@ from analyzer.records import Chunk
 from analyzer.sources import open_source
 from analyzer.sources.recording_parts import base_of, look, part_path, parts_named
 from tests.collect import sum8
-from tests.live.spooled import START, Spools, content, decoded_of, metadata, port, raw_of, read
+from tests.live.spooled import START, Spools, content, decoded_of, port, raw_of, read
 from tests.live.test_recorder_killed import ARM, LEFT, RIGHT, fill, once
+from tests.logs import metadata
 
 
 def recorded_in_steps(spools, seed, killed=False):

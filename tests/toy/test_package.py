@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 
 import pytest
-from mcap.reader import make_reader
 
 from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.detect import choose
 from analyzer.encoder import assemble
 from analyzer.records import CanFrame
+from tests.logs import messages
 from tests.plugin_site import servotap
 
 MS = 1_000_000
@@ -45,9 +45,7 @@ def test_a_recording_is_decoded_and_shown(site):
     summary = json.loads(servotap(site, "decode", "toy.candump", "--force", "--json").stdout)
     assert (summary["dialects"], summary["frames"]) == (["toy-can"], 42)
     assert {f["rule"] for f in summary["findings"]} == {"failed_status"}
-    with (site / "toy.candump.mcap").open("rb") as stream:
-        messages = [(c.topic, json.loads(m.data)) for _, c, m in make_reader(stream).iter_messages()]
-    assert ("/can0/2/state", {"position": pytest.approx(0.39)}) in messages
+    assert ("/can0/2/state", {"position": pytest.approx(0.39)}) in messages(site / "toy.candump.mcap")
     assert "read_position" in servotap(site, "show", "toy.candump").stdout
 
 

@@ -21,6 +21,7 @@ from conformance.drives import make
 from conformance.serve.state import StateFile, claimed
 from tests.conformance.drives.plain_drive import PlainDrive
 from tests.conformance.drives.served import Emulated, wait_for
+from tests.logs import messages
 
 MKS = dialects.get("mks-rs485")
 MODBUS = dialects.get("mks-modbus")
@@ -42,20 +43,6 @@ def exchange(path: str, request: bytes, size: int, baud: int = 38400) -> bytes:
         port.write(request)
         data: bytes = port.read(size)
         return data
-
-
-def messages(path: Path) -> list[tuple[str, dict[str, object]]]:
-    """Return topic and content of all messages of a log; raises if it is not whole."""
-    from mcap.reader import make_reader
-
-    with path.open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True)
-        summary = reader.get_summary()
-        assert summary is not None
-        found = [(channel.topic, json.loads(message.data)) for _, channel, message in reader.iter_messages()]
-        assert summary.statistics is not None
-        assert summary.statistics.message_count == len(found)
-        return found
 
 
 # --- in another process -----------------------------------------------------------------------------------------------

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -18,6 +16,7 @@ from conformance.drives.serial_bus import SerialBus
 from conformance.serve.log import BusLog
 from tests.conformance.drives.plain_drive import PlainDrive
 from tests.conformance.drives.served import drives
+from tests.logs import messages, metadata
 
 ANCHOR_NS = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000
@@ -26,11 +25,6 @@ MKS, LK, CAN = (dialects.get(name) for name in ("mks-rs485", "lk-rs485", "mks-ca
 
 def log_of(bus: Bus, path: Path, *names: str) -> BusLog:
     return BusLog.of(bus, str(path), [dialects.get(n) for n in names], anchor_ns=ANCHOR_NS)
-
-
-def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    with path.open("rb") as stream:
-        return [(channel.topic, json.loads(m.data)) for _, channel, m in make_reader(stream).iter_messages()]
 
 
 def test_requests_replies_and_times(tmp_path: Path) -> None:
@@ -50,9 +44,8 @@ def test_requests_replies_and_times(tmp_path: Path) -> None:
         "/bus/2/clear_turns/reply",
     ]
     with path.open("rb") as stream:
-        reader = make_reader(stream)
-        first = next(m for _, _, m in reader.iter_messages(topics=["/bus/1/read_speed/request"]))
-        about = next(record.metadata for record in reader.iter_metadata() if record.name == "servotap")
+        first = next(m for _, _, m in make_reader(stream).iter_messages(topics=["/bus/1/read_speed/request"]))
+    about = metadata(path)
     assert first.log_time == pytest.approx(ANCHOR_NS + 4 * 10 * SECOND / 38400, abs=1000)
     assert about["bytes_total"] == about["bytes_in_frames"] == "20"
     assert (about["frames"], about["source"], about["baud"]) == ("4", "a test", "38400")

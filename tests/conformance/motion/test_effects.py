@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from conformance.claim import Claim, Inconclusive, Refuted, Theme
-from conformance.drives import make
+from conformance.claim import Inconclusive, Refuted
 from conformance.motion import effects
-from conformance.suite.rig_emulated import EmulatedRig
-from conformance.talk.probe import Probe
+from tests.conformance.motion.probes import probe_of
 
 DRIVES = {
     "mks-rs485@1": "move_relative_axis",
@@ -16,12 +14,6 @@ DRIVES = {
     "mks-can@1": "write_user_id",
     "lk-rs485@1": "set_position",
 }
-
-
-def probe_of(drive: str) -> Probe:
-    rig = EmulatedRig(make.parse(drive))
-    name = rig.dialect.name
-    return rig.probe(Claim(f"{name}/motion/test", Theme.MOTION, name, "It moves.", "1", "no motion", lambda probe: None))
 
 
 @pytest.mark.parametrize(("drive", "command"), DRIVES.items())

@@ -10,17 +10,10 @@ from conformance.drives import make
 from conformance.gate.permissions import Allowance
 from conformance.motion import arriving, motion
 from conformance.suite.rig_emulated import EmulatedRig
-from conformance.talk.probe import Probe
+from tests.conformance.motion.probes import probe_of
 
 DRIVES = ("mks-rs485@1", "mks-modbus@1", "mks-can@1", "lk-rs485@1")
 MKS = DRIVES[:3]
-
-
-def probe_of(drive: str) -> Probe:
-    """Return a probe of a new drive."""
-    rig = EmulatedRig(make.parse(drive))
-    name = rig.dialect.name
-    return rig.probe(Claim(f"{name}/motion/test", Theme.MOTION, name, "It moves.", "1", "no motion", lambda probe: None))
 
 
 @pytest.mark.parametrize("drive", DRIVES)

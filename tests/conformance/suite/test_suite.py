@@ -11,7 +11,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from mcap.reader import make_reader
 
 from analyzer.cli import main
 from analyzer.cli.output import Output, write_whole
@@ -21,6 +20,7 @@ from conformance.report.log import METADATA
 from conformance.suite import target
 from conformance.suite.record import VerdictRecord
 from tests.conformance.drives.served import on_pty
+from tests.logs import messages, metadata
 
 ROOT = Path(__file__).parents[3]
 FEW = ["--claim", "*/shape/read_speed/*", "--jobs", "1"]
@@ -106,15 +106,12 @@ def test_the_reports_of_a_run_say_the_same(tmp_path, capsys):
     assert len(cases) == len({c.get("name") for c in cases}) > 3
     refuted = [c.get("name") for c in cases if c.find("failure") is not None]
     assert "mks-can/shape/read_speed/checksum" in refuted
-    with log.open("rb") as stream:
-        told = [json.loads(m.data) for s, c, m in make_reader(stream).iter_messages(topics=["/tests"])]
+    told = [value for topic, value in messages(log) if topic == "/tests"]
     assert {t["claim"] for t in told if t["event"] == "end"} == {c.get("name") for c in cases}
     assert {t["claim"] for t in told if t.get("outcome") == "refuted"} == set(refuted)
     stored = sorted(failures.iterdir())
     assert len(stored) == len(refuted)
-    with stored[0].open("rb") as stream:
-        about = next(m.metadata for m in make_reader(stream).iter_metadata() if m.name == METADATA)
-    assert about["claim"] in refuted
+    assert metadata(stored[0], METADATA)["claim"] in refuted
 
 
 @pytest.mark.parametrize(("fault", "status"), [("", 2), (",fault=checksum-wrong", 1)])

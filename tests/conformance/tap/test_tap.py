@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -11,12 +10,10 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import minimalmodbus
 import pytest
 import serial
-from mcap.reader import make_reader
 
 from analyzer import dialects
 from analyzer.catalogue import Role
@@ -24,14 +21,10 @@ from analyzer.cli import main
 from analyzer.encoder import build
 from tests.conformance.drives.served import Emulated, on_pty, wait_for
 from tests.live.recorded import Recorded
+from tests.logs import messages
 
 READ = build(dialects.get("mks-rs485"), "read_speed", 1)
 REPLY = build(dialects.get("mks-rs485"), "read_speed", 1, {}, Role.REPLY)
-
-
-def messages(log: Path) -> list[tuple[str, dict[str, Any]]]:
-    with log.open("rb") as stream:
-        return [(c.topic, json.loads(m.data)) for _, c, m in make_reader(stream).iter_messages()]
 
 
 def topics(log: Path) -> list[str]:
