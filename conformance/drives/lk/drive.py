@@ -189,7 +189,7 @@ ACTS: Mapping[str, Act] = {
 # --- replies ------------------------------------------------------------------------------------------------------
 
 
-def _parameter(drive: LkDrive, request: Request) -> Values | None:
+def told_parameter(drive: LkDrive, request: Request) -> Values | None:
     """Answer with what the drive holds, after writing too; with nothing for a number that is not listed."""
     for form in request.command.reply_forms:
         fields = form.layout.named
@@ -202,7 +202,7 @@ def _echo(drive: LkDrive, request: Request) -> Values:
     return dict(request.values)
 
 
-ANSWERS: Mapping[str, Answer] = {"read_parameter": _parameter, "write_parameter": _parameter, "set_position": _echo}
+ANSWERS: Mapping[str, Answer] = {"read_parameter": told_parameter, "write_parameter": told_parameter, "set_position": _echo}
 
 
 def _supply_current(drive: LkDrive) -> float:
@@ -317,7 +317,7 @@ class LkDrive(Drive):
     @property
     def listening(self) -> bool:
         """Whether the supply is enough to answer."""
-        return self.powered
+        return self.volts >= OFF_VOLTS
 
     def answers_to(self, message: Message, own: bool) -> bool:
         """Say whether the drive answers a frame that it has taken: there is no broadcast, so that it always does."""
@@ -466,11 +466,6 @@ class LkDrive(Drive):
     # --- errors ---------------------------------------------------------------------------------------------------
 
     @property
-    def powered(self) -> bool:
-        """Whether the supply is enough to answer."""
-        return self.volts >= OFF_VOLTS
-
-    @property
     def obeys(self) -> bool:
         """Whether a motion command moves the motor: it is on, and no error flag is set."""
         return self.motor.on and not self.errors
@@ -511,9 +506,9 @@ class LkDrive(Drive):
 
     def supply(self, volts: float) -> None:
         """Set the supply: below `OFF_VOLTS` the drive is dead, and powers up when there is more again."""
-        was_powered = self.powered
+        was_listening = self.listening
         self.volts = volts
-        if self.powered and not was_powered:
+        if self.listening and not was_listening:
             self.power_cycle(self.now_ns)
         self._raise(self.causes)
 

@@ -23,7 +23,7 @@ from analyzer.protocols.lk_rs485 import EMPTY, PARAMETER_FORMS, Parameter, u16le
 from conformance.drives.drive import Drive, Hooks, Outgoing, Quirk, Request, Values
 from conformance.drives.faults.lk_behaviour import acting, lk, tuned
 from conformance.drives.faults.places import LK, request, result
-from conformance.drives.lk.drive import LkDrive, write_parameter
+from conformance.drives.lk.drive import LkDrive, told_parameter, write_parameter
 
 _TAXFROMDK = "taxfromdk/lkmotor, MS4015 with driver DS40R7, firmware 2.35"
 _VENDOR_CAN = "vendor's CAN manual V2.36, in han-xudong/pyLKMotor docs"
@@ -166,12 +166,7 @@ REBOOT = Command(
 
 
 def _read_ram(drive: LkDrive, request: Request) -> Values:
-    number = request.values["parameter"]
-    for form in request.command.reply_forms:
-        fields = form.layout.named
-        if fields["parameter"].fixed == number:
-            return {n: drive.reading(f) if f.fixed is None else f.fixed for n, f in fields.items()}
-    return {"parameter": number, "parameter_bytes": 0}
+    return told_parameter(drive, request) or {"parameter": request.values["parameter"], "parameter_bytes": 0}
 
 
 def _written(drive: LkDrive, request: Request) -> Values:
