@@ -49,8 +49,8 @@ _SETTLES_NS, _TREMBLES_NS = 20 * MS, 120 * MS
 _SLOW, _LATE_NS = 1.07, 150 * MS
 #: When a number or a flag that differs is asked again: some drives tell late that they stand.
 _AGAIN_NS, _AT_ONCE_NS = (200 * MS, 1_200 * MS), (0, 20 * MS)
-#: How often a read is asked again whose reply is lost or damaged: a walk has thousands.
-_ASKED_AGAIN = 3
+#: How often a read is asked for at most.
+_ASKED = 4
 #: What is left of a move that is looked at on its way, at least.
 _WORTH_NS = 60 * MS
 #: How late a reply to a motion was seen to come.
@@ -485,11 +485,11 @@ class Walk:
     # --- looks ----------------------------------------------------------------------------------------------------
 
     def _asked(self, command: Command, values: Mapping[str, int] | None = None) -> tuple[Answer | None, Told | None]:
-        exchange = self.probe.ask(command, values, quiet_ns=0)
-        for _ in range(_ASKED_AGAIN):
-            if exchange.is_read:
-                break
+        for asked in range(1, _ASKED + 1):
             exchange = self.probe.ask(command, values, quiet_ns=0)
+            # One reply may be lost; what the line damages tells nothing.
+            if exchange.is_read or (asked > 1 and not exchange.damaged):
+                break
         assert exchange.sent is not None
         told = self.twin.hear(exchange.sent, self._twin_ns(exchange.sent_ns), reads=True)
         return exchange.reply if exchange.is_read else None, self._told(command, told)

@@ -23,6 +23,7 @@ from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.model import covering
 from conformance.motion import arriving, motion
+from conformance.motion.attempts import undamaged
 from conformance.motion.motion import CALM, MS, QUICK
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
@@ -61,6 +62,20 @@ def _seen(probe: Probe, begun: Exchange) -> tuple[float, float, int]:
     return rpm, spread, status
 
 
+def _homed(probe: Probe, command: Command) -> tuple[Exchange, tuple[float, float, int]]:
+    """Ask for homing; return what was said and what is seen of it."""
+    exchange = probe.ask(command, quiet_ns=0)
+    return exchange, _seen(probe, exchange)
+
+
+def _over(probe: Probe, older: Command, way: int, command: Command) -> tuple[Exchange, tuple[float, float, int]]:
+    """Ask for homing while another motion turns the shaft."""
+    asked = way * CALM if motion.of(older).kind is MotionKind.RUN else CALM
+    motion.ask(probe, older, way * _FAR, rpm=asked, acceleration=QUICK, quiet_ns=0)
+    probe.wait(_GOING_NS)
+    return _homed(probe, command)
+
+
 @of_motion(
     each=_homes,
     name="{command}/takes-over",
@@ -77,14 +92,10 @@ def _home_takes_over(probe: Probe, command: Command) -> None:
         *both,
         *((move, (-1) ** n) for n, move in enumerate(every) if motion.of(move).kind is not MotionKind.RUN),
     ):
-        asked = way * CALM if motion.of(older).kind is MotionKind.RUN else CALM
-        motion.ask(probe, older, way * _FAR, rpm=asked, acceleration=QUICK, quiet_ns=0)
-        probe.wait(_GOING_NS)
-        exchange = probe.ask(command, quiet_ns=0)
+        exchange, (rpm, spread, status) = undamaged(probe, _over, older, way, command)
         text, shown = f"{command.name} does not take over from another motion", f"over {older.name}, {'+' if way > 0 else '-'}"
         told: dict[str, Any] = {"refutes": text, "exchange": exchange}
         refused = not exchange.is_read or probe.refused(exchange)
-        rpm, spread, status = _seen(probe, exchange)
         probe.expect("a refusal or no answer", holds=not refused, expected=f"homing, {shown}", **told)
         within = _HOME_RPM * 2 * CLOCK_SHARE + spread + 2
         probe.expect(abs(rpm), near=_HOME_RPM, within=within, unit="rpm", expected=f"{_HOME_RPM} rpm, {shown}", **told)
@@ -113,8 +124,7 @@ def _home_turns(probe: Probe, command: Command) -> None:
         homing.set_home(
             probe, home_speed=_HOME_RPM, home_direction=row["direction"], home_mode=row["home_mode"], return_angle=0
         )
-        begun = probe.ask(command, quiet_ns=0)
-        rpm, spread, _ = _seen(probe, begun)
+        begun, (rpm, spread, _) = undamaged(probe, _homed, command)
         shown = ", ".join(f"{name} {value}" for name, value in row.items())
         text = "homing turns another way or at another speed in one condition"
         real = _HOME_RPM if row["subdivision"] in law.plain else _HOME_RPM * law.counted_at / row["subdivision"]

@@ -27,6 +27,7 @@ from conformance.claims.motion.motion_claim import expect_between, expect_row_ta
 from conformance.claims.motion.told import expect_states, states
 from conformance.model import covering
 from conformance.motion import arriving, course, motion, ramp
+from conformance.motion.attempts import undamaged
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
 from conformance.talk import settings
 from conformance.talk.exchange import Exchange
@@ -38,8 +39,6 @@ from conformance.talk.probe import Probe
 _OTHER, _LOWER, _FAR, _NEAR, _SPARE = 90, 40, 720, 30, 18
 #: From the older command to the newer one; until a run has its speed, or a move has surely got going.
 _GOING_NS, _RUNS_NS = 80 * MS, 110 * MS
-#: How often the older motion is begun at most, where its reply cannot be read.
-_BEGINS = 2
 #: What a shaft may lag behind a command.
 _LAG_NS = 10 * MS
 #: The accelerations of newer motions: a quick one as that of the older one, none, and a slow one, by which a move goes farther.
@@ -136,7 +135,7 @@ def taken_over(probe: Probe) -> tuple[Tried, ...]:
     zero = rest = motion.position(probe)
     found = []
     for row in table(probe.dialect):
-        found.append(_try(probe, row, zero.value, rest))
+        found.append(undamaged(probe, _try, row, zero.value, rest=rest))
         rest = found[-1].end or motion.stand_still(probe)
     return tuple(found)
 
@@ -144,12 +143,8 @@ def taken_over(probe: Probe) -> tuple[Tried, ...]:
 def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
     commands = {command.name: command for command in motions_of(probe.dialect)}
     older, newer = commands[row.older], commands[row.command]
-    for _ in range(_BEGINS):
-        begins = {command.name: motion.place(probe, command) for command in (older, newer)}
-        if _begin(probe, older, row.way * _FAR, row.way * CALM, begins[older.name]).is_read:
-            break
-        # While a reply is waited for that the line damaged, the shaft goes farther than the row says.
-        start = motion.stand_still(probe)
+    begins = {command.name: motion.place(probe, command) for command in (older, newer)}
+    _begin(probe, older, row.way * _FAR, row.way * CALM, begins[older.name])
     probe.wait(_GOING_NS)
     before = motion.position(probe)
     way = row.way * row.turn

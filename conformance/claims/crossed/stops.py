@@ -26,6 +26,7 @@ from conformance.claims.motion.motion_claim import expect_between, expect_row_ta
 from conformance.gate.gate import Refused
 from conformance.model import covering
 from conformance.motion import arriving, motion, ramp
+from conformance.motion.attempts import undamaged
 from conformance.motion.motion import MS, SECOND_NS, SUBDIVISION, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
@@ -125,7 +126,7 @@ def stopped(probe: Probe) -> tuple[Tried, ...]:
                 motion.ready_to_move(probe, row.mode, subdivision=SUBDIVISION)
                 ready = row.mode
                 motion.stand_still(probe)
-            found.append(_try(probe, row))
+            found.append(undamaged(probe, _try, row))
         except Refused as error:
             refused = error
         if refused is not None or not found or not _stands(probe, found[-1]):

@@ -16,8 +16,10 @@ from conformance.claims.control_reads import judge_next
 from conformance.claims.declare import Case, motions
 from conformance.claims.motion.motion_claim import command_of, expect_not_turned, expect_stays, of_motion, risks_by
 from conformance.motion import motion
+from conformance.motion.attempts import undamaged
 from conformance.motion.motion import MOVES, MS, QUICK
 from conformance.talk.acceptance import need_reliable_replies
+from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 from conformance.talk.samples import sample
 
@@ -86,10 +88,9 @@ def _behind_refusals(probe: Probe, command: Command) -> None:
     values = _request(probe.dialect, command)
     judge_next(probe, "a refused motion", lambda: probe.ask(command, values, quiet_ns=0))
     before = motion.position(probe)
-    on = motion.switching(probe.dialect, True)
     for _ in range(_TRIES):
-        refusal = probe.ask(command, values, quiet_ns=0)
-        if not probe.ask(*on, quiet_ns=0).silent:
+        refusal, enabling = undamaged(probe, _enabled_behind, command, values)
+        if not enabling.silent:
             break
     is_on, exchange = motion.is_on(probe), probe.traffic[-1]
     text = "a motor is not enabled at once behind a refused motion"
@@ -101,6 +102,13 @@ def _behind_refusals(probe: Probe, command: Command) -> None:
     moved = abs(motion.position(probe).value - before.value)
     text = f"{command.name} behind a refused one is not carried out"
     probe.expect(moved, near=90, within=motion.miss(probe), unit="degrees", refutes=text, exchange=exchange)
+
+
+def _enabled_behind(probe: Probe, command: Command, values: dict[str, int]) -> tuple[Exchange, Exchange]:
+    """Ask a motor that is off for a motion, and switch it on at once."""
+    motion.switch(probe, False)
+    refusal = probe.ask(command, values, quiet_ns=0)
+    return refusal, probe.ask(*motion.switching(probe.dialect, True), quiet_ns=0)
 
 
 #: How often enabling is asked for behind a refusal: a reply may be lost.

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
@@ -21,6 +21,7 @@ from conformance.claims.declare import Case, Cases, commands, needing
 from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import of_motion, risks_by, risks_of
 from conformance.motion import arriving, motion, ramp
+from conformance.motion.attempts import undamaged
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import TOLD_LATE_NS
@@ -83,6 +84,16 @@ class _Shown:
     after: float
 
 
+class _Sent(NamedTuple):
+    """A motion or a stop that was sent, by the number of its first exchange in the claim's traffic; else as `_Shown`."""
+
+    command: Command
+    exchange: Exchange
+    since: int
+    before: float
+    after: float
+
+
 def _ask(probe: Probe, command: Command, until: Until) -> Exchange:
     """Ask for a motion that is over, or a run that has its speed, when this ends."""
     law_ns = ramp.move_ns(_TURNS, _MOVE_RPM, QUICK)
@@ -103,46 +114,51 @@ def _motions_answered(probe: Probe, respond: int, runs: bool) -> dict[str, _Show
 
     What comes late is told from the replies to the next motion by its command, and is listened to once.
     """
-    sent = []
-    for case in _together(probe.dialect, runs=runs):
-        run = case.given["run"]
-        motion.prepare(probe, run)
-        _set(probe, respond, 0 if respond else case.given["active"])
-        since, before = len(probe.traffic), motion.position(probe).value
-        exchange = _ask(probe, run, Until.REPLY if respond else Until.TIMEOUT)
-        after = motion.position(probe).value
-        if _is_run(run):
-            motion.stand_still(probe)
-        sent.append((run, exchange, since, before, after))
-    return _listened(probe, sent)
+    return _listened(probe, [undamaged(probe, _sent, case, respond) for case in _together(probe.dialect, runs=runs)])
+
+
+def _sent(probe: Probe, case: Case, respond: int) -> _Sent:
+    run = case.given["run"]
+    motion.prepare(probe, run)
+    _set(probe, respond, 0 if respond else case.given["active"])
+    since, before = len(probe.traffic), motion.position(probe).value
+    exchange = _ask(probe, run, Until.REPLY if respond else Until.TIMEOUT)
+    after = motion.position(probe).value
+    if _is_run(run):
+        motion.stand_still(probe)
+    return _Sent(run, exchange, since, before, after)
 
 
 def _stops_answered(probe: Probe, respond: int, runs: bool) -> dict[str, _Shown]:
     """Stop each motion of a kind by a slow ramp by these settings and return what came of it, by the name of the stop."""
-    sent = []
-    for case in _together(probe.dialect, runs=runs):
-        run, stop = case.given["run"], case.given["stop"]
-        motion.prepare(probe, run)
-        motion.ask(probe, run, 8 * 360, rpm=_RPM, acceleration=QUICK)
-        probe.wait(100 * MS)
-        _set(probe, respond, 0 if respond else 1 - case.given["active"])
-        since, before = len(probe.traffic), abs(motion.speed(probe).value)
-        until = Until.REPLY if respond else Until.TIMEOUT
-        exchange = probe.ask(stop, {"acceleration": _RAMP}, until=until, timeout_ns=_RAMP_NS + TOLD_LATE_NS)
-        probe.wait(exchange.sent_ns + _RAMP_NS + TOLD_LATE_NS - probe.gate.now_ns())
-        sent.append((stop, exchange, since, before, abs(motion.speed(probe).value)))
-        _set(probe, 1, 1)
-        if sent[-1][-1] > _RPM / 2:
-            motion.stop(probe, QUICK)
-        motion.wait_standing(probe)
-    return _listened(probe, sent)
+    return _listened(probe, [undamaged(probe, _stop_sent, case, respond) for case in _together(probe.dialect, runs=runs)])
 
 
-def _listened(probe: Probe, sent: Sequence[tuple[Command, Exchange, int, float, float]]) -> dict[str, _Shown]:
+def _stop_sent(probe: Probe, case: Case, respond: int) -> _Sent:
+    run, stop = case.given["run"], case.given["stop"]
+    motion.prepare(probe, run)
+    motion.ask(probe, run, 8 * 360, rpm=_RPM, acceleration=QUICK)
+    probe.wait(100 * MS)
+    _set(probe, respond, 0 if respond else 1 - case.given["active"])
+    since, before = len(probe.traffic), abs(motion.speed(probe).value)
+    until = Until.REPLY if respond else Until.TIMEOUT
+    exchange = probe.ask(stop, {"acceleration": _RAMP}, until=until, timeout_ns=_RAMP_NS + TOLD_LATE_NS)
+    probe.wait(exchange.sent_ns + _RAMP_NS + TOLD_LATE_NS - probe.gate.now_ns())
+    after = abs(motion.speed(probe).value)
+    _set(probe, 1, 1)
+    if after > _RPM / 2:
+        motion.stop(probe, QUICK)
+    motion.wait_standing(probe)
+    return _Sent(stop, exchange, since, before, after)
+
+
+def _listened(probe: Probe, sent: Sequence[_Sent]) -> dict[str, _Shown]:
     probe.wait(_LISTEN_NS)
     found = {
-        command.name: _Shown(exchange, tuple(arriving.statuses(probe.traffic[since:], command)), before, after)
-        for command, exchange, since, before, after in sent
+        each.command.name: _Shown(
+            each.exchange, tuple(arriving.statuses(probe.traffic[each.since :], each.command)), each.before, each.after
+        )
+        for each in sent
     }
     _set(probe, 1, 1)
     motion.stand_still(probe)

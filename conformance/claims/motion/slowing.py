@@ -22,6 +22,7 @@ from conformance.claims.motion.motion_claim import expect_between, expect_row_ta
 from conformance.gate.gate import Refused
 from conformance.model import covering
 from conformance.motion import arriving, motion, ramp
+from conformance.motion.attempts import undamaged
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
@@ -95,7 +96,7 @@ def slowed(probe: Probe) -> tuple[Tried, ...]:
     refused: Refused | None = None
     for row in table(probe.dialect):
         try:
-            found.append(_try(probe, row, rest))
+            found.append(undamaged(probe, _try, row, rest=rest))
             rest = found[-1].end
         except Refused as error:
             refused = error

@@ -27,6 +27,7 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.gate.gate import Refused
 from conformance.motion import arriving, course, motion, ramp
+from conformance.motion.attempts import undamaged
 from conformance.motion.motion import CALM, MS, QUICK, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
@@ -107,7 +108,7 @@ def turned(probe: Probe, subdivision: int) -> tuple[Tried, ...]:
         # The bytes of one way may hold another frame, which the gate refuses; those of the other way do not.
         for each in (way, -way):
             try:
-                found.append(_try(probe, subdivision, command, each, rest))
+                found.append(undamaged(probe, _try, subdivision, command, each, rest=rest))
                 rest = found[-1].end
                 break
             except Refused as error:
@@ -264,14 +265,10 @@ def _lowest_values(probe: Probe, command: Command) -> None:
     runs = not motion.of(command).distance
     for way in (1, -1):
         for rpm, acceleration, degrees in ((1, QUICK, _SLOW), (_RAMPED, 1, 2 * _SHORT)):
-            before = motion.wait_standing(probe)
-            speed = way * rpm if runs else rpm
-            exchange = motion.ask(probe, command, way * degrees, quiet_ns=0, rpm=speed, acceleration=acceleration)
+            before, exchange, on = undamaged(probe, _slowest, command, way, rpm, acceleration, degrees)
             text = f"{command.name} at speed {rpm} and acceleration {acceleration} is refused or not answered"
             taken = exchange.is_read and not probe.refused(exchange)
             probe.expect("a refusal or no answer", holds=taken, expected="motion", refutes=text, exchange=exchange)
-            probe.wait(exchange.sent_ns + _MIDWAY_NS - probe.gate.now_ns())
-            on = motion.position(probe)
             law = course.run(0, rpm, acceleration) if runs else course.move(degrees / 360, rpm, acceleration)
             since_ns, until_ns = (on.t_ns + side * on.spread_ns - exchange.sent_ns for side in (-1, 1))
             late_ns = exchange.reply.first_ns - exchange.sent_ns if exchange.reply is not None else 0
@@ -289,6 +286,17 @@ def _lowest_values(probe: Probe, command: Command) -> None:
             )
             motion.stop(probe)
     motion.wait_standing(probe)
+
+
+def _slowest(
+    probe: Probe, command: Command, way: int, rpm: int, acceleration: int, degrees: float
+) -> tuple[Sample, Exchange, Sample]:
+    """Begin a slow motion; return where the shaft stood, what was said, and where the shaft is a little later."""
+    before = motion.wait_standing(probe)
+    speed = rpm if motion.of(command).distance else way * rpm
+    exchange = motion.ask(probe, command, way * degrees, quiet_ns=0, rpm=speed, acceleration=acceleration)
+    probe.wait(exchange.sent_ns + _MIDWAY_NS - probe.gate.now_ns())
+    return before, exchange, motion.position(probe)
 
 
 #: Degrees that are moved by the slowest ramp, and at the lowest speed; the speed of that ramp (rpm).

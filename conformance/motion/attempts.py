@@ -1,0 +1,47 @@
+"""Attempts on a line that damages replies: a motion of which something was damaged says little, and is made anew.
+
+    tried = undamaged(probe, _try, row, rest=rest)          _try(probe, row, rest), and anew from where the shaft rests then
+
+While a reply is waited for that the line damaged, a shaft goes on, a move comes to its end, or a ramp is over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from conformance.claim import Inconclusive
+from conformance.motion import motion
+
+if TYPE_CHECKING:
+    from conformance.talk.probe import Probe
+
+#: How often a motion is made at most.
+_ATTEMPTS = 3
+
+Seen = TypeVar("Seen")
+
+
+def undamaged(probe: Probe, attempt: Callable[..., Seen], *given: Any, rest: motion.Sample | None = None) -> Seen:
+    """Return what `attempt(probe, *given)` shows; one in which the line damaged something is made anew, at most twice.
+
+    `rest`: where the shaft rests, which the attempt is given last. Raises what it raises at last.
+    """
+    for left in reversed(range(_ATTEMPTS)):
+        since = len(probe.traffic)
+        try:
+            seen = attempt(probe, *given) if rest is None else attempt(probe, *given, rest)
+        except Inconclusive:
+            if not left or not damaged(probe, since):
+                raise
+        else:
+            if not left or not damaged(probe, since):
+                return seen
+        stands = motion.stand_still(probe)
+        rest = rest and stands
+    raise AssertionError("the last attempt returns or raises")
+
+
+def damaged(probe: Probe, since: int) -> bool:
+    """Say whether the line damaged something from an exchange on, by its number in the claim's traffic."""
+    return any(exchange.damaged for exchange in probe.traffic[since:])

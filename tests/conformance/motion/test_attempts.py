@@ -1,0 +1,61 @@
+"""An attempt in which the line damaged something is made anew, from where the shaft rests then."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from conformance import claims as registry
+from conformance.claim import Inconclusive
+from conformance.drives import make
+from conformance.motion import motion
+from conformance.motion.attempts import undamaged
+from conformance.suite.rig_emulated import EmulatedRig
+
+
+@pytest.fixture
+def probe():
+    rig = EmulatedRig(make.parse("mks-rs485@1,work_mode=sr_vfoc"))
+    return rig.probe(next(iter(registry.every(rig.dialect))))
+
+
+# What becomes of each attempt: whether the line damages something, and whether nothing can be said.
+@pytest.mark.parametrize(
+    ("attempts", "made"),
+    [
+        ([(False, False)], 1),
+        ([(True, False), (False, False)], 2),
+        ([(True, True), (False, False)], 2),
+        ([(True, False), (True, True), (True, False)], 3),
+    ],
+)
+def test_what_the_last_attempt_shows_is_returned(probe, attempts, made):
+    rests = []
+
+    def attempt(probe, turns, rest):
+        motion.run_at(probe, 60)
+        probe.wait(motion.SECOND_NS // 2)
+        rests.append(rest.value)
+        damages, fails = attempts[len(rests) - 1]
+        probe.traffic += [SimpleNamespace(damaged=True)] * damages
+        if fails:
+            raise Inconclusive("not answered")
+        return turns, len(rests)
+
+    assert undamaged(probe, attempt, 7, rest=motion.position(probe)) == (7, made)
+    # Each begins where the shaft came to rest behind the one before.
+    assert rests == sorted(set(rests))
+
+
+@pytest.mark.parametrize(("damages", "made"), [(False, 1), (True, 3)])
+def test_what_the_last_attempt_raises_is_raised(probe, damages, made):
+    tried = []
+
+    def attempt(probe):
+        tried.append(probe.traffic.append(SimpleNamespace(damaged=damages)))
+        raise Inconclusive("not answered")
+
+    with pytest.raises(Inconclusive):
+        undamaged(probe, attempt)
+    assert len(tried) == made
