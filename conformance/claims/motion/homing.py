@@ -116,6 +116,26 @@ def _prepared(probe: Probe, mode: str = "", **values: int) -> float:
     return bench.shaft(probe)
 
 
+def _founds(dialect: Dialect) -> tuple[str, ...]:
+    """Return what a drive can find home by: a switch that is open or closed at first, a wall where it needs no switch."""
+    return ("open", "closed", "wall") if _can_meet_a_wall(dialect) else ("open", "closed")
+
+
+def _mounted(probe: Probe, direction: int, found: str, **values: int) -> str:
+    """Mount what home is to be found by, and make the drive ready; return it for people."""
+    way = _WAYS[direction]
+    bench.wall(probe, None)
+    bench.left_switch(probe, way * 100 * probe.dialect.counts_per_turn)
+    _prepared(probe, "", home_direction=direction, home_mode=int(found == "wall"), **values)
+    if found == "wall":
+        bench.wall(probe, way * _SWITCH)
+    elif found == "closed":
+        bench.switch_here(probe, way, 1000)
+    else:
+        bench.left_switch(probe, way * 2 * probe.dialect.counts_per_turn)
+    return ", ".join(f"{name} {value}" for name, value in {"home_direction": direction, "found": found, **values}.items())
+
+
 def _expect_shaft(probe: Probe, exchange: Exchange, refutes: str, *, near: float, **how: Any) -> None:
     """Expect the shaft at a place (counts of its own); where it is elsewhere, stop it."""
     at = bench.shaft(probe)
@@ -214,27 +234,33 @@ def _backs_off(probe: Probe, command: Command, way: str) -> None:
 
 @_of_homing("another number")
 def _zero(probe: Probe) -> None:
-    """Where homing ends is zero: of the encoder, of the pulses, and for moves to a place."""
-    _prepared(probe)
-    bench.left_switch(probe, -_SWITCH)
-    exchange = find_home(probe)
-    probe.wait(500 * MS)
-    for verb, name in ((Verb.READ_POSITION, "position"), (Verb.READ_PULSES, "pulses")):
-        text = f"the {name} is not zero where homing ended"
-        probe.expect(probe.read(verb, name), near=0, unit="counts", refutes=text, exchange=exchange)
-    for move in probe.dialect.motions(MotionKind.MOVE_TO):
-        exchange = motion.begin(probe, move, _BESIDE, rpm=120, acceleration=QUICK, start=0)
-        probe.wait(SECOND_NS)
-        went, within = abs(motion.stand_still(probe).value), motion.miss(probe) + motion.same(probe)
-        text = f"{move.name} does not count from where homing ended"
-        probe.expect(went, near=_BESIDE, within=within, unit="degrees from there", refutes=text, exchange=exchange)
+    """Where homing ends is zero: of the encoder, of the pulses, and for moves to a place; both ways, by a switch or a wall."""
+    for row in covering.rows({"direction": (_CW, _CCW), "found": _founds(probe.dialect)}):
+        shown, way = _mounted(probe, **row), _WAYS[row["direction"]]
+        exchange = find_home(probe)
+        probe.wait(500 * MS)
+        for verb, name in ((Verb.READ_POSITION, "position"), (Verb.READ_PULSES, "pulses")):
+            text = f"the {name} is not zero where homing ended"
+            expected = f"0: {shown}"
+            probe.expect(probe.read(verb, name), near=0, unit="counts", expected=expected, refutes=text, exchange=exchange)
+        for move in probe.dialect.motions(MotionKind.MOVE_TO):
+            # A drive may still stand at the wall.
+            exchange = motion.begin(probe, move, -way * _BESIDE, rpm=120, acceleration=QUICK, start=0)
+            probe.wait(SECOND_NS)
+            went, within = abs(motion.stand_still(probe).value), motion.miss(probe) + motion.same(probe)
+            text = f"{move.name} does not count from where homing ended"
+            probe.expect(went, near=_BESIDE, within=within, unit="degrees from there", refutes=text, exchange=exchange)
 
 
 def _without_switch(dialect: Dialect) -> Iterator[Case]:
-    modes = [v for v in SETS_HOME if (c := dialect.by_verb.get(v)) and _has_mode(c)]
-    for way in _DIRECTIONS if modes else ():
+    for way in _DIRECTIONS if _can_meet_a_wall(dialect) else ():
         for angle in _ANGLES:
             yield from (Case(dialect, case.command, {"way": way, "angle": angle}) for case in _homings(dialect))
+
+
+def _can_meet_a_wall(dialect: Dialect) -> bool:
+    """Say whether a drive can home without a switch."""
+    return any(_has_mode(dialect.by_verb[v]) for v in SETS_HOME if v in dialect.by_verb)
 
 
 def _has_mode(command: Command) -> bool:
@@ -405,22 +431,12 @@ def _ends_by_disabling(probe: Probe, command: Command) -> None:
 @_of_homing("others", each=that_tell_their_end(_homings))
 def _replies(probe: Probe, command: Command) -> None:
     """Homing is answered by 1 when it begins and by 2 when home is found: both ways, by an open or closed switch or a wall."""
-    for row in covering.rows({"direction": (_CW, _CCW), "found": ("open", "closed", "wall"), "rpm": (60, 300)}):
-        way, found = _WAYS[row["direction"]], row["found"]
-        bench.wall(probe, None)
-        bench.left_switch(probe, way * 100 * probe.dialect.counts_per_turn)
-        _prepared(probe, home_direction=row["direction"], home_speed=row["rpm"], home_mode=int(found == "wall"))
-        if found == "wall":
-            bench.wall(probe, way * _SWITCH)
-        elif found == "closed":
-            bench.switch_here(probe, way, 1000)
-        else:
-            bench.left_switch(probe, way * 2 * probe.dialect.counts_per_turn)
+    for row in covering.rows({"direction": (_CW, _CCW), "found": _founds(probe.dialect), "home_speed": (60, 300)}):
+        shown = _mounted(probe, **row)
         since = len(probe.traffic)
         exchange = find_home(probe)
         probe.wait(2 * SECOND_NS)
         text = "homing is not answered by 1 and then 2"
-        shown = ", ".join(f"{name} {value}" for name, value in row.items())
         told = _statuses(probe, since, command)
         probe.expect(told, equal=[1, 2], expected=f"1, 2: {shown}", refutes=text, exchange=exchange)
 

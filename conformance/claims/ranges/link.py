@@ -23,7 +23,6 @@ from conformance.claims.ranges import edges
 from conformance.claims.ranges.edges import of_ranges
 from conformance.claims.settings.link_changes import (
     NEW_ADDRESS_ANSWERS,
-    OTHER_ADDRESS,
     SETTLE_NS,
     ask_in,
     change_address,
@@ -31,6 +30,7 @@ from conformance.claims.settings.link_changes import (
     follow,
     is_reply,
     need_reply_or_silence,
+    other_address,
     settle,
 )
 from conformance.talk.acceptance import answers, expect_accepted, need_reliable_replies
@@ -62,7 +62,7 @@ def _addresses(dialect: Dialect) -> Iterator[Case]:
     for command, field in dialect.effects(Effect.ADDRESS):
         # An address that is the first byte of a frame too tells more than others.
         heads = sorted(dialect.link.first_bytes) if isinstance(dialect.link, HeadLink) else []
-        inside = next((head for head in heads if field.allows(head)), OTHER_ADDRESS)
+        inside = next((head for head in heads if field.allows(head)), other_address(dialect))
         for where, value in (("lowest", field.low), ("highest", field.high), ("inside", inside)):
             yield _case(dialect, command, field, where, value=value)
 
@@ -79,8 +79,9 @@ def _address(probe: Probe, command: Command, value: int) -> None:
     before = probe.address
     if before == value:
         # Away first, so that something changes.
-        change_address(probe, command, OTHER_ADDRESS)
-        exchange = change_address(probe, command, value, at=OTHER_ADDRESS)
+        away = other_address(probe.dialect)
+        change_address(probe, command, away)
+        exchange = change_address(probe, command, value, at=away)
     else:
         exchange = change_address(probe, command, value)
     there, here = answers(probe, value), before != value and answers(probe, before)

@@ -28,7 +28,7 @@ from conformance.claims.ranges import edges
 from conformance.claims.settings import kept_effects, setting_effects
 from conformance.claims.settings.kept_effects import Kept
 from conformance.claims.settings.known_settings import Setting, every_setting, needs
-from conformance.claims.settings.link_changes import NEW_ADDRESS_ANSWERS, OTHER_ADDRESS, change_address, visit_another_rate
+from conformance.claims.settings.link_changes import NEW_ADDRESS_ANSWERS, change_address, other_address, visit_another_rate
 from conformance.claims.settings.read_back import fields_of, of_read_back
 from conformance.claims.settings.setting_effects import SettingEffect
 from conformance.model import limits
@@ -98,7 +98,8 @@ def _group_stays(probe: Probe, command: Command, effect: SettingEffect, others: 
     values = effect.values[0]
     effect.ready(probe)
     probe.do(command, values)
-    own, other = probe.address, OTHER_ADDRESS - (probe.address == OTHER_ADDRESS)
+    own, away = probe.address, other_address(probe.dialect)
+    other = away - (own == away)
     # What some modes refuse is set before the mode.
     for each in sorted(others, key=lambda each: each.command.verb is Verb.SET_WORK_MODE):
         probe.ask(each.command, each.values[0])

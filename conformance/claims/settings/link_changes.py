@@ -19,10 +19,15 @@ from conformance.talk.probe import Probe, Until
 #: A drive that changes its link gets so long for it.
 SETTLE_NS = 200 * MS
 NEW_ADDRESS_ANSWERS = "new-address-answers"
-#: An address that a claim can give a drive for a while.
-OTHER_ADDRESS = 0x5A
+#: An address that a claim can give a drive for a while, and what is added to it where an address has more than a byte.
+_OTHER_ADDRESS, _SECOND_BYTE = 0x5A, 0x100
 #: Head, address and check are no reply yet.
 _SHORTEST = 4
+
+
+def other_address(dialect: Dialect) -> int:
+    """Return an address that a claim can give a drive for a while: one of more than a byte where there are such."""
+    return _OTHER_ADDRESS | (_SECOND_BYTE if dialect.addresses[1] >= _SECOND_BYTE else 0)
 
 
 def change_address(probe: Probe, command: Command, address: int, *, at: int | None = None) -> Exchange:

@@ -16,10 +16,11 @@ import contextlib
 from collections.abc import Iterator
 from functools import partial
 from itertools import combinations, pairwise
+from math import copysign
 from typing import NamedTuple
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, MotionKind, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Form, MotionKind, Risk, Trait, Verb
 from analyzer.layout import Effect
 from conformance.claim import Inconclusive, NotRun, Refuted
 from conformance.claims.declare import Case, Cases, commands
@@ -30,13 +31,13 @@ from conformance.claims.settings.kept_effects import Kept
 from conformance.claims.settings.known_settings import every_setting
 from conformance.claims.settings.link_changes import (
     NEW_ADDRESS_ANSWERS,
-    OTHER_ADDRESS,
     SETTLE_NS,
     ask_in,
     change_address,
     follow,
     is_reply,
     need_reply_or_silence,
+    other_address,
     settle,
 )
 from conformance.claims.settings.read_back import expect_values, fields_of, of_read_back, parameters, text
@@ -179,18 +180,18 @@ def _addresses(dialect: Dialect) -> Iterator[Case]:
 @_of_restart(each=_addresses, refuted_by="an answer at another address", alone=True, quirks=may_meet(NEW_ADDRESS_ANSWERS))
 def _address(probe: Probe, command: Command) -> None:
     """A restart keeps the address."""
-    before = probe.address
+    before, away = probe.address, other_address(probe.dialect)
     move_away(probe, command)
-    exchange = probe.ask(Verb.RESTART, address=OTHER_ADDRESS)
+    exchange = probe.ask(Verb.RESTART, address=away)
     with contextlib.suppress(Inconclusive):
-        wait_for_answer(probe, before, OTHER_ADDRESS, limit_ns=RESTORED_NS)
-    here, there = answers(probe, before), answers(probe, OTHER_ADDRESS)
+        wait_for_answer(probe, before, away, limit_ns=RESTORED_NS)
+    here, there = answers(probe, before), answers(probe, away)
     if there:
-        change_address(probe, command, before, at=OTHER_ADDRESS)
+        change_address(probe, command, before, at=away)
     probe.expect(
         f"an answer at {before}" if here else "silence at both",
         holds=there,
-        expected=f"an answer at {OTHER_ADDRESS}",
+        expected=f"an answer at {away}",
         refutes=f"{command.name}: a restart loses the address",
         exchange=exchange,
         key=f"{command.name} lost",
@@ -200,9 +201,10 @@ def _address(probe: Probe, command: Command) -> None:
 def move_away(probe: Probe, command: Command) -> None:
     """Give the drive another address. Raises Inconclusive where it does not answer there."""
     need_reliable_replies(probe)
-    change_address(probe, command, OTHER_ADDRESS)
-    if not answers(probe, OTHER_ADDRESS):
-        raise Inconclusive(f"the drive does not answer at {OTHER_ADDRESS}, which it was given")
+    away = other_address(probe.dialect)
+    change_address(probe, command, away)
+    if not answers(probe, away):
+        raise Inconclusive(f"the drive does not answer at {away}, which it was given")
 
 
 def _kept_links(effect: Effect) -> Cases:
@@ -283,8 +285,8 @@ def _saved_runs(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, command, {}, facts)
 
 
-#: How long a run is given to end where it should not; how long what is damaged is listened to.
-_GOES_ON_NS = 60 * MS
+#: How long a run is given to end where it should not, to show its way on a long ramp, and what is damaged to be answered.
+_GOES_ON_NS, _SHOWS_NS = 60 * MS, 150 * MS
 _DAMAGED_NS = 60 * MS
 
 
@@ -342,28 +344,39 @@ def _saved(probe: Probe, command: Command, mode: str) -> None:
     )
 
 
-@of_read_back(each=_saved_runs, name="{command}/as-it-was", refuted_by="another speed, or none", rests_on=(Doubt.VALUES,))
-def _saved_as_it_was(probe: Probe, command: Command) -> None:
-    """In an open mode and at 8 subdivisions, a kept run has its speed and its ramp after each of two restarts."""
+def _saved_as_set(dialect: Dialect) -> Iterator[Case]:
+    """Yield it with the setting of the direction turned, where that turns motion by the bus."""
+    turns = Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits
+    more = ("motor_direction",) if turns else ()
+    for case in _saved_runs(dialect):
+        yield Case(dialect, case.command, {"turns": turns}, {**case.facts, "settings": (*case.facts["settings"], *more)})
+
+
+@of_read_back(each=_saved_as_set, name="{command}/as-it-was", refuted_by="another run, or none", rests_on=(Doubt.VALUES,))
+def _saved_as_it_was(probe: Probe, command: Command, turns: bool) -> None:
+    """In an open mode, at 8 subdivisions, a kept run has its speed, its way and its ramp after each of two restarts."""
     need_axis_lock(probe)
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[0], subdivision=8)
+    if turns:
+        probe.do(Verb.SET_DIRECTION, {"motor_direction": 1})
     run = probe.command(Verb.RUN_SPEED)
     # A ramp that is still under way when the speed is first looked at, and a speed of two bytes.
     values = motion.values_of(probe.dialect, run, rpm=_FAST_RPM, acceleration=_LONG_RAMP, subdivision=8)
     probe.do(run, values)
     probe.do(command, _KEEP)
-    wanted = _FAST_RPM
+    probe.wait(_SHOWS_NS)
+    wanted = copysign(_FAST_RPM, motion.speed(probe).value)
     for number in ("first", "second"):
         motion.stand_still(probe)
         exchange = restart(probe)
         early = motion.speed(probe)
         probe.wait(_RAMP_NS)
         seen = motion.speed(probe)
-        text = f"a run kept at {wanted} rpm and 8 subdivisions is another after the {number} restart"
+        text = f"a run kept at {wanted:+g} rpm and 8 subdivisions is another after the {number} restart"
         try:
-            probe.expect(abs(seen.value), near=wanted, within=wanted * _SHARE, unit="rpm", refutes=text, exchange=exchange)
+            probe.expect(seen.value, near=wanted, within=_FAST_RPM * _SHARE, unit="rpm", refutes=text, exchange=exchange)
             text = "a run kept with a slow ramp begins without it"
-            probe.expect(abs(early.value), at_most=wanted * (1 - 2 * _SHARE), unit="rpm", refutes=text, exchange=exchange)
+            probe.expect(abs(early.value), at_most=_FAST_RPM * (1 - 2 * _SHARE), unit="rpm", refutes=text, exchange=exchange)
         except Refuted:
             _forget(probe, command)
             raise

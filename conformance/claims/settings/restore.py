@@ -25,12 +25,12 @@ from conformance.claims.settings import kept_effects, read_back
 from conformance.claims.settings.kept_effects import Kept
 from conformance.claims.settings.link_changes import (
     NEW_ADDRESS_ANSWERS,
-    OTHER_ADDRESS,
     SETTLE_NS,
     ask_in,
     follow,
     is_reply,
     need_reply_or_silence,
+    other_address,
     set_rate,
 )
 from conformance.claims.settings.read_back import of_read_back
@@ -324,9 +324,10 @@ def _restored_links(dialect: Dialect) -> Iterator[Case]:
 def _link(probe: Probe, command: Command, native: Dialect, setter: Command) -> None:
     """A restored drive answers at {address} in {native}."""
     move_away(probe, setter)
-    exchange = probe.ask(command, address=OTHER_ADDRESS)
+    away = other_address(probe.dialect)
+    exchange = probe.ask(command, address=away)
     probe.wait(RESTORED_NS)
-    found = [a for a in (_DEFAULT_ADDRESS, OTHER_ADDRESS) if _answers_in(probe, native, a)]
+    found = [a for a in (_DEFAULT_ADDRESS, away) if _answers_in(probe, native, a)]
     _lead_back(probe)
     places = " and ".join(map(str, found)) or "neither address"
     probe.expect(

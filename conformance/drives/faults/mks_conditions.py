@@ -55,6 +55,8 @@ _BY_COUNTS = frozenset({Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS})
 _MOVES = MOTIONS - {Verb.RUN_SPEED}
 _ENDS = STOPS | {Verb.EMERGENCY_STOP}
 _BITS = 16
+#: The highest number of a byte, and by how many counts a count of pulses is off.
+_BYTE, _BESIDE = 0xFF, 1000
 #: What 32 bits of an empty flash read as.
 _EMPTY = 0xFFFF_FFFF
 
@@ -551,6 +553,42 @@ def _speeds_as_sent(drive: MksCore) -> None:
     drive.real_speed = lambda speed: speed  # type: ignore[method-assign]
 
 
+def _complete_at_right(drive: MksCore) -> None:
+    """Tell a move that the right end limit stops as complete."""
+    finish, at_right = drive.finish, False
+    stop = drive._limit_stop
+
+    def stopped() -> None:
+        nonlocal at_right
+        at_right = _rpm(drive) * way_of(drive.settings["home_direction"]) < 0
+        stop()
+
+    def finished(status: int | None) -> None:
+        told_so = status == mks_shared.RunStatus.LIMIT_STOP and at_right
+        finish(mks_shared.RunStatus.COMPLETE if told_so else status)
+
+    drive._limit_stop, drive.finish = stopped, finished  # type: ignore[method-assign]
+
+
+def _pulses_beside(drive: MksCore) -> None:
+    """Count pulses from beside where homing without a switch ended."""
+    if drive.home_settings()["home_mode"] == mks_shared.HomeMode.NO_LIMIT:
+        drive.memory.pulse_zero += _BESIDE
+
+
+def _address_unset(drive: MksCore) -> None:
+    """Take an address of more than a byte for none."""
+    if drive.settings["new_address"] > _BYTE:
+        drive.settings["new_address"] = 1
+        drive.tune()
+
+
+def _run_without_direction(drive: MksCore) -> None:
+    """Begin a kept run the other way where the setting of the direction turns motion."""
+    if drive.settings["motor_direction"]:
+        drive.settings["saved_direction"] ^= 1
+
+
 def _number_unset(drive: MksCore) -> None:
     """Take the highest number for memory that is empty."""
     if drive.settings["user_id"] == _EMPTY:
@@ -982,6 +1020,13 @@ DOING: Rows = {
         Row("enable-level-forgotten", "a restart forgets the level of En", Change(forgetful("enable_level").install, SERIAL)),
         Row("baud-rate-lost", "a restart loses the speed of the line", Change(forgetful("baud_rate").install, SERIAL)),
         Row("dialect-lost", "a restart loses the dialect", Change(forgetful("modbus").install, NATIVE)),
+        Row("wide-address-lost", "a restart takes an ID above FFh for none", _after_restart(_address_unset), CAN),
+        Row(
+            "save-speed-without-direction",
+            "a kept run begins as it was sent, without what 86 says",
+            _after_restart(_run_without_direction),
+            CAN,
+        ),
         Row("user-id-unset-lost", "a restart takes the number FFFFFFFFh for none", _after_restart(_number_unset), CAN),
         Row(
             "broadcast-settings-lost",
@@ -1056,6 +1101,12 @@ DOING: Rows = {
             _limits_passed(lambda drive, side: side == "right" and _is_slow(drive)),
         ),
         Row(
+            "right-limit-told-complete",
+            "a move that the right end limit stops is told as complete",
+            tuned(_complete_at_right),
+            TELLING,
+        ),
+        Row(
             "limits-passed-at-once",
             "motion without a ramp passes the end limits",
             _limits_passed(lambda drive, side: _asked_of(drive)[1] == 0),
@@ -1115,6 +1166,12 @@ DOING: Rows = {
             TELLING,
         ),
         Row("homing-ccw-untold", "the end of homing counter-clockwise is not told", tuned(_ccw_home_untold), TELLING),
+        Row(
+            "home-zero-at-wall",
+            "homing to an obstacle zeroes the encoder and leaves the count of pulses",
+            when_home(_pulses_beside),
+            TELLING,
+        ),
         Row("homing-ccw-lets-go", "homing counter-clockwise lets the shaft go at its end", when_home(_let_go_ccw)),
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
     ),

@@ -14,6 +14,10 @@ from conformance.suite.target import EMULATED, parse
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
     "protection-of-all-unheard": "read-back/set_protection/restart-broadcast-protection",
+    "home-zero-at-wall": "motion/home/zero",
+    "wide-address-lost": "read-back/set_address/restart",
+    "save-speed-without-direction": "read-back/save_speed/as-it-was",
+    "right-limit-told-complete": "motion/set_home/end-limit-told-move_relative_pulses",
     "group-id-kept": "read-back/restore/set_group_address",
     "lk-speed-ramp-late": "timing/write_parameter/speed-ramp-under-way-move_multi_turn",
     "limits-passed-at-once": "motion/set_home/end-limit-stops-move_absolute_pulses",

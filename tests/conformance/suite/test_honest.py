@@ -292,10 +292,8 @@ ONCE_ACCUSED = [
         70700003,
         "move_absolute_pulses/takes-over",
     ),
-<<<<<<< HEAD
     # So did the speed of a shaft that stood.
     ("mks-modbus@1,work_mode=sr_vfoc,tremble=2", 0, "save_speed/broadcast"),
-=======
     # The line damaged what a motion was answered that was to be refused, and what a slow one was.
     (
         "mks-rs485@19,model=35D,encoder-noise=1,dip=0.3,overshoot=4,latency=0.3..8ms,voltage-noise=0.05,work_mode=0,"
@@ -309,7 +307,6 @@ ONCE_ACCUSED = [
         16455100014,
         "move_relative_pulses/lowest-values",
     ),
->>>>>>> honest1
 ]
 
 
