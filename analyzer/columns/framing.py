@@ -123,11 +123,11 @@ class _Rows:
 
     def _find(self, found: Found) -> None:
         """Tell where rows of frames begin and end."""
-        starts, looks = found.starts, found.looks
-        ends = starts + found.sizes
+        starts, ends = found.starts, found.starts + found.sizes
+        looks = None if found.looks is found.sizes else found.looks
         if len(self._silences):
             whole = self._silences.searchsorted(starts, side="right") >= self._silences.searchsorted(ends)
-            starts, ends, looks = starts[whole], ends[whole], looks[whole]
+            starts, ends, looks = starts[whole], ends[whole], None if looks is None else looks[whole]
         # Bytes inside a frame that look like a frame part those that follow each other: they are left out.
         parted = np.flatnonzero(starts[1:] < ends[:-1])
         following = starts.searchsorted(ends[parted])
@@ -137,7 +137,8 @@ class _Rows:
             if behind < ending and starts[behind] == end and not inside[place]:
                 inside[place + 1 : behind] = True
         if inside.any():
-            starts, ends, looks = starts[~inside], ends[~inside], looks[~inside]
+            starts, ends, looks = starts[~inside], ends[~inside], None if looks is None else looks[~inside]
+        #: Of each frame, how many bytes had to be looked at; None: its own.
         self._starts, self._ends, self._looks = starts, ends, looks
         lasts = np.append(np.flatnonzero(starts[1:] != ends[:-1]), len(starts) - 1) if len(starts) else starts
         firsts = np.append(0, lasts[:-1] + 1) if len(starts) else starts
@@ -218,28 +219,37 @@ class _Rows:
         def chunks_of(places: Integers) -> Integers:
             if (places[1:] < places[:-1]).any():
                 return stops.searchsorted(places, side="right")
-            # In order, all of one chunk stand together.
-            return np.repeat(np.arange(len(stops)), np.diff(places.searchsorted(stops), prepend=0))
+            return np.repeat(np.arange(len(stops)), among(places))
 
-        chunks, ended = chunks_of(self._starts), chunks_of(self._ends - 1)
+        def among(places: Integers) -> Integers:
+            # In order, all of one chunk stand together.
+            return np.diff(places.searchsorted(stops), prepend=0)
+
+        # Such long columns are reckoned in place: new ones would not stay in the cache of the processor.
+        begun, lasts = among(self._starts), self._ends - 1
+        ended = chunks_of(lasts)
         # Counted from the end of its chunk, a byte came so much earlier; but not before the chunk before.
         zero_ns = times - (stops - 1) * line.byte_ns
-        first_ns = np.maximum(before[chunks], zero_ns[chunks] + self._starts * line.byte_ns)
-        last_ns = np.maximum(before[ended], zero_ns[ended] + (self._ends - 1) * line.byte_ns)
+        first_ns = self._starts * line.byte_ns
+        first_ns += np.repeat(zero_ns, begun)
+        np.maximum(first_ns, np.repeat(before, begun), out=first_ns)
+        last_ns = np.multiply(lasts, line.byte_ns, out=lasts)
+        last_ns += zero_ns.take(ended)
+        np.maximum(last_ns, before.take(ended), out=last_ns)
         # A frame is told once it and the one behind it were looked at, or a boundary came.
-        looked = chunks_of(self._starts + self._looks - 1)
+        looked = ended if self._looks is None else chunks_of(self._starts + self._looks - 1)
         decided = np.append(looked[1:], len(stops) - 1)[: len(ended)]
         # Few frames end at a boundary: only these are told anew.
         for places, later in ((self._opened, 1), (self._closed, 0)):
             rows = np.flatnonzero(self._is_in(places, self._ends))
             decided[rows] = np.minimum(decided[rows], ended[rows] + later)
-        decided = np.maximum(decided, looked)
+        np.maximum(decided, looked, out=decided)
         rows = np.flatnonzero(self._is_in(self._silences, self._ends))
         decided[rows] = np.minimum(decided[rows], ended[rows] + 1)
-        sizes = self._ends - self._starts
-        about = self._starts, sizes, first_ns, last_ns, marks[chunks]
-        frames = FrameBlock(self._port, self._whole, line.offset, *about, self._timed)
-        return frames, np.maximum(decided + 1 - len(held), 0)
+        decided += 1 - len(held)
+        np.maximum(decided, 0, out=decided)
+        about = self._starts, self._ends - self._starts, first_ns, last_ns, np.repeat(marks, begun)
+        return FrameBlock(self._port, self._whole, line.offset, *about, self._timed), decided
 
     def told(self, row: int, first: int) -> Generator[Frame | Junk | Row, None, int]:
         """Yield the frames of a row from one on, then gaps and rows up to a gap that is left. Return which frame is next."""

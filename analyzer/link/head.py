@@ -214,7 +214,7 @@ class _HeadSlicer(Slicer):
         """The table as one array, by head and code."""
         import numpy as np
 
-        return np.array(self._table, dtype=np.int16).reshape(-1)
+        return np.array(self._table, dtype=np.int64).reshape(-1)
 
     def scan(self, codes: Bytes) -> Found | None:
         if self._total is not sum:
@@ -225,8 +225,8 @@ class _HeadSlicer(Slicer):
 
         sums = Sums(codes)
         starts = places_of(codes, self.heads, 3)
-        kinds = codes[starts].astype("u2") << 8 | codes[starts + 2]
-        sizes = self._lengths_by_head[kinds]
+        kinds = codes.take(starts).astype("u2") << 8 | codes[2:].take(starts)
+        sizes = self._lengths_by_head.take(kinds)
         unsure = [starts[:0]]
         for (head, code), lengths in self._choices.items():
             if len(lengths) > 1:
@@ -234,14 +234,14 @@ class _HeadSlicer(Slicer):
                 sizes[rows] = self._chosen(sums, starts[rows], lengths)
                 unsure.append(starts[rows])
         known = (sizes > 0) & (starts + sizes <= len(codes))
-        starts, sizes = starts[known], sizes[known].astype("i8")
+        starts, sizes = starts[known], sizes[known]
         good = sums.fit(starts, starts + sizes - 1)
         starts, sizes = starts[good], sizes[good]
         looks = sizes
         for (head, code), lengths in self._choices.items():
             if any(other == one + 1 for one, other in pairwise(lengths)):
                 # The byte behind could make a tie.
-                own = (codes[starts] == head) & (codes[starts + 2] == code)
+                own = (codes.take(starts) == head) & (codes[2:].take(starts) == code)
                 looks = looks + (own & np.isin(sizes + 1, lengths))
         return Found(starts, sizes, looks, np.sort(np.concatenate(unsure)))
 

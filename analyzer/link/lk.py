@@ -154,13 +154,15 @@ class _LkSlicer(Slicer):
         sums = Sums(codes)
         starts = places_of(codes, self.heads, 5)
         starts = starts[sums.fit(starts, starts + 4)]
-        own = codes[starts + 3].astype("i8")
-        sizes = np.where(own > 0, own + 6, 5)
+        own = codes[3:].take(starts).astype("i8")
         bare = np.isin(np.arange(256), list(self._bare))
-        known = np.where(own > 0, own <= _LK_LONGEST, bare[codes[starts + 1]]) & (starts + sizes <= len(codes))
+        known = np.where(own > 0, own <= _LK_LONGEST, bare.take(codes[1:].take(starts)))
+        sizes = own + 5 + (own > 0)
+        known &= starts + sizes <= len(codes)
         starts, sizes = starts[known], sizes[known]
         good = (sizes == 5) | sums.fit(starts + 5, starts + sizes - 1)
-        return Found(starts[good], sizes[good], sizes[good], starts[:0])
+        starts, sizes = starts[good], sizes[good]
+        return Found(starts, sizes, sizes, starts[:0])
 
 
 class _LkFinder(Finder):

@@ -51,9 +51,10 @@ FORMATS: dict[str, Format] = {
     "pcap": Format("pcap", "pcap", "SocketCAN, USER and RTAC serial links", (".pcap",), "serial"),
     "blf": Format("blf", "BLF", "Vector binary log, CAN", (".blf",), "can"),
     "mf4": Format("mf4", "MF4", "ASAM measurement data, CAN bus logging (needs asammdf)", (".mf4",), "can"),
+    # Of all texts it is told the fastest; what is certainly this is asked no further.
+    "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can"),
     "asc": Format("asc", "ASC", "Vector text log, CAN", (".asc",), "can"),
     "trc": Format("trc", "TRC", "PEAK text trace, CAN", (".trc",), "can"),
-    "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can"),
     "can-state": Format("can_state", "CAN state", "what ip and the kernel say of a CAN controller", (".txt", ".log"), "can"),
     "can-csv": Format("can_csv", "python-can CSV", "CAN frames as python-can's CSV writer puts them", (".csv",), "can"),
     "can-text": Format(

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from functools import cache
 
 from analyzer.catalogue import Role
 from analyzer.columns.block import CanBlock
@@ -28,13 +29,15 @@ LOG = re.compile(
     r"\s*\((\d{1,18})\.(\d{1,9})\) +(\S+) +([0-9A-Fa-f]{1,8})#([0-9A-Fa-f]*)([#RrXx_][0-9A-Fa-f]*|)(?: +([RTrt]))?\s*$"
 )
 #: Signs of a quotation may stand before a line of the screen.
-_SCREEN = re.compile(
+_SCREEN = (
     r"[\s>|]*(?:\(([^)]{1,40})\)\s+)?(\S+)\s+(?:(RX|TX) [B-] [E-]\s+)?([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(\d{1,2})\]"
     r"(?:\s+(remote request)|((?:\s+[0-9A-Fa-f]{2})*))(?:\s+ERRORFRAME|\s+'.*')?\s*$"
 )
-_EITHER = re.compile(f"(?:{LOG.pattern})|(?:{_SCREEN.pattern})")
-_ERROR_TEXT = re.compile(r"(?:[>|] ?)*(?:(?:\t| {2,})[a-z][a-z-]*|[a-z]+(?:-[a-z]+)+)(?:\{.*)?\s*$")
-_KNOWN = re.compile(f"(?:{_EITHER.pattern})|(?:{_ERROR_TEXT.pattern})")
+_EITHER = f"(?:{LOG.pattern})|(?:{_SCREEN})"
+_ERROR_TEXT = r"(?:[>|] ?)*(?:(?:\t| {2,})[a-z][a-z-]*|[a-z]+(?:-[a-z]+)+)(?:\{.*)?\s*$"
+_KNOWN = f"(?:{_EITHER})|(?:{_ERROR_TEXT})"
+#: A pattern made when it is first needed: to make those that no line of the log form needs takes as long as 50000 such lines.
+_pattern = cache(re.compile)
 _DATED = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{1,9})$")
 
 _EXTENDED_DIGITS = 3
@@ -53,13 +56,13 @@ def score(head: bytes) -> float:
     if lines and all(LOG.match(line) for line in lines):
         # Nothing else prints so: to ask the formats behind this one would take longer than to read a short capture.
         return 1.0
-    return 0.95 * share(head, _KNOWN) if any(_EITHER.match(line) for line in lines) else 0.0
+    return 0.95 * share(head, _pattern(_KNOWN)) if any(map(_pattern(_EITHER).match, lines)) else 0.0
 
 
 def read(source: Source) -> Iterator[CanFrame | CanBlock | Comment]:
     """Read the lines one by one."""
     source.time_source = "capture: seconds as candump printed them, exact to their digits"
-    screens = [m for line in head_lines(source.head) if (m := _SCREEN.match(line))]
+    screens = [m for line in head_lines(source.head) if not LOG.match(line) and (m := _pattern(_SCREEN).match(line))]
     if screens and not any(m[1] for m in screens):
         source.time_source = "none"
     return _records(source, _screen_time(source, [m[1] for m in screens if m[1]]))
@@ -114,7 +117,7 @@ def _records(source: Source, screen_time: Callable[[str], int]) -> Iterator[CanF
 
 def frame_of(line: str) -> CanFrame | None:
     """Return the frame of a line that stands in a text; without its time."""
-    found = _SCREEN.match(line)
+    found = _pattern(_SCREEN).match(line)
     if found is None or (not found[6] and len(bytes.fromhex(found[7] or "")) != int(found[5])):
         return None
     _, name, mark, ident, length, remote, text = found.groups()
@@ -166,9 +169,10 @@ def _special(source: Source, line: int, t_ns: int, found: re.Match[str]) -> CanF
 def _screen(source: Source, line: str, number: int, time_of: Callable[[str], int]) -> CanFrame | Comment | None:
     """Return what a line of the screen form holds; None with a problem noted if it fits neither form."""
     # A post may show bytes in bold, or the line as code.
-    found = _SCREEN.match(line) or _SCREEN.match(line.replace("**", "").strip(" `"))
+    match = _pattern(_SCREEN).match
+    found = match(line) or match(line.replace("**", "").strip(" `"))
     if found is None:
-        if _ERROR_TEXT.match(line):
+        if _pattern(_ERROR_TEXT).match(line):
             # `candump -e` explains an error frame on the lines below it.
             return source.comment(None, line)
         if line.strip():
