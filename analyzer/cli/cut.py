@@ -15,7 +15,7 @@ from typing import IO, Any
 import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.log_copy import DAMAGED, TAGGED, Copy, Log, Taken
+from analyzer.cli.log_copy import TAGGED, Copy, Log, Taken
 from analyzer.cli.output import free_target, whole
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
@@ -25,6 +25,7 @@ from analyzer.events import SETUPS, TOPIC
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import METADATA
 from analyzer.sources.times import ShownTime, iso
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.values import counted, printable
 
 EXAMPLES = """\
@@ -197,5 +198,5 @@ def _said(message: LogMessage) -> dict[str, Any]:
     """Return the values of a message, none of one that is damaged."""
     try:
         return msgspec.json.decode(message.data, type=dict[str, Any])
-    except DAMAGED:
+    except UNDECODABLE:
         return {}

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, NamedTuple
 
-import msgspec
 from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema
 from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
@@ -28,8 +27,6 @@ from analyzer.values import counted
 CHUNK_SIZE = 1 << 20
 #: What a reply says of its request.
 TAGGED = re.compile(rb'"_request_sequence":(\d{1,10})(?!\d)')
-#: What reading the JSON of a message raises where it is damaged: no JSON, no UTF-8, too deep.
-DAMAGED = (msgspec.MsgspecError, ValueError, RecursionError)
 #: Messages after which it is told how far reading has come, for a person who waits.
 _TELL_EVERY = 4096
 #: Messages of an incomplete log that are skipped in search of its declarations.

@@ -19,6 +19,7 @@ from analyzer.findings import RULES
 from analyzer.report.traffic import LATEST_NS, number_of
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Source, describe
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.values import identifier, near, quote
 
 if TYPE_CHECKING:
@@ -108,7 +109,7 @@ def series(
                     if not wanted(_names(topic, record, values)):
                         continue
                     passed = record.sequence
-            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            except UNDECODABLE as error:
                 source.problem(f"a message of {topic.label}: {describe(error)}")
                 continue
             if values.get("_checksum_ok") is False:
@@ -150,7 +151,7 @@ def _properties(schema: bytes) -> Mapping[str, Any]:
     """Return the fields that a schema describes; of one of another program, maybe none."""
     try:
         found = msgspec.json.decode(schema, type=dict[str, Any]).get("properties")
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+    except UNDECODABLE:
         return {}
     return found if isinstance(found, dict) else {}
 

@@ -27,6 +27,7 @@ from analyzer.sinks.summary import Latencies
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Source, describe
 from analyzer.sources.times import SECOND
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.values import fields_text, identifier
 
 if TYPE_CHECKING:
@@ -338,14 +339,14 @@ class _Parser(Generic[T]):
             rows: list[T] = self._many(b"[" + b",".join(topic.data) + b"]")
             if len(rows) == len(topic.data):
                 return rows
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        except UNDECODABLE:
             pass
         return [self._alone(topic, each) for each in topic.data]
 
     def _alone(self, topic: _Topic, data: bytes) -> T:
         try:
             return self._one(data)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        except UNDECODABLE as error:
             self._problem(f"a message of {topic.name}: {describe(error)}")
             return self._empty()
 
@@ -458,7 +459,7 @@ class Traffic:
                 properties = msgspec.json.decode(self._schemas.get(channel.schema_id, b"{}"))["properties"]
                 known |= {name: str(about["unit"]) for name, about in properties.items() if "unit" in about}
             # A schema of another program can be anything; then there are no units.
-            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, KeyError, TypeError, AttributeError):
+            except (*UNDECODABLE, KeyError, TypeError, AttributeError):
                 pass
         return known
 
@@ -657,7 +658,7 @@ def _fields(data: bytes) -> dict[str, Any]:
     """Return a message as it is logged; nothing of one that is damaged."""
     try:
         return msgspec.json.decode(data, type=dict[str, Any])
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+    except UNDECODABLE:
         return {}
 
 
