@@ -24,9 +24,10 @@ from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UsageError
 from analyzer.pipeline import topic_name
-from analyzer.sources.mcap_scan import DAMAGED, LogMessage
+from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import METADATA, look
 from analyzer.sources.times import Clock, iso
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.values import counted, printable
 
 EXAMPLES = """\
@@ -115,7 +116,7 @@ class _Input:
         """Return the JSON of a message with other names and numbers; as it is where it is damaged."""
         try:
             return msgspec.json.encode(self._with_names(_decode(data)))
-        except (*DAMAGED, ValueError, OverflowError):
+        except (*UNDECODABLE, OverflowError):
             return data
 
     def _with_names(self, said: dict[str, Any]) -> dict[str, Any]:

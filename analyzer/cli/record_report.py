@@ -144,7 +144,7 @@ def _gaps(port: PortStatus, utc_ns: int) -> list[str]:
             span = f"from {start} to the end"
         else:
             span = f"{start}, for {(gap.to_ns - gap.from_ns) / 1e9:.3f} s"
-        kept = " (nothing is missing: the kernel buffered it)" if gap.kept else ""
+        kept = " (the kernel buffered what came)" if gap.kept else ""
         lines.append(f"  {port.bus}: gap {span}: {gap.reason}{kept}")
     more = port.gap_count - min(len(port.gaps), _GAPS_NAMED)
     return lines + ([f"  {port.bus}: and {more} more gaps"] if more > 0 else [])

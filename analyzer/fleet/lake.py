@@ -33,6 +33,7 @@ from analyzer.errors import UnreadableError, UsageError
 from analyzer.fleet.files import PARTITIONS, Added, Destination, only
 from analyzer.fleet.place import Place
 from analyzer.fleet.rows import TAKEN, UNSEEN, Taken, captures_schema
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.table.extras import needed
 from analyzer.values import printable
 
@@ -357,7 +358,7 @@ class Lake:
                 journal = msgspec.json.decode(self.place.read(f"{JOURNAL}/{name}"), type=Journal)
             except FileNotFoundError:
                 continue
-            except msgspec.MsgspecError as error:
+            except UNDECODABLE as error:
                 raise UnreadableError(
                     f"{path} is damaged, so its batch cannot be finished: {error}; restore it, or ingest into a new lake"
                 ) from None

@@ -31,6 +31,7 @@ from analyzer.errors import UnreadableError
 from analyzer.framer import Mark
 from analyzer.records import CanFrame, Frame, Lane, Message
 from analyzer.sinks.object_table import Table, TablePickler, TableUnpickler
+from analyzer.system.decoding import UNDECODABLE
 
 NAMES = ("checkpoint.0", "checkpoint.1")
 _CHECK = 4
@@ -168,7 +169,7 @@ def load(folder: Path) -> Checkpoint | None:
             found.append(msgspec.msgpack.decode(data[_CHECK:], type=Checkpoint))
         except FileNotFoundError:
             continue
-        except (ValueError, msgspec.MsgspecError) as error:
+        except UNDECODABLE as error:
             damaged.append(f"{path} cannot be read ({error})")
     if damaged and not found:
         raise UnreadableError("; ".join(damaged))

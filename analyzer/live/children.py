@@ -28,6 +28,7 @@ import msgspec
 from analyzer.live import snapshot
 from analyzer.live.reader_hand import Hand
 from analyzer.live.snapshot import Snapshot
+from analyzer.system.decoding import UNDECODABLE
 
 #: A child that lived this long is started again at once when it dies; one that did not, after a while that grows.
 STEADY_S = 10.0
@@ -238,7 +239,7 @@ class StoringChild(Child):
     def _hear(self, line: bytes) -> None:
         try:
             event = msgspec.json.decode(line, type=dict[str, Any])
-        except msgspec.MsgspecError:
+        except UNDECODABLE:
             return
         if event.get("event") == "lost":
             self.let_go()
@@ -273,7 +274,7 @@ class DecoderChild(Child):
     def _hear(self, line: bytes) -> None:
         try:
             found: Snapshot = snapshot.decode(line)
-        except msgspec.MsgspecError:
+        except UNDECODABLE:
             return
         self._heard.put(("snapshot", self.name, found))
 

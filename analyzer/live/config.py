@@ -14,6 +14,7 @@ import msgspec
 from analyzer.devices import DeviceText
 from analyzer.errors import UnreadableError
 from analyzer.live.spool import FORMAT
+from analyzer.system.decoding import UNDECODABLE
 
 NAME = "recording.json"
 COPY = "recording.copy.json"
@@ -93,7 +94,7 @@ def load(folder: Path) -> RecordingConfig:
     for path in (folder / name for name in FILES):
         try:
             told = msgspec.json.decode(path.read_bytes(), type=RecordingConfig)
-        except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+        except (OSError, *UNDECODABLE) as error:
             reasons.append(f"{path}: expected the configuration of a recording, got: {error}")
             continue
         if told.spools != FORMAT and not told.crc:

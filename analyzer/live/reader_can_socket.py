@@ -26,6 +26,7 @@ from analyzer.live.reader_can_library import flags_of
 from analyzer.live.reader_port import BadCount, Lost, Opened, Stop, Unopened, listen, readable
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import MOST_BYTES, CanFlag
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.values import counted
 
 MULTICAST_PORT = 43113
@@ -55,7 +56,7 @@ _CONTROLLER = ((0x01, "the controller's buffer overflowed: frames were lost"), (
 _MSG_DONTROUTE = 4
 _CAN_RAW_ERR_FILTER = 2
 
-#: Takes a datagram; returns identifier, flags, payload. Raises ValueError for other bytes.
+#: Takes a datagram; returns identifier, flags, payload. Raises one of UNDECODABLE for other bytes.
 Dissect = Callable[[bytes], tuple[int, int, bytes]]
 
 
@@ -74,7 +75,7 @@ _unpack = msgspec.msgpack.Decoder(_Multicast).decode
 
 
 def dissect_multicast(datagram: bytes) -> tuple[int, int, bytes]:
-    """Return identifier, flags and payload of a datagram of python-can's udp_multicast. Raises ValueError."""
+    """Return identifier, flags and payload of a datagram of python-can's udp_multicast. Raises one of UNDECODABLE."""
     message = _unpack(datagram)
     if not 0 <= message.arbitration_id < 1 << 32:
         raise ValueError(f"identifier {message.arbitration_id}")
@@ -127,6 +128,7 @@ class CanSocketPort:
         self._dissect: Dissect = dissect_kernel if self._kernel else dissect_multicast
         self._socket: socket.socket | None = None
         self._overflows = 0
+        self._adopted = False
 
     def open(self, stop: Stop) -> Opened:
         made: socket.socket | None = None
@@ -136,12 +138,14 @@ class CanSocketPort:
         except OSError as error:
             raise Unopened(f"cannot open {self._endpoint.place}: {error.strerror or error}") from None
         self._overflows = 0
+        self._adopted = False
         return self._set_up(made, kernel_notes(self._channel, self._endpoint.speed) if self._kernel else [])
 
     def adopt(self, fd: int) -> Opened:
-        """Take over the socket of another reader. What the kernel had no room for until now is not told again."""
+        """Take over the socket of another reader. What the kernel dropped since that one told it is still to be told."""
         made = socket.socket(fileno=fd)
         self._overflows = _overflows(made) or 0
+        self._adopted = True
         return self._set_up(made, [])
 
     def _set_up(self, made: socket.socket, notes: list[str]) -> Opened:
@@ -188,6 +192,7 @@ class CanSocketPort:
     def listen(self, store: Store, stop: Stop) -> None:
         assert self._socket is not None
         bad = BadCount("datagrams that are not frames")
+        (self._overflows,) = store.kernel_counts((self._overflows,), adopted=self._adopted)
 
         def take(ready: bool) -> int:
             taken, wrong = self._take(store)
@@ -228,7 +233,7 @@ class CanSocketPort:
                     self._tell_overflow(store, _COUNT.unpack(value)[0], t_ns)
             try:
                 can_id, flags, payload = dissect(data)
-            except (ValueError, msgspec.MsgspecError):
+            except UNDECODABLE:
                 bad += 1
                 continue
             if message_flags & _MSG_DONTROUTE:
@@ -254,6 +259,7 @@ class CanSocketPort:
         if 0 < lost < 1 << 31:
             self._overflows = count
             store.event("kernel_dropped", frames=lost, from_ns=store.last_ns, t_ns=t_ns)
+            store.told_counts((count,))
 
 
 def open_multicast(channel: str, port: int) -> socket.socket:

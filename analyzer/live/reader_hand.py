@@ -1,11 +1,14 @@
 """The bytes that a reader has taken from its port and not stored yet, in memory that outlives the reader.
 
-    numbers, u64 each | bytes as they were read | filling
+    numbers, u64 each | counts of the kernel, i64 each | bytes as they were read | filling
 
 The memory is the supervisor's; each reader of a port inherits it. The kernel itself puts the bytes of a read there. So the
 next reader finds them, even if this one is killed at any instant. Before a read, the memory gets the number of waiting bytes
 and random bytes in their place, the filling. If the filling is still there, the read did not happen. Real bytes can equal the
 filling by chance: one byte does so once in 256 times.
+
+The memory also has the kernel's counts of what it lost, as they were told last. So the next reader tells what the kernel lost
+while there was no reader. If a reader is killed as it tells, the same is told twice.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from __future__ import annotations
 import mmap
 import os
 import time
+from collections.abc import Sequence
 from typing import NamedTuple
 
 #: Bytes read in a row before they are stored; what a tty of Linux holds at most.
@@ -20,7 +24,9 @@ DRAIN_LIMIT = 1 << 17
 READ_SIZE = 1 << 16
 _ROOM = DRAIN_LIMIT + READ_SIZE
 _NUMBERS = 8
-_HEAD = _NUMBERS * 8
+#: How many counts there are, and the counts.
+_COUNTS = 8
+_HEAD = (_NUMBERS + _COUNTS) * 8
 #: Places of the numbers: units stored, and taken at all; time of the last record. Units before the bytes in hand, how many
 #: these are, how many with those of the read under way, and when that began.
 _STORED, _TAKEN, _LAST_NS, _BEFORE, _SIZE, _WANTED, _READ_NS = range(7)
@@ -45,7 +51,8 @@ class Hand:
 
     def __init__(self, fd: int) -> None:
         memory = memoryview(mmap.mmap(fd, _HEAD + 2 * _ROOM))
-        self._numbers = memory[:_HEAD].cast("Q")
+        self._numbers = memory[: _NUMBERS * 8].cast("Q")
+        self._counts = memory[_NUMBERS * 8 : _HEAD].cast("q")
         self._room = memory[_HEAD : _HEAD + _ROOM]
         self._filling = memory[_HEAD + _ROOM :]
 
@@ -66,6 +73,18 @@ class Hand:
         numbers[_TAKEN], numbers[_LAST_NS] = taken, last_ns
         if stored:
             numbers[_STORED] = taken
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """The kernel's counts as they were told last, by this reader or one before it; empty where none were."""
+        return tuple(self._counts[1 : 1 + self._counts[0]])
+
+    @counts.setter
+    def counts(self, values: Sequence[int]) -> None:
+        self._counts[0] = 0
+        for place, value in enumerate(values, 1):
+            self._counts[place] = value
+        self._counts[0] = len(values)
 
     def begin(self, before: int) -> None:
         """Empty it. `before`: units that the port has brought before what is read now."""

@@ -52,12 +52,14 @@ class SerialPort(DescriptorPort):
         self._endpoint = endpoint
         self._counters: Mapping[str, int] | None = None
         self._counted_ns = 0
+        self._adopted = False
 
     # --- opening --------------------------------------------------------------------------------------------------
 
     def open(self, stop: Stop) -> Opened:
         """Open the port and set it up."""
         path = self._path()
+        self._adopted = False
         before_ns = time.monotonic_ns()
         try:
             fd = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -75,6 +77,7 @@ class SerialPort(DescriptorPort):
             raise Unopened("the descriptor is not a serial port")
         self._fd = fd
         self._begin_counting()
+        self._adopted = True
         return Opened(precision(os.ttyname(fd)))
 
     def _path(self) -> str:
@@ -124,6 +127,10 @@ class SerialPort(DescriptorPort):
         def count(now_ns: int) -> None:
             self._count(store, now_ns)
 
+        if self._counters is not None:
+            told = store.kernel_counts([*self._counters.values()], adopted=self._adopted)
+            self._counters = dict(zip(COUNTED, told, strict=True))
+            self._counted_ns = store.last_ns if self._adopted else self._counted_ns
         byte_ns = self._endpoint.byte_ns
         listen_to_stream(self._fd, store, stop, byte_ns=byte_ns, ended="the port disconnected (unplugged?)", tick=count)
 
@@ -143,6 +150,7 @@ class SerialPort(DescriptorPort):
         risen = {name: n - before[name] for name, n in self._counters.items() if n > before[name]}
         if risen:
             store.event("overrun", from_ns=since_ns, **risen)
+            store.told_counts([*self._counters.values()])
 
 
 def set_raw(fd: int, speed: int, parity: str, stop_bits: int) -> int:

@@ -14,7 +14,7 @@ import contextlib
 import io
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -129,6 +129,22 @@ class Store:
         self._batch.append(pack_event(t_ns, self.count, event, **about))
         self.flush()
         self._tell(t_ns, event, about)
+
+    def kernel_counts(self, now: Sequence[int], *, adopted: bool) -> Sequence[int]:
+        """Return the kernel's counts of a port as they were told last.
+
+        `now`: as they are. `adopted`: a reader that died had the port before, and what was lost since it told them is still
+        to be told.
+        """
+        before = self.hand.counts if adopted and self.hand is not None else ()
+        told = before if len(before) == len(now) else now
+        self.told_counts(told)
+        return told
+
+    def told_counts(self, counts: Sequence[int]) -> None:
+        """Keep the kernel's counts for the next reader: they have been told."""
+        if self.hand is not None:
+            self.hand.counts = counts
 
     def lose(self, count: int, from_ns: int, to_ns: int, reason: str) -> None:
         """Note that so much was read and is not stored."""

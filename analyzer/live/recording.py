@@ -40,6 +40,7 @@ from analyzer.records import CanFrame, Chunk, Comment, Event
 from analyzer.sinks.object_table import Table
 from analyzer.sinks.recording_log import RecordingLog
 from analyzer.sources.times import iso
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.values import counted
 
 #: A part is rotated in the midst of a frame when there was no better place for this long.
@@ -582,7 +583,7 @@ def _belongs(record: Record, bus: Bus | None) -> bool:
     if record.kind == RecordKind.CAN:
         return bus is not None and bus.kind == "can" and len(record.data) >= CAN_HEAD.size
     if record.kind == RecordKind.EVENT:
-        with contextlib.suppress(msgspec.MsgspecError, UnicodeDecodeError):
+        with contextlib.suppress(*UNDECODABLE):
             return bool(record.event)
         return False
     return True

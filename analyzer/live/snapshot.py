@@ -148,5 +148,5 @@ def encode(snapshot: Snapshot) -> bytes:
 
 
 def decode(line: bytes) -> Snapshot:
-    """Return the snapshot of a line. Raises msgspec.MsgspecError for a line that is none."""
+    """Return the snapshot of a line. Raises one of UNDECODABLE for a line that is none."""
     return _decoder.decode(line)

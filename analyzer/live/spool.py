@@ -23,7 +23,7 @@ Events of a port, with what they hold:
 
     open      notes [text], precision text      the port was taken up; notes: what cannot be guaranteed
     note      text                              something that became known later; with `kept`, from_ns, gap_ns: another
-                                                reader has taken over from one that died, and nothing is missing
+                                                reader has taken over from one that died; the kernel buffered
     speed     speed, byte_ns, text              the line runs at another speed from here on (a tap follows its program)
     lost      reason                            the port is gone
     back      gap_ns, from_ns, reason, notes    reconnected; traffic in between is missing
@@ -114,7 +114,7 @@ class Record(NamedTuple):
 
     @property
     def event(self) -> dict[str, Any]:
-        """The object of an EVENT. Raises MsgspecError where it is none."""
+        """The object of an EVENT. Raises one of UNDECODABLE where it is none."""
         return msgspec.json.decode(self.data, type=dict[str, Any])
 
     @property

@@ -18,8 +18,9 @@ from analyzer.errors import UsageError
 from analyzer.findings import RULES
 from analyzer.report.kept import number_of, properties_of
 from analyzer.report.traffic import LATEST_NS
-from analyzer.sources.mcap_scan import DAMAGED, LogMessage
+from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Source, describe
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.values import identifier, near, quote
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def series(
                     if not wanted(_names(topic, record, values)):
                         continue
                     passed = record.sequence
-            except DAMAGED as error:
+            except UNDECODABLE as error:
                 source.problem(f"a message of {topic.label}: {describe(error)}")
                 continue
             if values.get("_checksum_ok") is False:

@@ -21,9 +21,10 @@ from analyzer.errors import UsageError
 from analyzer.layout import STATE_UNITS
 from analyzer.records import Severity
 from analyzer.report.kept import Breaches, Bus, Drive, Example, Marks, Talk, Told, Track, number_of, own_fields, properties_of
-from analyzer.sources.mcap_scan import DAMAGED, LogMessage, fields_of
+from analyzer.sources.mcap_scan import LogMessage, fields_of
 from analyzer.sources.source import Source, describe
 from analyzer.sources.times import SECOND
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.values import fields_text, identifier
 
 if TYPE_CHECKING:
@@ -157,14 +158,14 @@ class _Parser(Generic[T]):
             rows: list[T] = self._many(b"[" + b",".join(topic.data) + b"]")
             if len(rows) == len(topic.data):
                 return rows
-        except DAMAGED:
+        except UNDECODABLE:
             pass
         return [self._alone(topic, each) for each in topic.data]
 
     def _alone(self, topic: _Topic, data: bytes) -> T:
         try:
             return self._one(data)
-        except DAMAGED as error:
+        except UNDECODABLE as error:
             self._problem(f"a message of {topic.name}: {describe(error)}")
             return self._empty()
 

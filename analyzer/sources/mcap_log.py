@@ -28,6 +28,7 @@ from analyzer.sources.coverage import GAP_LIMIT, Coverage, Raw, Waiting
 from analyzer.sources.mcap_scan import LogMessage, Messages
 from analyzer.sources.recording_parts import clock_of
 from analyzer.sources.source import COMMENT_LIMIT, Record, Source, clean_port, describe
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.values import counted
 
 _PROFILE = "servotap"
@@ -38,8 +39,6 @@ _NO_BUS = "/"
 #: Data bytes of the longest CAN frame.
 CAN_BYTES = 64
 _ROLES = {role.value: role for role in Role}
-#: What a damaged message raises.
-_DAMAGE = (msgspec.MsgspecError, ValueError, RecursionError)
 
 
 class _Logged(msgspec.Struct, gc=False):
@@ -173,7 +172,7 @@ class _Log:
                 yield from self._event(record)
                 return
             logged = self._decode(record.data)
-        except _DAMAGE as error:
+        except UNDECODABLE as error:
             source.problem(f"a message of {lane.topic}: {describe(error)}")
             return
         yield from self._given(lane, record.log_ns, logged)
@@ -182,7 +181,7 @@ class _Log:
         """Yield what a message gives, once its JSON has been read."""
         try:
             taken = self._traffic(lane, log_ns - logged.backward_ns, logged)
-        except _DAMAGE as error:
+        except UNDECODABLE as error:
             self._source.problem(f"a message of {lane.topic}: {describe(error)}")
             return
         if self._waiting is not None:
@@ -208,7 +207,7 @@ class _Log:
 
         try:
             read = Read(messages, bus_of, self._decode)
-        except _DAMAGE:
+        except UNDECODABLE:
             # One by one it is known which is damaged.
             for number in range(len(messages.starts)):
                 yield from self._message(messages.single(number))

@@ -17,6 +17,7 @@ import msgspec
 from fastcrc import crc32
 
 from analyzer.sources import budget
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.values import counted
 
 if TYPE_CHECKING:
@@ -38,9 +39,6 @@ _COMPRESSIONS = ("", "zstd", "lz4")
 _LONGEST_NAME = 16
 _STEP = 1 << 20
 
-#: What reading the JSON of a message raises where it is damaged: no JSON, no UTF-8, too deep.
-DAMAGED = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
-
 T = TypeVar("T")
 
 
@@ -58,7 +56,7 @@ def fields_of(data: bytes) -> dict[str, Any]:
     """Return the fields of a message, or what a schema says, from its JSON; nothing of one that is damaged."""
     try:
         return msgspec.json.decode(data, type=dict[str, Any])
-    except DAMAGED:
+    except UNDECODABLE:
         return {}
 
 

@@ -25,6 +25,7 @@ from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.reader_can_socket import MULTICAST_PORT, Dissect, dissect_multicast, open_multicast, with_room
 from analyzer.records import CanFrame
+from analyzer.system.decoding import UNDECODABLE
 from conformance.bus.can_port import CanPort
 
 #: Frames that are read at one go, before the time is looked at.
@@ -94,7 +95,7 @@ class Frames:
                 continue
             try:
                 can_id, flags, payload = dissect(data)
-            except (ValueError, msgspec.MsgspecError) as error:
+            except UNDECODABLE as error:
                 self._port._not_read(str(error))
                 continue
             if takes(can_id, flags, len(payload)):

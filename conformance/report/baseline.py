@@ -15,6 +15,7 @@ import msgspec
 
 from analyzer.cli.output import write_whole
 from analyzer.errors import UnreadableError
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.system.whole_file import read_whole
 from conformance.claim import Outcome
 from conformance.suite.record import RunRecord, VerdictRecord
@@ -61,7 +62,7 @@ def load(path: Path) -> list[Deviation]:
     """Return the deviations of a file. Raises UnreadableError that says what was expected."""
     try:
         return msgspec.json.decode(read_whole(path), type=list[Deviation])
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except UNDECODABLE as error:
         raise UnreadableError(f"{path}: expected a list of deviations as --write-baseline writes it, got: {error}") from None
 
 

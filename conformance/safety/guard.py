@@ -36,6 +36,7 @@ from analyzer.errors import ServotapError
 from analyzer.live import endpoint as endpoints
 from analyzer.records import CanFrame
 from analyzer.system import own_process
+from analyzer.system.decoding import UNDECODABLE
 from conformance.bus.lasting import LastingLine
 from conformance.bus.line import LineLost
 from conformance.claim import NotStopped, RigFault
@@ -275,7 +276,7 @@ def _reader(stream: IO[bytes], into: queue.Queue[say.Request | None]) -> None:
     try:
         while True:
             into.put(decode(say.take(stream)))
-    except (EOFError, OSError, msgspec.MsgspecError):
+    except (EOFError, OSError, *UNDECODABLE):
         into.put(None)
 
 

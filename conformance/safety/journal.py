@@ -19,6 +19,7 @@ import msgspec
 from analyzer.catalogue import Command, all_fields
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.sinks.mcap_index import write_whole
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.system.whole_file import read_whole
 from analyzer.values import value_text
 from conformance.claim import RigFault
@@ -112,7 +113,7 @@ def read(path: Path) -> list[Entry]:
             continue
         try:
             entries.append(msgspec.json.decode(line, type=Entry))
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        except UNDECODABLE as error:
             if number == len(lines) and _is_torn(line):
                 break
             raise UnreadableError(f"{path}: line {number}: expected a line of a journal, got: {error}") from None

@@ -16,6 +16,7 @@ import msgspec
 from analyzer.catalogue import Command, Dialect, Risk, Verb, all_fields
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.layout import Field
+from analyzer.system.decoding import UNDECODABLE
 from analyzer.system.whole_file import read_whole
 from analyzer.values import near, parse_value, quote, refusal
 from conformance.talk.probe import Probe
@@ -27,7 +28,7 @@ def load(path: Path) -> dict[str, dict[str, str]]:
     """Return the values of a file by drive (empty name: all drives), as texts. Raises UnreadableError."""
     try:
         whole = msgspec.json.decode(read_whole(path), type=dict[str, Any])
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except UNDECODABLE as error:
         raise UnreadableError(f"{path}: expected a JSON object of settings, got: {error}") from None
     found: dict[str, dict[str, str]] = {}
     for name, value in whole.items():

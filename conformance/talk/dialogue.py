@@ -33,8 +33,8 @@ _WHOLE_PAUSE_NS = 2 * MS
 _LONGEST_FRAME = 64
 #: So long after a deadline, this process stood still: a machine that is free wakes it within that.
 _STOOD_STILL_NS = 5 * MS
-#: Pieces that are read at the most behind a deadline: others may send without end.
-_MOST_WAITING = 256
+#: Pieces that are read at the most behind a deadline, and bytes: others may send without end. A tty holds no more.
+_MOST_WAITING, _MOST_WAITING_BYTES = 256, 1 << 16
 #: Requests whose replies are still known for theirs.
 _OPEN_REQUESTS = 256
 #: Spans of the bus that were sent here: what is decoded late may lie in an earlier one.
@@ -224,9 +224,12 @@ class Dialogue:
 
         A busy machine can let this process stand still until after a deadline, and what came meanwhile came in time.
         """
+        waited = 0
         for _ in range(_MOST_WAITING):
-            if self.receive(self.gate.now_ns()) is None:
+            got = self.receive(self.gate.now_ns())
+            if got is None or waited > _MOST_WAITING_BYTES:
                 return
+            waited += len(got.data)
 
     def receive(self, until_ns: int) -> Chunk | CanFrame | None:
         """Take what comes next into the exchange; None after a pause, or when the time is over. Raises LineLost."""

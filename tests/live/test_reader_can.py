@@ -28,6 +28,7 @@ from analyzer.live.reader import make_port
 from analyzer.live.reader_can_library import CanLibraryPort
 from analyzer.live.reader_can_slcan import SlcanPort, dissect_line
 from analyzer.live.reader_can_socket import CanSocketPort, dissect_kernel, dissect_multicast, trouble
+from analyzer.live.reader_hand import Hand
 from analyzer.live.reader_port import Lost, Stop, Unopened
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import CanFlag, RecordKind, SpoolReader, SpoolWriter
@@ -36,6 +37,8 @@ from tests.live.readers import ReaderProcess, fill
 from tests.live.recorded import pty_pair
 
 GROUP = "239.74.163.81"
+#: A datagram of maps in maps: deeper than a decoder goes.
+NESTED = b"\x81\xa1a" * 1300
 
 
 def stored(folder):
@@ -242,11 +245,11 @@ def test_other_groups_of_the_same_port_are_not_heard(tmp_path):
 def test_datagrams_that_are_no_frames_are_counted_and_passed_over(tmp_path):
     with multicast(43203) as bus, ReaderProcess(tmp_path, f"can:udp_multicast:{GROUP},port=43203") as reader:
         raw = bus._multicast
-        for junk in (b"", b"x", b"\x81\xa1a\x01", b"\xff" * 2000):
+        for junk in (b"", b"x", b"\x81\xa1a\x01", b"\xff" * 2000, NESTED):
             raw.send(junk)
         bus.send(message(7))
         error = reader.wait_event("bus_error")
-        assert error["count"] == 4
+        assert error["count"] == 5
         assert len(reader.frames()) == 1
         assert reader.end() == 0
 
@@ -290,6 +293,34 @@ def test_a_killed_reader_has_handed_its_socket_over(tmp_path):
             assert [data for _, _, data in reader.frames()] == [n.to_bytes(4, "big") for n in range(500)]
             assert [r.before for r in reader.records() if r.kind == RecordKind.CAN] == list(range(500))
         socket.socket(fileno=kept).close()
+
+
+def test_what_the_kernel_had_no_room_for_while_there_was_no_reader_is_told_by_the_next(tmp_path, stop):
+    hand, stores = Hand.make(), []
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        stores.append(Store(SpoolWriter(tmp_path / name, "1-a"), lambda *_: None, unit="frames", hand=Hand(hand)))
+    first, second = (CanSocketPort(parse(f"can:udp_multicast:{GROUP},port=43206")) for _ in stores)
+    first.open(stop)
+    stop.ask("it dies")
+    first.listen(stores[0], stop)
+    sent = 60_000
+    with multicast(43206) as bus:
+        packed = can.interfaces.udp_multicast.utils.pack_message(message(1))
+        for _ in range(sent):
+            bus._multicast._socket.sendto(packed, (GROUP, 43206))
+    second.adopt(os.dup(first.descriptor()))
+    first.close()
+    count = None
+    while count != stores[1].count:
+        count = stores[1].count
+        second.listen(stores[1], stop)
+    second.close()
+    os.close(hand)
+    told = [r.event["frames"] for r in stored(tmp_path / "second") if r.kind == RecordKind.EVENT]
+    assert len(told) == 1
+    assert 0 < count < sent
+    assert count + told[0] == sent
 
 
 # --- python-can -----------------------------------------------------------------------------------------------------------

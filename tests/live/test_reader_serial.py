@@ -16,6 +16,7 @@ import pytest
 
 from analyzer.live import reader_serial
 from analyzer.live.endpoint import parse
+from analyzer.live.reader_hand import Hand
 from analyzer.live.reader_port import Lost, Stop, Unopened, find_adapter
 from analyzer.live.reader_serial import TCGETS2, TERMIOS2, SerialPort, holders, set_raw
 from analyzer.live.reader_store import Store
@@ -205,6 +206,34 @@ def test_the_kernels_counters_are_told_as_they_rise(tmp_path, stop, monkeypatch)
         {"event": "overrun", "brk": 1, "buf_overrun": 9},
     ]
     assert events[1]["from_ns"] == 2 * 10**9
+
+
+def test_what_the_kernel_lost_while_there_was_no_reader_is_told_by_the_next(tmp_path, stop, monkeypatch):
+    names, kernel = reader_serial.COUNTED, [7, 1, 0, 0, 3]
+    monkeypatch.setattr(reader_serial, "counters", lambda fd: dict(zip(names, kernel, strict=True)))
+    stop.ask("it is to look once")
+    memory = Hand.make()
+    store = Store(SpoolWriter(tmp_path, "1-a"), lambda *_: None, hand=Hand(memory), last_ns=5)
+    with pty_pair() as (_, path):
+        first, second = SerialPort(parse(f"serial:{path},baud=9600")), SerialPort(parse(f"serial:{path},baud=9600"))
+        first.open(stop)
+        first.listen(store, stop)
+        kernel[1] += 4
+        first._count(store, 6)
+        # Here the first one dies.
+        kernel[4] += 2
+        second.adopt(os.dup(first.descriptor()))
+        first.close()
+        second.listen(store, stop)
+        second._count(store, 7)
+        second.close()
+    os.close(memory)
+    store.flush()
+    told = [r.event for r in SpoolReader(tmp_path, "1-a").read() if r.kind == RecordKind.EVENT]
+    assert [{k: v for k, v in e.items() if k != "from_ns"} for e in told] == [
+        {"event": "overrun", "overrun": 4},
+        {"event": "overrun", "buf_overrun": 2},
+    ]
 
 
 def test_where_the_driver_counts_nothing_it_is_said_once(stop):

@@ -220,6 +220,19 @@ def test_all_frames_are_read_unless_it_is_said_which():
     assert acceptance.passed == 8 * (68 + 100 + 68)
 
 
+@pytest.mark.parametrize("datagram", [b"", b"\xc1", b"\x91" * 1300, b"\x81\xa1a" * 1300])
+def test_a_datagram_that_is_no_frame_ends_nothing(
+    pair: tuple[MulticastPort, MulticastPort], capsys: pytest.CaptureFixture[str], datagram: bytes
+):
+    one, other = pair
+    one._sender.send(datagram)
+    one.put(frame(1, b"\1"))
+    heard = other.receive(2 * SECOND_NS)
+    assert heard is not None
+    assert heard.data == b"\1"
+    assert "said what cannot be read" in capsys.readouterr().err
+
+
 def test_what_others_send_is_counted_where_it_is_not_read(pair: tuple[MulticastPort, MulticastPort], group: int):
     drive, _ = pair
     line = open_line(parse(f"can:udp_multicast:{GROUP},port={group}"))

@@ -9,6 +9,7 @@ import threading
 import time
 import uuid
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -343,6 +344,20 @@ def test_a_server_that_resets_a_connection_is_tried_again(monkeypatch):
         open_line(parse("tcp:127.0.0.1:5"))
     assert len(tried) < 100
     assert now[0] < 10
+
+
+def test_a_piece_of_a_tcp_line_is_short_however_much_waits():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        line = open_line(parse(f"tcp:127.0.0.1:{server.getsockname()[1]}"))
+        other, _ = server.accept()
+        with other, closing(line):
+            other.sendall(b"\x55" * 60_000)
+            left = 60_000
+            while left:
+                piece = line.receive(SECOND_NS)
+                assert isinstance(piece, Chunk)
+                assert 0 < len(piece.data) <= 4096
+                left -= len(piece.data)
 
 
 def test_a_tcp_line_that_is_closed_by_the_other_end():

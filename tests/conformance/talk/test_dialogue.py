@@ -92,6 +92,15 @@ def test_what_came_while_this_process_stood_still_came_in_time():
     assert took_ms(flooded.ask(READ, 500 * MS)) < 2500
 
 
+@pytest.mark.parametrize("size", [1, 4096, 1 << 16])
+def test_what_is_read_behind_a_deadline_has_a_bound_whatever_the_size_of_its_pieces(size):
+    line = StoodStill(*[OTHER_REPLY[:size].ljust(size, b"\x55")] * 2000)
+    Dialogue(Gate(line, Allowance(frozenset(Risk))), [MKS]).ask(READ, 500 * MS)
+    pieces = 2000 - len(line.pieces)
+    # On top: the piece that passes the bound, and what comes, one a millisecond, while a frame that has begun may be ended.
+    assert pieces <= min(256, (1 << 16) // size + 2) + 60
+
+
 def test_listening_ends_with_the_reply_or_with_the_time():
     assert took_ms(dialogue().ask(READ, 500 * MS)) < 50
     silent = dialogue(drive="mks-rs485@7").ask(READ, 500 * MS)
