@@ -183,6 +183,7 @@ def _unless_damaged(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
         rig.recordings.clear()
         with rig.trying_again(attempt):
             verdict = _once(claim, rig)
+        verdict = replace(verdict, measured={**verdict.measured, "attempts": attempt + 1})
         if verdict.outcome is Outcome.REFUTED and verdict.key != first.key:
             text = f"the line damages replies, and each time something else is refuted: {first.reason}; {verdict.reason}"
             return _not_refuted(verdict, Outcome.INCONCLUSIVE, text)

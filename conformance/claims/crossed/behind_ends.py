@@ -21,6 +21,7 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.model import covering
 from conformance.motion import arriving, motion, ramp
+from conformance.motion.attempts import undamaged
 from conformance.motion.motion import CALM, MOVES, MS, QUICK, SUBDIVISION, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -84,7 +85,7 @@ def moved_on(probe: Probe) -> tuple[Tried, ...]:
     rest = motion.stand_still(probe)
     found = []
     for row in table(probe.dialect):
-        found.append(_try(probe, row, rest))
+        found.append(undamaged(probe, _try, row, rest=rest))
         rest = found[-1].end
     return tuple(found)
 

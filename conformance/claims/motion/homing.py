@@ -10,7 +10,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Trait, Verb
@@ -20,6 +20,7 @@ from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.model import covering
 from conformance.motion import arriving, motion
+from conformance.motion.attempts import undamaged
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange
@@ -432,30 +433,39 @@ def _ends_by_disabling(probe: Probe, command: Command) -> None:
 def _replies(probe: Probe, command: Command) -> None:
     """Homing is answered by 1 when it begins and by 2 when home is found: both ways, by an open or closed switch or a wall."""
     for row in covering.rows({"direction": (_CW, _CCW), "found": _founds(probe.dialect), "home_speed": (60, 300)}):
-        shown = _mounted(probe, **row)
-        since = len(probe.traffic)
-        exchange = find_home(probe)
-        probe.wait(2 * SECOND_NS)
+        shown, exchange, told = undamaged(probe, _homed, command, row)
         text = "homing is not answered by 1 and then 2"
-        told = _statuses(probe, since, command)
         probe.expect(told, equal=[1, 2], expected=f"1, 2: {shown}", refutes=text, exchange=exchange)
+
+
+def _homed(probe: Probe, command: Command, row: Mapping[str, Any]) -> tuple[str, Exchange, list[int]]:
+    """Find home as a row says; return the row for people, the exchange, and all that homing was answered."""
+    shown, since = _mounted(probe, **row), len(probe.traffic)
+    exchange = find_home(probe)
+    probe.wait(2 * SECOND_NS)
+    return shown, exchange, _statuses(probe, since, command)
 
 
 @_of_homing("others", each=that_tell_their_end(_homings), at_best=Certainty.LIKELY)
 def _told_though(probe: Probe, command: Command) -> None:
     """Homing goes on, and its end is told, though 92, a read or a setting comes on the way."""
     for verb in (Verb.SET_ZERO, Verb.READ_STATUS, Verb.SET_CURRENT):
-        _prepared(probe)
-        bench.left_switch(probe, -2 * probe.dialect.counts_per_turn)
-        since = len(probe.traffic)
-        probe.do(command)
-        probe.wait(500 * MS)
         between = probe.command(verb)
-        exchange = probe.ask(between, samples.sample(probe.dialect, between), quiet_ns=0)
-        probe.wait(4 * SECOND_NS)
-        told = _statuses(probe, since, command)
+        exchange, told = undamaged(probe, _homed_though, command, between)
         text = f"the end of homing is not told when {between.name} comes on the way"
         probe.expect(told, equal=[1, 2], refutes=text, exchange=exchange)
+
+
+def _homed_though(probe: Probe, command: Command, between: Command) -> tuple[Exchange, list[int]]:
+    """Find home and ask for something on the way; return what came of that, and all that homing was answered."""
+    _prepared(probe)
+    bench.left_switch(probe, -2 * probe.dialect.counts_per_turn)
+    since = len(probe.traffic)
+    probe.do(command)
+    probe.wait(500 * MS)
+    exchange = probe.ask(between, samples.sample(probe.dialect, between), quiet_ns=0)
+    probe.wait(4 * SECOND_NS)
+    return exchange, _statuses(probe, since, command)
 
 
 # --- held at the end stop ---------------------------------------------------------------------------------------------

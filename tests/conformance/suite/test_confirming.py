@@ -54,7 +54,9 @@ def tried(drive, *, key="", of_line=False):
             raise Refuted("a reply", key=key or f"time {len(times)}")
 
     claim = dataclasses.replace(only(check), of_line=of_line)
-    return engine.run_claim(claim, EmulatedRig(make.parse(drive), seed=DAMAGES_FIRST)).outcome, len(times)
+    verdict = engine.run_claim(claim, EmulatedRig(make.parse(drive), seed=DAMAGES_FIRST))
+    assert verdict.measured.get("attempts", 1) == len(times)
+    return verdict.outcome, len(times)
 
 
 #: With this seed a line that damages a reply of three damages the first one and not that of the next drive.
