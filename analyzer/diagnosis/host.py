@@ -49,6 +49,33 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
         f"Read until {wanted} bytes are there or a timeout has passed, not what has come by the time of one read",
         tuple(Shown(t.offset, shown(d)) for t, d, _ in cut),
     )  # fmt: skip
+    yield from _with_more(scene, [t for t, _, _ in cut], heads)
+
+
+def _with_more(scene: Scene, cut: list[Trouble], heads: Counter[bytes]) -> Iterator[Suspicion]:
+    """Suspect, as the second, that the rest of each cut reply comes in the read behind it."""
+    found = [(t, t.stretch, rest) for t in cut if t.stretch is not None and (rest := _behind(scene, t.stretch, heads))]
+    if len(found) < max(len(cut), 2):
+        return
+    trouble, stretch, rest = found[0]
+    yield Suspicion(
+        "split_frame", Confidence.POSSIBLE, cut,
+        "Behind each cut reply another read comes that begins no frame: it may be the rest, with bytes lost between.",
+        f"{shown(stretch.data)} at byte {trouble.offset}, then {shown(rest)}; {counted(len(found), 'time')}",
+        "Join what is read until as many bytes are there as the reply promises, and look for what empties the buffer between",
+        tuple(Shown(t.offset, shown(s.data)) for t, s, _ in found),
+    )  # fmt: skip
+
+
+def _behind(scene: Scene, stretch: Stretch, heads: Counter[bytes]) -> bytes | None:
+    """Return the read behind a stretch, where it is no request and begins no frame."""
+    at = bisect_right(scene.bursts, stretch.offset, key=lambda b: b.offset)
+    burst = scene.bursts[at] if at < len(scene.bursts) else None
+    if burst is None or burst.direction is Role.REQUEST or heads[burst.data[:_HEAD]] > 1:
+        return None
+    if len(burst.data) < _SHORTEST - 1 or burst.data[1] & 0x7F in FUNCTIONS:
+        return None
+    return None if any(p.offset == burst.offset for p in scene.pieces if p.sound) else burst.data
 
 
 def _goes_on(scene: Scene, stretch: Stretch, wanted: int) -> bool:

@@ -99,6 +99,7 @@ REPORTS = (
     ),
     Report(
         r"\bask for id=\d+ but got id=\d+"
+        r"|\brequest for slave \d+ ignored \(not 0\)"
         r"|\bresponse address \d+ is different from request address \d+|\bE[14] - (?:invalid server|server id mismatch)",
         "wrong_address", "the reply comes from another address than the one that was asked",
         "Ask at the address from which the reply comes; 0 is for all units, and none should answer from it; then look for "

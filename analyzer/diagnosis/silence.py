@@ -40,7 +40,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             answering.setdefault(piece.message.address, piece.message.frame.dialect.name)
     for asked in _unanswered(scene):
         yield from _unanswered_by_all(scene, asked, answering)
-    for part in (_reported, _to_all, _to_none, _from_new, _respond, _switched_off, _refused):
+    for part in (_reported, _from_new, _to_all, _to_none, _respond, _switched_off, _refused):
         yield from part(scene)
 
 
@@ -349,7 +349,11 @@ def _from_new(scene: Scene) -> Iterator[Suspicion]:
         unknown = message.command in message.frame.dialect.fallbacks.values()
         if not unknown or data[1] != _WRITES or int.from_bytes(data[4:6], "big") != data[0] or data[0] == 1:
             continue
-        asked = written is not None and written.data[1:6] == data[1:6] and written.data[0] != data[0]
+        asked = written is not None and written.data[0] != data[0] and (
+            written.data[1:6] == data[1:6]
+            # The reply to a write to all may name another register.
+            or (not written.data[0] and (written.data[1], written.data[4:6]) == (data[1], data[4:6]))
+        )  # fmt: skip
         if not asked and len(scene.pieces) > 1:
             continue
         pair = (piece, written) if asked else (piece,)

@@ -62,8 +62,9 @@ _SAID: tuple[tuple[re.Pattern[str], int, str], ...] = tuple(
 )
 #: The counters of errors, as programs print them; the other may stand in the next line.
 _COUNTERS = re.compile(
-    r"\b(?:(?:tx|transmit)[\s_-]?err(?:or)?s?(?:[\s_-]?(?:counter|count|cnt))?|TEC)\W{1,3}(?P<sent>\d{1,3})\b"
-    r"(?:\W{1,4}(?:(?:rx|receive)\w*(?:[\s_-]?err(?:or)?s?)?(?:[\s_-]?(?:counter|count|cnt))?|REC)\W{1,3}(?P<received>\d{1,3})\b)?",
+    r"\b(?:(?:t[xd]|transmit)[\s_-]?err(?:or)?s?(?:[\s_-]?(?:counter|count|cnt))?|TEC)\W{1,3}(?P<sent>\d{1,3})\b"
+    r"(?:\W{1,4}(?:(?:rx|receive)\w*(?:[\s_-]?err(?:or)?s?)?(?:[\s_-]?(?:counter|count|cnt))?|REC)\W{1,3}(?P<received>\d{1,3})\b)?"
+    r"|\brd[\s_-]?err(?:or)?\W{1,3}(?P<alone>\d{1,3})\b",
     re.IGNORECASE,
 )
 _WARNING, _PASSIVE = 96, 128
@@ -144,7 +145,8 @@ def _state(found: re.Match[str]) -> CanFrame | None:
 def _counted(text: str) -> CanFrame | None:
     """Return the error frame of counters that a program prints, where one of them is high."""
     found = _COUNTERS.search(text)
-    sent, received = (min(int(found[name] or 0), _LARGEST_BYTE) for name in ("sent", "received")) if found else (0, 0)
+    sent = min(int(found["sent"] or 0), _LARGEST_BYTE) if found else 0
+    received = min(int(found["received"] or found["alone"] or 0), _LARGEST_BYTE) if found else 0
     if max(sent, received) < _WARNING:
         return None
     kind = (0x20 if sent >= _PASSIVE else 0x08) if sent >= received else (0x10 if received >= _PASSIVE else 0x04)

@@ -228,7 +228,8 @@ def _joined(lines: Iterable[str], program: Program | None = None) -> Iterator[st
 _MENTION = re.compile(
     r"(?:(?<!\w)[A-Za-z]{1,8}can\w?\d{1,2}\s+|(?<!\w)can\w?\d{0,2}\s+)?(?<![\w#/.-])"
     r"(?:(?:0x)?(?:[0-9A-F]{3}|[0-9A-F]{8})\s+\[(?P<count>[0-8])\]"
-    r"|(?:can[ _-]?)?\bid\s*[:=]?\s*0x[0-9A-F]{1,8}[\s,;]+(?:dlc|dl|len|length)\s*[:=]?\s*(?P<dlc>[0-8])[\s,;]+data\s*[:=]"
+    r"|(?:can[ _-]?)?\bid\s*[:=]?\s*0x[0-9A-F]{1,8}[\s,;]+(?:dlc|dl|len|length)\s*[:=]?\s*(?P<dlc>[0-8])"
+    r"[\s,;]+(?:data\s*[:=]|\[)"
     r"|[0-9A-F]{3,8}h\s+(?P<length>[0-8])(?=\s+[0-9A-F]{2}\b))"
     r"\s*(?P<bytes>(?:(?:0x)?[0-9A-F]{2}\b[\s,]*){0,8})",
     re.IGNORECASE,

@@ -18,8 +18,13 @@ LAYERS = "".join(
     f"`[10:00:06][V][modbus:058]: Modbus received Byte  {byte} (0X{byte:x})`\n"
     for byte in bytes.fromhex(checked("11 84 02"))
 )
+
 IDF = "E (7221) TWAI1 Master: TWAI Error Detected (0x10):\nE (7221) TWAI1 Master:  - ACK Error\n"
 ASKED_TWICE = "10:00:18.940 Serial Send: {}\n10:00:{} Serial Send: {}\n10:00:19.{} Serial Received: {}\n"
+
+
+def bracketed(text):
+    return "".join(f"[{byte}]" for byte in text.split())
 
 
 @pytest.fixture
@@ -97,6 +102,18 @@ def causes_of(tmp_path):
         ),
         # One line of candump among many words.
         ("What is wrong?\n" * 30 + "```\ncan0  001   [4]  F6 01 40 02\n```\n", "missing_checksum"),
+        # A write to all gives an address, and the unit answers from it.
+        (
+            f"{bracketed(checked('00 06 00 20 00 07'))}\nWaiting for a confirmation...\n"
+            f"{bracketed(checked('07 06 00 00 00 07')).replace('[', '<').replace(']', '>')}\n",
+            "address_changed",
+        ),
+        # Counters of errors as mbed prints them, beside frames of others.
+        (
+            "# of rd error : 0\nMessage received: id 0x17C, dlc 1 [01, ]\n# of rd error : 255\n"
+            "Message received: id 0x17C, dlc 1 [02, ]\n# of tderr : 136\n# of rd error : 255\n",
+            "can_bit_errors",
+        ),
         # A master of CANopen that has more nodes than the one it asks.
         (
             "can2  3B3   [8]  **D9 D6 00 00** 00 00 00 00\ncan2  1B4   [3]  60 92 00\ncan2  1B5   [3]  60 92 00\n"
@@ -131,3 +148,14 @@ def test_the_head_of_bacnet_has_a_check(causes_of):
     """The standard's own example: a token from 5 to 10h has the check 8C."""
     heard = "TX: 55 03 3F FF 00 01\nRX: 55 FF 00 10 05 00 00 {}"
     assert [causes_of(heard.format(check))[0] for check in ("8C", "8D")] == ["unsupported_dialect", "missing_checksum"]
+
+
+def test_the_rest_of_a_reply_may_come_in_the_read_behind(causes_of):
+    """Bytes are lost between the two reads, so that no CRC tells; a log of one read alone shows no second."""
+    log = "".join(
+        f"[{n}261] Size: [7], Content: [01 03 3E 00 7{n} 02 7B ]\n[{n}291] Size: [4], Content: [{rest} 0D A8 ]\n"
+        for n, rest in ((1, "71 D0"), (2, "F9 53"), (3, "C2 60"))
+    )
+    alone = "".join(line for line in log.splitlines(keepends=True) if "Size: [7]" in line)
+    assert causes_of(log)[:2] == ["reply_cut", "split_frame"]
+    assert "split_frame" not in causes_of(alone)
