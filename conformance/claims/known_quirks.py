@@ -1,7 +1,7 @@
 """Which quirks a claim may meet: those that drives of its dialect were seen to have.
 
-    quirks=known(dialect, "settling")      ("settling",) on CAN, () elsewhere
-    @claim(..., quirks=may_meet("settling"))    the same for a claim that is declared for all dialects
+    quirks=known(dialect, SETTLING)           ("settling",) on CAN, () elsewhere
+    @claim(..., quirks=may_meet(SETTLING))    the same for a claim that is declared for all dialects
 
 The quirks, with where each was seen, are declared with the emulated drives (`servotap emulate --list-quirks`).
 """
@@ -14,6 +14,9 @@ from functools import cache
 from analyzer.catalogue import Dialect
 from conformance.claims.declare import Case
 from conformance.drives.make import every_quirk
+
+#: Quirks that claims of several modules may meet.
+LATE, HASTY, NO_CHECKSUM, SETTLING = "slow-replies-in-motion", "hasty-writes-dropped", "no-checksum", "settling"
 
 
 @cache

@@ -19,7 +19,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, R
 from analyzer.link import ModbusLink
 from conformance.claim import Aspect, Inconclusive, Observed, Theme
 from conformance.claims.declare import Case, Cases, claim, commands, once
-from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_quirks import HASTY, LATE, may_meet
 from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.claims.settings import setting_effects
 from conformance.motion import motion
@@ -41,7 +41,7 @@ _GAP_NS = 30 * MS
 _LK_DELAY_NS, _LK_SLACK_NS = 250_000, 20_000
 #: What a host's clock and adapter leave uncertain on a real line.
 _HOST_NS = 2 * MS
-_LATE, _HASTY, _SLOW_START = "slow-replies-in-motion", "hasty-writes-dropped", "slow-restart"
+_SLOW_START = "slow-restart"
 
 
 def _of_reads(
@@ -250,7 +250,7 @@ def _with_ramps(each: Cases) -> Cases:
     refuted_by="a reply that comes later",
     theme=Theme.TIMING,
     at_best=Certainty.OPEN,
-    quirks=may_meet(_LATE),
+    quirks=may_meet(LATE),
     risks=risks_by(Verb.RUN_SPEED),
 )
 def _while_moving(probe: Probe, command: Command) -> None:
@@ -262,8 +262,8 @@ def _while_moving(probe: Probe, command: Command) -> None:
     motion.stand_still(probe)
     latencies = [answer.latency_ns for _, answer in timed]
     _summary(probe, "reply", latencies)
-    if _BUSY_NS < max(latencies) <= _SEEN_NS and _LATE in probe.claim.quirks:
-        probe.meets(_LATE)
+    if _BUSY_NS < max(latencies) <= _SEEN_NS and LATE in probe.claim.quirks:
+        probe.meets(LATE)
     else:
         text = f"{command.name} is answered late while the motor turns"
         at_most = _BUSY_NS / 1e6
@@ -359,7 +359,7 @@ def _restarts_soon(probe: Probe) -> None:
     refuted_by="no reply to the second one, or one that is not stored",
     risks=lambda case: risks_by(Verb.SET_SUBDIVISION, Verb.MOVE_RELATIVE_PULSES)(case) | motion.risks(case.dialect),
     settings=lambda case: motion.settings(case.dialect),
-    quirks=may_meet(_HASTY),
+    quirks=may_meet(HASTY),
 )
 def _in_a_row(probe: Probe, command: Command) -> None:
     """A setting that follows another at once is done as well."""
@@ -376,10 +376,10 @@ def _in_a_row(probe: Probe, command: Command) -> None:
         exchanges.append(probe.send(built.item(), until=Until.REPLY, timeout_ns=late_ns, quiet_ns=0, at_once=True))
     if exchanges[0].silent:
         raise Inconclusive("a setting is not answered")
-    if any(e.silent for e in exchanges) and _HASTY in probe.claim.quirks:
+    if any(e.silent for e in exchanges) and HASTY in probe.claim.quirks:
         probe.wait(probe.rig.write_gap_ns + 100 * MS)
         probe.do(command, {"subdivision": 16})
-        probe.meets(_HASTY)
+        probe.meets(HASTY)
     else:
         # One may be answered once more.
         probe.wait(_AGAIN_NS)

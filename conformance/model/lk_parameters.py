@@ -13,6 +13,7 @@ from analyzer.catalogue import Command, Dialect, Form, Verb
 from conformance.claim import Inconclusive, Observed
 
 if TYPE_CHECKING:
+    from conformance.talk.exchange import Exchange
     from conformance.talk.probe import Probe
 
 OTHER_FIRMWARE = "lk-firmware-235"
@@ -68,6 +69,27 @@ def read_parameter(probe: Probe, number: int) -> dict[str, int]:
     if values.get("parameter") != number:
         raise Inconclusive(f"a read of parameter {number} is answered for {values.get('parameter')}")
     return values
+
+
+def parameter(probe: Probe, name: str) -> int | None:
+    """Return a parameter by its field, None where the drive has none and the claim knows of such firmware."""
+    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": _number(probe, name)})
+    if exchange.silent and OTHER_FIRMWARE in probe.claim.quirks:
+        probe.meets(OTHER_FIRMWARE)
+        return None
+    values = probe.reply(exchange).values
+    if name not in values:
+        raise Inconclusive(f"the drive does not answer with its {name}")
+    return int(values[name])
+
+
+def set_parameter(probe: Probe, name: str, value: int) -> Exchange:
+    """Write a parameter of one field. Raises Inconclusive where the drive refuses."""
+    return probe.do(Verb.WRITE_PARAMETER, {"parameter": _number(probe, name), name: value})
+
+
+def _number(probe: Probe, name: str) -> int:
+    return next(number_of(form) for form in listed_in(probe.dialect) if name in form.layout.named)
 
 
 def need_room(probe: Probe) -> None:

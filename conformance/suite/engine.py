@@ -28,6 +28,7 @@ from pathlib import Path
 from analyzer.catalogue import Certainty, Risk
 from conformance import claims as registry
 from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, Observed, Outcome, Refuted, RigFault, Theme, Verdict
+from conformance.claims.known_quirks import LATE
 from conformance.drives import make
 from conformance.drives.drive import Quirk
 from conformance.gate.gate import Refused
@@ -41,7 +42,7 @@ _SEARCH_SECONDS = 30.0
 #: Claims that judge the bytes of replies alone, not the shaft.
 _OF_BYTES = (Theme.SHAPE, Theme.FRAMING, Theme.TRAFFIC)
 #: A quirk that spoils claims which do not name it, the claim that shows it, and the least delay that it causes.
-_LATE, _SHOWS_LATE, _LATE_NS = "slow-replies-in-motion", "timing/read_speed/while-moving", 100_000_000
+_SHOWS_LATE, _LATE_NS = "timing/read_speed/while-moving", 100_000_000
 #: How many emulated drives with a quirk are tried: what a quirk does may depend on chance.
 _SEEDS = 6
 #: How often a refutation has to come alike where the line damaged something each time.
@@ -316,8 +317,8 @@ def _explained(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
 def _look_whether_late(claim: Claim, rig: ClaimRig) -> None:
     """Run the claim that shows whether replies are late while the motor turns, once in a run."""
     shows = next((c for c in registry.every(rig.dialect) if c.id.endswith(_SHOWS_LATE)), None)
-    if shows is not None and shows is not claim and _LATE not in rig.looked_for:
-        rig.looked_for.add(_LATE)
+    if shows is not None and shows is not claim and LATE not in rig.looked_for:
+        rig.looked_for.add(LATE)
         run_claim(shows, rig)
 
 

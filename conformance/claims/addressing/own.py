@@ -22,12 +22,12 @@ from conformance.claims.control_reads import ask_first, expect_silence, judge_ne
 from conformance.claims.declare import Case, claim, commands, described_in, needing
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import by_bus, expect_not_turned, expect_stays, of_motion, risks_by
+from conformance.claims.settings.link_changes import NEW_ADDRESS_ANSWERS
 from conformance.motion import arriving, effects, motion
 from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
 
-NEW_ADDRESS_ANSWERS = "new-address-answers"
 _BYTE = 0xFF
 #: Changes that are sent to other addresses: each takes the time of a move.
 _FEW, _MANY = 5, 14

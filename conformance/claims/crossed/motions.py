@@ -16,9 +16,9 @@ from functools import partial
 from analyzer.catalogue import Certainty, Command, MotionKind
 from conformance.claims.crossed.course import Tried, cases, crossed, first_of, moved, sense, sound
 from conformance.claims.crossed.looks import place
-from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_quirks import LATE, may_meet
 from conformance.claims.motion.motion_claim import expect_between, of_motion, of_rows, that_tell_their_end
-from conformance.claims.motion.ramps import LATE, TOO_LATE_NS
+from conformance.claims.motion.ramps import TOO_LATE_NS
 from conformance.motion import arriving, motion
 from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange

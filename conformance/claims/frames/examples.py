@@ -26,15 +26,15 @@ from conformance.claim import Aspect, Inconclusive, Theme
 from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, claim
 from conformance.claims.frames.examples_many import is_to_many
-from conformance.claims.known_quirks import known
+from conformance.claims.known_quirks import LATE, NO_CHECKSUM, known
 from conformance.claims.requests import demands, needs_motion, put_to_rest, values_for
+from conformance.model.lk_parameters import OTHER_FIRMWARE
 from conformance.motion import motion, ramp
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
 from conformance.talk.reply_match import MatchedReply, replies
 
-OTHER_FIRMWARE, NO_CHECKSUM, SLOW_REPLIES = "lk-firmware-235", "no-checksum", "slow-replies-in-motion"
 #: How late a reply of a drive with slow replies can be.
 _SLOWEST_NS = 1_000_000_000
 #: A move that takes longer is not waited for.
@@ -130,7 +130,7 @@ def _quirks(dialect: Dialect, example: Example) -> tuple[str, ...]:
     concerned = {
         OTHER_FIRMWARE: command.verb in (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER),
         NO_CHECKSUM: bool(example.replies),
-        SLOW_REPLIES: len(example.replies) > 1 and _run_of(dialect, command) is not None,
+        LATE: len(example.replies) > 1 and _run_of(dialect, command) is not None,
     }
     return known(dialect, *(name for name, is_so in concerned.items() if is_so))
 
@@ -222,7 +222,7 @@ def _judge(probe: Probe, example: Example, exchange: Exchange) -> None:
             probe.meets(NO_CHECKSUM)
             continue
         if expected != got[number].data and _overtaken(probe, example, got):
-            probe.meets(SLOW_REPLIES)
+            probe.meets(LATE)
             return
         came_now = got[number].data
         _expect(probe, exchange, expected == came_now, f"{what} is another", hex_of(expected), hex_of(came_now))
@@ -235,7 +235,7 @@ def _expect(probe: Probe, exchange: Exchange, holds: bool, refutes: str, expecte
 
 def _overtaken(probe: Probe, example: Example, got: Sequence[MatchedReply]) -> bool:
     """Say whether a slow first reply was overtaken by the last one, and comes after it."""
-    if SLOW_REPLIES not in probe.claim.quirks:
+    if LATE not in probe.claim.quirks:
         return False
     first, last = (_expected(probe, example, got[0], printed) for printed in (example.replies[0], example.replies[-1]))
     later = [reading.data for reading in got[1:]] + [a.data for a in probe.listen(_SLOWEST_NS).answers]

@@ -26,6 +26,7 @@ from conformance.claim import NotRun, Theme
 from conformance.claims.control_reads import PAUSE_NS, ask_first, expect_silence, garblers, judge_next, plain_read
 from conformance.claims.declare import Case, claim, described_in
 from conformance.claims.known_quirks import known
+from conformance.model.lk_parameters import OTHER_FIRMWARE
 from conformance.talk import garbling
 from conformance.talk.garbling import Garbler, Variant
 from conformance.talk.probe import Probe
@@ -36,7 +37,7 @@ Makes = Callable[[Probe], Iterable[Variant]]
 _MOST = 24
 #: How long is listened to one of several whole frames; what is later comes behind the next one.
 _WHOLE_NS = 30_000_000
-OTHER_FIRMWARE, FRAGMENTS = "lk-firmware-235", "other-dialect-fragments"
+FRAGMENTS = "other-dialect-fragments"
 #: First bytes that begin no request, by link.
 _OTHER_HEADS: Mapping[type[Link], tuple[int, ...]] = {
     HeadLink: (0xFB, 0xF9, 0x3E, 0xFD, 0xFE, 0x7A, 0x00, 0xFF),

@@ -23,14 +23,15 @@ from analyzer.layout import Field, FieldKind
 from conformance.claim import Aspect, Inconclusive, Theme
 from conformance.claims.control_reads import PAUSES_NS, around_silence, plain_read
 from conformance.claims.declare import Case, Cases, claim, described_in
-from conformance.claims.known_quirks import known
+from conformance.claims.known_quirks import NO_CHECKSUM, known
 from conformance.claims.known_reads import plain_reads
 from conformance.claims.requests import demands, plain_exchange
+from conformance.model.lk_parameters import OTHER_FIRMWARE
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 from conformance.talk.reply_match import COUNTS, MatchedReply, Replies, replies, templates
 
-SECOND_REPLY, NO_CHECKSUM, OTHER_FIRMWARE = "second-reply", "no-checksum", "lk-firmware-235"
+SECOND_REPLY = "second-reply"
 #: Settings as the drives know them: what a second reply was seen after.
 _SETTING = ("set_", "write_user_id")
 #: Two replies of the quirk "second-reply" are so far apart at least; a doubled reply follows at once.

@@ -16,11 +16,10 @@ from analyzer.codec import codec
 from conformance.claim import Aspect, Inconclusive, Theme
 from conformance.claims.declare import Case, Cases, claim, commands
 from conformance.claims.known_quirks import may_meet
+from conformance.model.lk_parameters import OTHER_FIRMWARE
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 from conformance.talk.reply_match import MatchedReply, replies
-
-OTHER_FIRMWARE = "lk-firmware-235"
 
 
 def _of_parameters(refuted_by: str, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -22,7 +22,7 @@ from conformance.claim import Claim, Inconclusive, NotRun, Outcome, Refuted, The
 from conformance.claims.control_reads import section
 from conformance.claims.declare import declare
 from conformance.claims.frames.traffic_rules import ROWS, Count, Judge, Party, Row, Seen
-from conformance.claims.known_quirks import known
+from conformance.claims.known_quirks import NO_CHECKSUM, known
 from conformance.claims.known_reads import plain_reads
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ _IN_SESSION = frozenset({Seen.FRAMES, Seen.REQUESTS, Seen.REPLIES})
 #: Rows that no drive can break in a session of reads.
 _NOT_IN_SESSION = frozenset({"silent", "done"})
 #: A drive with this quirk has no replies that the analyzer could read.
-NO_CHECKSUM = "no-checksum"
 
 
 def claims(dialect: Dialect) -> Iterator[Claim]:

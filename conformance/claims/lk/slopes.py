@@ -22,8 +22,9 @@ from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Ve
 from conformance.claim import Inconclusive, Observed, Theme
 from conformance.claims.declare import Case, motions
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.lk.control_parameters import FIRMWARE, SHORTER, parameter, set_parameter
+from conformance.claims.lk.speed_ramp import SHORTER
 from conformance.claims.motion.motion_claim import command_of, of_motion
+from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
 from conformance.motion import motion
 from conformance.motion.motion import MOVES, MS, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
@@ -178,13 +179,13 @@ def _motions(dialect: Dialect) -> Iterator[Case]:
     at_best=Certainty.LIKELY,
     settings=("speed_ramp", "speed_limit"),
     own=lambda case: {Risk.SETTING},
-    quirks=may_meet(FIRMWARE),
+    quirks=may_meet(OTHER_FIRMWARE),
 )
 def _one_slope(probe: Probe, run: Command) -> None:
     """{run} changes its speed by one ramp all the way: from rest, to a faster and a slower one, round, and to its end."""
     seen = probe.recorded(changes, run)
     if not seen:
-        probe.meets(FIRMWARE)
+        probe.meets(OTHER_FIRMWARE)
         return
     slopes = [slope for change in seen for slope in _slopes(change)]
     begins = slopes[0]
@@ -251,13 +252,13 @@ def rising(probe: Probe, command: Command) -> tuple[_Rising, ...]:
     at_best=Certainty.LIKELY,
     settings=("speed_ramp", "speed_limit"),
     own=lambda case: {Risk.SETTING},
-    quirks=may_meet(FIRMWARE),
+    quirks=may_meet(OTHER_FIRMWARE),
 )
 def _ramp_under_way(probe: Probe, run: Command) -> None:
     """A steep speed ramp that holds for {run} from its begin holds as soon as it is written while the speed still rises."""
     seen = probe.recorded(rising, run)
     if not seen:
-        probe.meets(FIRMWARE)
+        probe.meets(OTHER_FIRMWARE)
         return
     steep, late = seen
     if abs(steep.speed.value) < _RISEN * _RISING_RPM:

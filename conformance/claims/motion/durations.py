@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.declare import Case
-from conformance.claims.known_quirks import known
+from conformance.claims.known_quirks import LATE, known
 from conformance.claims.motion.motion_claim import expect_speed, of_motion, that_tell_their_end
-from conformance.claims.motion.ramps import LATE, time_of, too_late
+from conformance.claims.motion.ramps import time_of, too_late
 from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import MS, QUICK, SECOND_NS
 from conformance.talk.noise import TOLD_LATE_NS

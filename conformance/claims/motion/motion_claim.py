@@ -16,6 +16,7 @@ from typing import Any
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Aspect, Inconclusive, Refuted, Theme
 from conformance.claims.declare import Case, Cases, claim, motions
+from conformance.claims.known_quirks import SETTLING
 from conformance.model.lk_parameters import need_room
 from conformance.motion import arriving, motion
 from conformance.motion.motion import SAME, Sample
@@ -196,11 +197,11 @@ def expect_rested(
     if told not in ((2,), (3,)):
         raise Inconclusive(f"{command.name} did not say that it was complete")
     off = abs(rests.value - at_once.value)
-    known = "settling" in probe.claim.quirks
+    known = SETTLING in probe.claim.quirks
     # Where a quiet shaft arrives by more than that, what the run measured of it is the quirk itself.
     swing = min(probe.noise.swing, _SWINGS) if known and not probe.noise.live else probe.noise.swing
     most = SAME + swing
     if known and most < off <= _SETTLING + probe.noise.place:
-        probe.meets("settling")
+        probe.meets(SETTLING)
     else:
         probe.expect(off, at_most=most, unit="degrees from where it comes to rest", refutes=refutes, exchange=exchange)

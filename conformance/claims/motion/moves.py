@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk
 from conformance.claims.declare import Case, motions, with_values
-from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_quirks import SETTLING, may_meet
 from conformance.claims.motion.motion_claim import (
     command_of,
     expect_at_rest,
@@ -476,7 +476,7 @@ def _replies(probe: Probe, command: Command) -> None:
 
 
 @of_motion(
-    each=that_tell_their_end(_counted), refuted_by="a shaft that is elsewhere when status 2 comes", quirks=may_meet("settling")
+    each=that_tell_their_end(_counted), refuted_by="a shaft that is elsewhere when status 2 comes", quirks=may_meet(SETTLING)
 )
 def _told_when_there(probe: Probe, command: Command) -> None:
     """When {command} says that it is complete, the shaft is at its target."""

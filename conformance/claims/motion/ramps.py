@@ -20,7 +20,7 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Curve, Inconclusive, Theme
 from conformance.claims.declare import Case, Cases, commands
-from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_quirks import LATE, may_meet
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import MS, QUICK, SECOND_NS, Sample
@@ -28,7 +28,7 @@ from conformance.motion.ramp import Fit, Judgement
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
-_SLOW_RAMP, LATE = "ramp-4-percent-slow", "slow-replies-in-motion"
+_SLOW_RAMP = "ramp-4-percent-slow"
 #: A reply that leaves a time uncertain by more than this is late.
 TOO_LATE_NS = 40 * MS
 #: Accelerations as sent, and the speed to which each is tried.

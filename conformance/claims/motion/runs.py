@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Trait, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, commands, motions
-from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_quirks import LATE, may_meet
 from conformance.claims.motion.motion_claim import expect_speed, has_direction, has_sign, of_motion, risks_by, risks_of
 from conformance.motion import arriving, motion
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, SUBDIVISION
@@ -42,7 +42,7 @@ def _at_speeds(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, case.command, given, {"name": f"run_speed/speed-{speed}"})
 
 
-@of_motion(each=_at_speeds, refuted_by="positions that change by another speed", quirks=may_meet("slow-replies-in-motion"))
+@of_motion(each=_at_speeds, refuted_by="positions that change by another speed", quirks=may_meet(LATE))
 def _turns_at(probe: Probe, rpm: float) -> None:
     """Asked for {asked}, the shaft turns at {asked}."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
@@ -54,9 +54,9 @@ def _turns_at(probe: Probe, rpm: float) -> None:
     wanted, text = motion.rpm_as_asked(exchange), "the shaft does not turn at the speed that was asked for"
     probe.expect(abs(speed), near=wanted, within=wanted * CLOCK_SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
     if spread > wanted / 10:
-        if "slow-replies-in-motion" not in probe.claim.quirks:
+        if LATE not in probe.claim.quirks:
             raise Inconclusive(f"the replies came too late to measure a speed ({spread:.1f} rpm uncertain)")
-        probe.meets("slow-replies-in-motion")
+        probe.meets(LATE)
     else:
         probe.measured["rpm"] = abs(speed)
 

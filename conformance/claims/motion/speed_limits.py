@@ -14,7 +14,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind
 from analyzer.layout import Field
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case
-from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_quirks import LATE, may_meet
 from conformance.claims.motion.motion_claim import command_of, expect_speed, expect_stays, expect_taken, of_motion
 from conformance.claims.motion.moves import keeps_position, with_max_speed
 from conformance.claims.ranges import edges
@@ -31,7 +31,6 @@ _SLOW = 5
 _LEFT = 60
 
 
-_LATE = "slow-replies-in-motion"
 #: How long a move keeps its speed at least.
 _KEEPS_NS = 350 * MS
 #: How far a move goes. At exactly 20 turns back one of its frames ends in a sound native frame to all drives.
@@ -89,9 +88,9 @@ def _expect_spun(probe: Probe, command: Command, speed: int, mode: str, rpm: int
     expect_taken(probe, seen.exchange, f"{command.name} at speed {speed} is refused in mode {mode}")
     if seen.rpm.t_ns > seen.exchange.sent_ns + _KEEPS_NS:
         # The move may be at its end by then.
-        if _LATE not in probe.claim.quirks:
+        if LATE not in probe.claim.quirks:
             raise Inconclusive("the reply to the read of the speed came too late")
-        probe.meets(_LATE)
+        probe.meets(LATE)
         return
     text = f"{command.name} at speed {speed} in mode {mode} turns at another speed"
     expect_speed(seen.rpm, rpm, seen.exchange, text)
@@ -105,7 +104,7 @@ def _expect_highest(probe: Probe, command: Command, speed: int) -> None:
     each=_limited_runs,
     refuted_by="a refusal, or another speed",
     at_best=Certainty.LIKELY,
-    quirks=may_meet(_LATE),
+    quirks=may_meet(LATE),
     parameters=lambda case: {"speeds": case["beyond"]},
 )
 def _beyond_highest(probe: Probe, command: Command, beyond: tuple[int, ...]) -> None:
@@ -121,7 +120,7 @@ def _modes(dialect: Dialect) -> Iterator[Case]:
 
 
 @of_motion(
-    each=_modes, name="{command}/highest-{mode}", refuted_by="another speed", at_best=Certainty.LIKELY, quirks=may_meet(_LATE)
+    each=_modes, name="{command}/highest-{mode}", refuted_by="another speed", at_best=Certainty.LIKELY, quirks=may_meet(LATE)
 )
 def _highest_of_mode(probe: Probe, command: Command, mode: str, rpm: int) -> None:
     """In mode {mode} the shaft turns at up to {rpm} rpm, and at {rpm} rpm when more is asked for."""
@@ -138,7 +137,7 @@ def _moves_by_mode(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, command, {"limits": lower})
 
 
-@of_motion(each=_moves_by_mode, refuted_by="another speed", at_best=Certainty.LIKELY, parameters={}, quirks=may_meet(_LATE))
+@of_motion(each=_moves_by_mode, refuted_by="another speed", at_best=Certainty.LIKELY, parameters={}, quirks=may_meet(LATE))
 def _mode_limit(probe: Probe, command: Command, limits: dict[str, int]) -> None:
     """{command} at a greater speed than that of the work mode turns the shaft at the mode's."""
     for mode, rpm in limits.items():

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, commands
-from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_quirks import SETTLING, may_meet
 from conformance.claims.motion.motion_claim import (
     expect_rested,
     expect_stays,
@@ -230,7 +230,7 @@ def _told(probe: Probe, command: Command, run: Command) -> None:
     each=that_tell_their_end(_of_motions),
     refuted_by="a shaft that still turns when status 2 comes",
     risks=risks_of("run"),
-    quirks=may_meet("settling"),
+    quirks=may_meet(SETTLING),
 )
 def _told_when_standing(probe: Probe, command: Command, run: Command) -> None:
     """When {command} says that it is complete, the shaft stands."""

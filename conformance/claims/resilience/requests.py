@@ -33,7 +33,7 @@ from conformance.claims.control_reads import (
     received_text,
 )
 from conformance.claims.declare import Case, claim, commands, described_in
-from conformance.claims.known_quirks import may_meet
+from conformance.claims.known_quirks import HASTY, may_meet
 from conformance.claims.known_reads import plain_reads
 from conformance.claims.settings.known_settings import Setting, every_setting, needs
 from conformance.model.lk_parameters import OTHER_FIRMWARE
@@ -55,7 +55,6 @@ _LONG_PAUSES_NS = (31 * _SECOND_NS, 61 * _SECOND_NS)
 _LONG_IDLE_NS = 24 * 3600 * _SECOND_NS
 #: How long a drive may take from power-on until it answers; real ones take two seconds.
 _POWER_NS = 4 * _SECOND_NS
-_HASTY = "hasty-writes-dropped"
 
 
 def _resilience(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -302,7 +301,7 @@ def _harmless_settings(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, setting.command, {"setting": setting}, facts)
 
 
-@_resilience("silence", each=_harmless_settings, at_best=Certainty.LIKELY, quirks=may_meet(_HASTY, OTHER_FIRMWARE), hasty=True)
+@_resilience("silence", each=_harmless_settings, at_best=Certainty.LIKELY, quirks=may_meet(HASTY, OTHER_FIRMWARE), hasty=True)
 def _in_haste(probe: Probe, command: Command, setting: Setting) -> None:
     """Settings at once behind one another are each answered."""
     one, other = setting.values
@@ -321,8 +320,8 @@ def _in_haste(probe: Probe, command: Command, setting: Setting) -> None:
         later = probe.send(item, timeout_ns=LISTEN_NS)
         if later.silent:
             raise Inconclusive(f"{command.name} is not always answered, in haste or not")
-    if _HASTY in probe.claim.quirks:
-        probe.meets(_HASTY)
+    if HASTY in probe.claim.quirks:
+        probe.meets(HASTY)
         return
     got = "silence, and a reply when it was sent again behind a pause"
     text = "a setting at once behind another one is not answered"
