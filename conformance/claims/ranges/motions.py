@@ -26,6 +26,7 @@ from conformance.model import limits
 from conformance.motion import motion
 from conformance.motion.motion import MS
 from conformance.talk.acceptance import Acceptance, acceptance, can_refuse, expect_accepted, expect_refused
+from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe, Until
 
 #: How slow a move is whose distance does not matter, and how steep the ramp of one that is to reach a high speed. (Not 250:
@@ -133,7 +134,7 @@ def _refused(probe: Probe, command: Command, field: Field, values: tuple[int, ..
         gone = motion.position(probe).value - start.value
         probe.expect(
             f"{gone:+.1f} deg",
-            holds=abs(gone) <= 1,
+            holds=abs(gone) <= 1 + probe.noise.place,
             expected="a shaft that stays",
             refutes=f"{command.name}: {edges.text(field, value)} is refused and moves the shaft",
             exchange=exchange,
@@ -162,7 +163,7 @@ def _reserved(probe: Probe, command: Command, masks: tuple[int, ...]) -> None:
         got = "a refusal" if refused else f"{rpm:.0f} rpm"
         probe.expect(
             got,
-            holds=not refused and abs(rpm - SLOW) <= 2,
+            holds=not refused and abs(rpm - SLOW) <= 1 + probe.within("rpm", SLOW) + SLOW * CLOCK_SHARE,
             expected=f"{SLOW} rpm",
             refutes=f"{command.name} with the reserved bit {mask:#x}: {got}",
             exchange=exchange,

@@ -180,7 +180,7 @@ def _home_speed(probe: Probe, command: Command) -> None:
         seen, exchange = _homing_with(probe, home_speed=rpm)
         probe.expect(
             str(seen),
-            holds=abs(seen.rpm - rpm) <= max(2.0, rpm * _SPEED_SHARE),
+            holds=abs(seen.rpm - rpm) <= max(2.0, rpm * _SPEED_SHARE) + probe.noise.speed(rpm),
             expected=f"homing at {rpm} rpm",
             refutes=f"{command.name} {rpm} rpm: {seen}",
             exchange=exchange,

@@ -292,6 +292,8 @@ ONCE_ACCUSED = [
         70700003,
         "move_absolute_pulses/takes-over",
     ),
+    # So did the speed of a shaft that stood.
+    ("mks-modbus@1,work_mode=sr_vfoc,tremble=2", 0, "save_speed/broadcast"),
 ]
 
 
@@ -303,6 +305,17 @@ def test_an_honest_drive_that_was_accused_once_is_not_accused(drive, seed, claim
     assert found
     # Nor is it where the line damaged something, and the claim would be begun anew.
     assert [v.reason for v in found if v.outcome is Outcome.REFUTED or "attempts" in v.measured] == []
+
+
+@pytest.mark.parametrize(
+    "drive",
+    ["mks-modbus@1,line-errors=1%", "lk-rs485@1,model=MF,line-errors=1%", "lk-rs485@1,model=MG,real=poor,line-errors=1%"],
+)
+def test_a_walk_goes_on_where_the_line_damages_replies(drive):
+    target = parse(drive)
+    rig = open_rig(Plan((target,)), target)
+    found = {engine.run_claim(c, rig).outcome for c in every_claim(target) if c.id.endswith("state/walk/1")}
+    assert found == {Outcome.CONFIRMED}
 
 
 #: Drives of which the user told all settings, and what accused them.
