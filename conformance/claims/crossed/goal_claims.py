@@ -139,10 +139,9 @@ def _expect_between(
     slack = probe.within("deg/s", top) + probe.noise.of("deg/s", top)
     text = f"{what} another speed than 9C tells"
     probe.expect(told["speed"], at_least=low - slack, at_most=high + slack, unit="deg/s", refutes=text, **shown)
-    turned = (
-        max(abs(values["speed"]) for values in (first, told, last)) * (edge.states[1].span[1] - edge.states[0].span[0]) / 1e9
-    )
-    if turned > _TOLD_APART:
+    before, behind = edge.states
+    elapsed = (behind.span[1] - before.span[0]) / 1e9
+    if max(abs(values["speed"]) for values in (first, told, last)) * elapsed > _TOLD_APART:
         return
     gone, way = (((values["encoder"] - first["encoder"] + _TURN // 2) % _TURN) - _TURN // 2 for values in (told, last))
     slack = _FINEST * probe.within("counts")
