@@ -43,12 +43,14 @@ from conformance.claims.crossed.looks import Look
 from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import of_motion, of_rows, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import FORCE, MS
+from conformance.motion.motion import FORCE, MS, Sample
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
 
 #: The least ramp that the suite asks of a drive (deg/s2), and by how much a speed may be off beside its share, in rpm.
 _LEAST_RAMP, _RPM = 1800, 1.0
+#: So many degrees before its end a move that a stop ended is not over: one that slows down already ends where it would have.
+_WELL_BEFORE = 20
 #: A speed that replies leave more uncertain than this share is not judged.
 _BLIND = 0.1
 #: How long a speed must last to be seen.
@@ -69,6 +71,8 @@ _WITHIN_TURN: Mapping[Verb, tuple[str, tuple[int, ...]]] = {
 }
 #: A turn of the encoder that has the fewest bits, and the counts of the finest one in one of its counts.
 _TURN, _FINEST = 1 << 14, 4
+#: How far a shaft may turn between two looks at that (degrees): farther on the finest encoder tells no way.
+_TOLD_APART = 40
 #: Fields of a state that tremble.
 _TREMBLES = {"temperature", "voltage", "current"}
 _all_motions = risks_by(Verb.RUN_SPEED, Verb.MOTOR_OFF, Verb.MOTOR_ON, Verb.STOP)
@@ -135,6 +139,10 @@ def _expect_between(
     slack = probe.within("deg/s", top) + probe.noise.of("deg/s", top)
     text = f"{what} another speed than 9C tells"
     probe.expect(told["speed"], at_least=low - slack, at_most=high + slack, unit="deg/s", refutes=text, **shown)
+    before, behind = edge.states
+    elapsed = (behind.span[1] - before.span[0]) / 1e9
+    if max(abs(values["speed"]) for values in (first, told, last)) * elapsed > _TOLD_APART:
+        return
     gone, way = (((values["encoder"] - first["encoder"] + _TURN // 2) % _TURN) - _TURN // 2 for values in (told, last))
     slack = _FINEST * probe.within("counts")
     probe.expect(
@@ -220,7 +228,8 @@ def _stopped(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
         probe.expect("a shaft that turns", holds=tried.stood, expected=f"standing: {tried.row}", refutes=text, **shown)
         if tried.row.meets is not ON and moves(command) and not tried.row.start:
             at, went = samples(probe, edge.places), tried.went(probe)
-            if at and abs(at[-1].value - samples(probe, tried.before)[-1].value) < abs(tried.target) - 60:
+            left = abs(tried.target) - abs(at[-1].value - samples(probe, tried.before)[-1].value) if len(at) > 1 else 0.0
+            if left > 0 and left > _slows_down(at[0], at[-1]) + _WELL_BEFORE:
                 short = abs(went - tried.target) > motion.miss(probe)
                 probe.expect(f"{went:.1f} degrees", holds=short, expected=f"less: {tried.row}", refutes=text, **shown)
         states = {"off": tried.off, "on": (*tried.after, *(tried.ending if tried.row.meets is ON else ()))}
@@ -236,6 +245,12 @@ def _stopped(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
             text = f"switching the motor on takes {command.name} up again"
             most = motion.same(probe)
             probe.expect(abs(moved), at_most=most, unit="degrees", expected=str(tried.row), refutes=text)
+
+
+def _slows_down(first: Sample, last: Sample) -> float:
+    """Return how far a shaft may still go that slows down from the speed between two places, in degrees."""
+    rpm, uncertain = motion.speed_between(first, last)
+    return (6 * (abs(rpm) + uncertain)) ** 2 / 2 / _LEAST_RAMP
 
 
 @_of_goals(name="{command}/crossed-speed", refuted_by="another speed, or another way")

@@ -314,6 +314,21 @@ ONCE_ACCUSED = [
         74156100015,
         "home/told-though",
     ),
+    # A move that slows down already ends where it would have, although it is stopped: a fast one long before its end.
+    (
+        "lk-rs485@28,model=MF,encoder-noise=2,speed-lag=5ms,creep=4,stall=50ms,first-late=300ms,clock=+0.5%,settle=100ms,"
+        "overshoot=10,latency-timer=16ms,turnaround-noise=00,voltage-noise=0.4,warm,speed_kp=37,speed_limit=144000",
+        91400007,
+        "move_single_turn/crossed-stopped",
+    ),
+    # Between two looks the shaft turned farther than the finest encoder tells one way from the other.
+    (
+        "lk-rs485@30,model=MG,encoder-noise=1,loop-error=4,speed-lag=20ms,creep=4,stall=50ms,first-late=300ms,dip=2,clock=-0.3%,"
+        "settle=100ms,latency=0.3..12ms,latency-timer=16ms,turnaround-noise=00,byte-gap=1.4,voltage-noise=0.4,warm,"
+        "current_ramp=50000,speed_kd=16383",
+        91400005,
+        "run_speed/crossed-tells",
+    ),
 ]
 
 
