@@ -497,6 +497,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3.2.14/group",
         "What is sent to a group ID turns the drives of that group, and no others.",
         "addressing/group/executed",
+        "addressing/group/while-turning",
         "addressing/group/other",
         "addressing/group/settings",
         "read-back/settings/restart-group",

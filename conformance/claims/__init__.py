@@ -34,6 +34,7 @@ MODULES = (
     # addressing
     "addressing.own",
     "addressing.many",
+    "addressing.under_way",
     "addressing.package",
     "addressing.guarded",
     # traffic

@@ -63,7 +63,7 @@ def _addressed(probe: Probe, command: Command, values: Mapping[str, int], to: in
 
 
 @dataclass(frozen=True)
-class _Many:
+class Many:
     """A way to several drives. `join`: makes the drive hear it and returns its address; `frame`: a command that goes so.
 
     The rest is what a claim declares.
@@ -83,7 +83,7 @@ class _Many:
 
 
 def _all_drives(probe: Probe) -> int:
-    assert probe.dialect.broadcast is not None  # asked by `_addresses`
+    assert probe.dialect.broadcast is not None  # asked by `addresses`
     return probe.dialect.broadcast
 
 
@@ -116,8 +116,8 @@ def _address_section(case: Case) -> str:
     return described_in(Subject.ADDRESSING)(case) if command is None else command.section
 
 
-_BROADCAST = _Many("broadcast", "a broadcast", _all_drives, _address_section)
-_GROUPS = _Many(
+_BROADCAST = Many("broadcast", "a broadcast", _all_drives, _address_section)
+_GROUPS = Many(
     "group",
     "a group address",
     join,
@@ -128,7 +128,7 @@ _GROUPS = _Many(
 )
 
 
-_PACKAGES = _Many(
+_PACKAGES = Many(
     "package",
     "a slot of a package",
     lambda probe: probe.address,
@@ -140,29 +140,30 @@ _PACKAGES = _Many(
 _HIGH_GROUPS = replace(_GROUPS, name="group/high", what="a high group address", join=_join_high)
 
 
-def _addresses(dialect: Dialect) -> Iterator[_Many]:
+def addresses(dialect: Dialect) -> Iterator[Many]:
+    """Yield the addresses of several drives that a dialect has."""
     if dialect.broadcast is not None:
         yield _BROADCAST
     if Verb.SET_GROUP_ADDRESS in dialect.by_verb:
         yield _GROUPS
 
 
-def _ways(dialect: Dialect) -> Iterator[_Many]:
-    yield from _addresses(dialect)
+def _ways(dialect: Dialect) -> Iterator[Many]:
+    yield from addresses(dialect)
     if package.of(dialect):
         yield _PACKAGES
 
 
-def _of(many: _Many) -> Cases:
+def _of(many: Many) -> Cases:
     """Return one case of an address of several drives, where a dialect has it."""
-    return lambda dialect: [Case(dialect, given={"many": many, "what": many.what})] if many in _addresses(dialect) else []
+    return lambda dialect: [Case(dialect, given={"many": many, "what": many.what})] if many in addresses(dialect) else []
 
 
-def _addressing(refuted_by: str, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def addressing(refuted_by: str, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Declare a check that sends to several drives; what that needs is named for it."""
 
     def risks(case: Case) -> frozenset[Risk]:
-        many: _Many = case["many"]
+        many: Many = case["many"]
         return many.risks(case.dialect) | (case["shown"].risks if "shown" in case.given else frozenset())
 
     def settings(case: Case) -> tuple[str, ...]:
@@ -193,8 +194,8 @@ def _samples(dialect: Dialect) -> list[Command]:
     return [c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.fields][:4]
 
 
-@_addressing("any answer", _of(_BROADCAST), name="{many}/read")
-def _broadcast_read(probe: Probe, many: _Many) -> None:
+@addressing("any answer", _of(_BROADCAST), name="{many}/read")
+def _broadcast_read(probe: Probe, many: Many) -> None:
     """A read by broadcast is not answered."""
     ask_first(probe)
     for command in _samples(probe.dialect):
@@ -202,22 +203,22 @@ def _broadcast_read(probe: Probe, many: _Many) -> None:
         _expect_silence(probe, sent, many.what)
 
 
-@_addressing("silence, or another answer", _of(_BROADCAST), name="{many}/next")
-def _behind_broadcast(probe: Probe, many: _Many) -> None:
+@addressing("silence, or another answer", _of(_BROADCAST), name="{many}/next")
+def _behind_broadcast(probe: Probe, many: Many) -> None:
     """The next request to the drive behind a broadcast is answered."""
     ask_first(probe)
     judge_next(probe, many.what, lambda: read_of(probe, many.join(probe)))
 
 
-@_addressing("any answer", _of(_GROUPS), name="{many}/read")
-def _group_read(probe: Probe, many: _Many) -> None:
+@addressing("any answer", _of(_GROUPS), name="{many}/read")
+def _group_read(probe: Probe, many: Many) -> None:
     """A read to the group address is not answered."""
     ask_first(probe)
     _expect_silence(probe, read_of(probe, many.join(probe)), many.what)
 
 
-@_addressing("silence, or another answer", _of(_GROUPS), name="{many}/own")
-def _own_address(probe: Probe, many: _Many) -> None:
+@addressing("silence, or another answer", _of(_GROUPS), name="{many}/own")
+def _own_address(probe: Probe, many: Many) -> None:
     """A drive in a group still answers its own address."""
     ask_first(probe)
     many.join(probe)
@@ -237,7 +238,7 @@ def _own_address(probe: Probe, many: _Many) -> None:
 def _changes(dialect: Dialect) -> Iterator[Case]:
     """Yield each address of several drives with a command whose effect can be seen."""
     shown = effects.observable(dialect)
-    for many in _addresses(dialect) if shown is not None else ():
+    for many in addresses(dialect) if shown is not None else ():
         yield Case(dialect, given={"many": many, "what": many.what, "shown": shown})
 
 
@@ -247,8 +248,8 @@ def _changes_and_high_groups(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, given={**case.given, "many": _HIGH_GROUPS, "what": _HIGH_GROUPS.what})
 
 
-@_addressing("no effect of it", _changes_and_high_groups, name="{many}/executed")
-def _executed(probe: Probe, many: _Many, shown: Observable) -> None:
+@addressing("no effect of it", _changes_and_high_groups, name="{many}/executed")
+def _executed(probe: Probe, many: Many, shown: Observable) -> None:
     """A command by {what} is executed."""
     shown.prepare(probe)
     to = many.join(probe)
@@ -267,8 +268,8 @@ def _executed(probe: Probe, many: _Many, shown: Observable) -> None:
     )
 
 
-@_addressing("any answer", _changes, name="{many}/silent")
-def _silent(probe: Probe, many: _Many, shown: Observable) -> None:
+@addressing("any answer", _changes, name="{many}/silent")
+def _silent(probe: Probe, many: Many, shown: Observable) -> None:
     """A command by {what} is not answered, neither when it begins nor when it is done."""
     shown.prepare(probe)
     to = many.join(probe)
@@ -277,7 +278,7 @@ def _silent(probe: Probe, many: _Many, shown: Observable) -> None:
 
 def _motions(dialect: Dialect) -> Iterator[Case]:
     """Yield each address of several drives with each motion and its stops."""
-    for many in _addresses(dialect):
+    for many in addresses(dialect):
         for run in dialect.motions(MotionKind.RUN, *MOVES):
             for stop in dialect.stops_of(run):
                 risks = many.risks(dialect) | motion.risks(dialect, *run.all_risks)
@@ -286,8 +287,8 @@ def _motions(dialect: Dialect) -> Iterator[Case]:
                 yield Case(dialect, given=given, facts={"risks": risks, "settings": settings})
 
 
-@_addressing("a shaft that stands, or one that turns on", _motions, name="{many}/{run}/{stop}")
-def _turns_and_stops(probe: Probe, many: _Many, run: Command, stop: Command) -> None:
+@addressing("a shaft that stands, or one that turns on", _motions, name="{many}/{run}/{stop}")
+def _turns_and_stops(probe: Probe, many: Many, run: Command, stop: Command) -> None:
     """{run} by {what} turns the shaft, {stop} by it lets it stand, and neither is answered, then or at its end."""
     motion.prepare(probe, run)
     to = many.join(probe)
@@ -341,8 +342,8 @@ def _ramped(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
 
 
-@_addressing("another speed", _ramped, name="{many}/as-sent")
-def _as_sent(probe: Probe, many: _Many, chosen: tuple[Command, ...]) -> None:
+@addressing("another speed", _ramped, name="{many}/as-sent")
+def _as_sent(probe: Probe, many: Many, chosen: tuple[Command, ...]) -> None:
     """Motion by {what} keeps to the ramp that is sent: at its begin, and at the end of a run."""
     for command in chosen:
         motion.prepare(probe, command)
@@ -386,8 +387,8 @@ def _near_groups(probe: Probe, group: int) -> list[int]:
     return [each for each in dict.fromkeys(near) if each not in mine and each <= last]
 
 
-@_addressing("an answer, or an effect of it", _group_changes, name="{many}/other")
-def _other_group(probe: Probe, many: _Many, shown: Observable) -> None:
+@addressing("an answer, or an effect of it", _group_changes, name="{many}/other")
+def _other_group(probe: Probe, many: Many, shown: Observable) -> None:
     """A command to a group address that differs from the drive's in one bit or more is neither executed nor answered."""
     shown.prepare(probe)
     group = many.join(probe)
@@ -416,8 +417,8 @@ def _switches(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, given=given, facts=facts)
 
 
-@_addressing("no effect of it, or an answer", _switches, name="{many}/{switch}")
-def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded_commands.Guarded) -> None:
+@addressing("no effect of it, or an answer", _switches, name="{many}/{switch}")
+def _switched(probe: Probe, many: Many, switch: Command, shown: guarded_commands.Guarded) -> None:
     """{switch} by {what} is executed, and not answered."""
     shown.ready(probe)
     to = many.join(probe)
@@ -434,15 +435,15 @@ def _switched(probe: Probe, many: _Many, switch: Command, shown: guarded_command
 
 def _whatever_happens(dialect: Dialect) -> Iterator[Case]:
     """Yield each address of several drives with what is refused while the motor is off."""
-    for many in _addresses(dialect) if motion.can_move(dialect) else ():
+    for many in addresses(dialect) if motion.can_move(dialect) else ():
         chosen = dialect.motions(MotionKind.RUN, *MOVES)
         risks = motion.risks(dialect, Risk.TORQUE, *many.risks(dialect).union(*(c.all_risks for c in chosen)) - {Risk.UNKNOWN})
         facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
         yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
 
 
-@_addressing("any answer", _whatever_happens, name="{many}/outcomes")
-def _never_answered(probe: Probe, many: _Many, chosen: tuple[Command, ...]) -> None:
+@addressing("any answer", _whatever_happens, name="{many}/outcomes")
+def _never_answered(probe: Probe, many: Many, chosen: tuple[Command, ...]) -> None:
     """Nothing by {what} is answered: no read, and no motion of a motor that is off."""
     motion.ready_to_move(probe)
     to = many.join(probe)
@@ -465,7 +466,7 @@ def _never_answered(probe: Probe, many: _Many, chosen: tuple[Command, ...]) -> N
 def _readable_settings(dialect: Dialect) -> Iterator[Case]:
     """Yield each address of several drives with the settings that can be read."""
     own = [c for c in dialect.commands if c.readable and not changes_link(c) and c.verb not in _OF_REPLIES]
-    for many in _addresses(dialect):
+    for many in addresses(dialect):
         needed = [edges.needs(dialect, c, [differing(c.request_forms[0])[0]]) for c in own]
         facts = {
             "risks": many.risks(dialect).union(*(each["risks"] for each in needed)),
@@ -475,8 +476,8 @@ def _readable_settings(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, given={"many": many, "what": many.what, "chosen": own}, facts=facts)
 
 
-@_addressing("a setting that stays as it was, or an answer", _readable_settings, name="{many}/settings")
-def _settings(probe: Probe, many: _Many, chosen: list[Command]) -> None:
+@addressing("a setting that stays as it was, or an answer", _readable_settings, name="{many}/settings")
+def _settings(probe: Probe, many: Many, chosen: list[Command]) -> None:
     """Settings by {what} are stored, and not answered."""
     to = many.join(probe)
     if Verb.SET_WORK_MODE in probe.dialect.by_verb:

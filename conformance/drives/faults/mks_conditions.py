@@ -668,6 +668,12 @@ def _is(message: Message, verb: Verb) -> bool:
     return message.command is not None and message.command.verb is verb
 
 
+def _deaf_to_group(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+    """Hear no move by the group while the shaft turns."""
+    moves = any(_is(message, verb) for verb in _MOVES)
+    return wanted and not (moves and _is_for_group(drive, message) and _turns(mks(drive)))
+
+
 def _asked_of(drive: MksCore) -> tuple[int | None, int | None]:
     """Return the speed and the acceleration that the motion under way was asked with, as sent; None where there are none."""
     request = drive.task.request if drive.task is not None else None
@@ -1043,6 +1049,11 @@ DOING: Rows = {
             "a restart loses what was set in a package",
             _lost_if_sent(lambda drive, message: message.command is not None and message.command.slots is not None),
             NATIVE,
+        ),
+        Row(
+            "group-deaf-while-turning",
+            "a move by the group is not heard while the shaft turns",
+            Change(taken(_deaf_to_group).install, having(Verb.SET_GROUP_ADDRESS)),
         ),
         Row(
             "protection-of-all-unheard",

@@ -18,6 +18,7 @@ REFUTED_BY = {
     "wide-address-lost": "read-back/set_address/restart",
     "save-speed-without-direction": "read-back/save_speed/as-it-was",
     "right-limit-told-complete": "motion/set_home/end-limit-told-move_relative_pulses",
+    "group-deaf-while-turning": "addressing/group/while-turning",
     "group-id-kept": "read-back/restore/set_group_address",
     "lk-speed-ramp-late": "timing/write_parameter/speed-ramp-under-way-move_multi_turn",
     "limits-passed-at-once": "motion/set_home/end-limit-stops-move_absolute_pulses",

@@ -1,0 +1,65 @@
+"""What is sent to several drives while the shaft turns: it is executed as at rest, and not answered.
+
+    a run at 60 rpm, then each motion and homing to address 0, or to the group, at 120 rpm the other way
+
+Rules kept here:
+- The speed alone is looked at: which way homing and a sign turn the shaft are other claims' matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
+from conformance.claims.addressing.many import Many, addresses, addressing
+from conformance.claims.control_reads import expect_silence
+from conformance.claims.declare import Case
+from conformance.claims.motion import homing
+from conformance.motion import motion
+from conformance.motion.motion import CALM, MOVES, MS, QUICK
+from conformance.talk.noise import CLOCK_SHARE
+from conformance.talk.probe import Probe
+
+#: How fast what comes turns the shaft (rpm), and how far a move is to go (degrees).
+_RPM, _FAR = 2 * CALM, 720
+#: How long the shaft turns before, and until a newer motion surely has its speed.
+_GOING_NS, _RUNS_NS = 60 * MS, 130 * MS
+
+
+def _cases(dialect: Dialect) -> Iterator[Case]:
+    motions = dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None and motion.can_move(dialect) else ()
+    homes = [dialect.by_verb[v] for v in (Verb.HOME, *homing.SETS_HOME) if v in dialect.by_verb]
+    chosen = (*motions, *homes[:1])
+    risks = frozenset[Risk]().union(*(command.all_risks for command in (*motions, *homes))) - {Risk.UNKNOWN}
+    for many in addresses(dialect) if motions else ():
+        facts = {
+            "risks": motion.risks(dialect, *risks, *many.risks(dialect), Risk.UNBOUNDED),
+            "settings": (*motion.settings(dialect, *homing.fields(dialect)), *many.settings),
+        }
+        yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
+
+
+@addressing("a shaft that goes on as before, or an answer", _cases, name="{many}/while-turning")
+def _while_turning(probe: Probe, many: Many, chosen: tuple[Command, ...]) -> None:
+    """Each motion and homing by {what} takes over from a run, and is not answered."""
+    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    homing.set_home(probe, home_speed=_RPM)
+    to = many.join(probe)
+    for command in chosen:
+        motion.run_at(probe, CALM)
+        probe.wait(_GOING_NS)
+        sent = probe.send(many.frame(probe, command, _values(probe, command), to), timeout_ns=_RUNS_NS)
+        seen = motion.speed(probe)
+        probe.ask(Verb.EMERGENCY_STOP)
+        motion.wait_standing(probe)
+        text = f"{command.name} by {many.what} is not executed while the shaft turns"
+        within = 2 + 2 * CLOCK_SHARE * _RPM + seen.noise
+        probe.expect(abs(seen.value), near=_RPM, within=within, unit="rpm", refutes=text, exchange=sent)
+        expect_silence(probe, sent, f"{command.name} by {many.what} is answered while the shaft turns")
+
+
+def _values(probe: Probe, command: Command) -> dict[str, int]:
+    if command.verb is Verb.HOME:
+        return dict.fromkeys(command.request_forms[0].layout.named, 1)
+    rpm = -_RPM if motion.of(command).kind is MotionKind.RUN else _RPM
+    return motion.values_of(probe.dialect, command, -_FAR, rpm=rpm, acceleration=QUICK, start=motion.place(probe, command))
