@@ -23,7 +23,8 @@ from conformance.bus.line import Line, LineLost
 SECOND_NS = 1_000_000_000
 #: How long a port may take no bytes before it is taken to be stuck.
 _STUCK_NS = 5 * SECOND_NS
-#: Read at one go: what a line brings in 10 ms at 4 Mbit/s. A server may bring megabytes, and the time passes as they are decoded.
+#: Read at one go: what a line brings in 10 ms at 4 Mbit/s. A server may bring megabytes, and decoding them takes longer than
+#: any deadline.
 READ_SIZE = 4096
 
 
