@@ -419,6 +419,7 @@ _OUTCOMES = {"final": "answered", "failed": "failed", "interim": "running"}
 
 
 def _listed(given: str | Sequence[str]) -> list[str]:
+    check(listed=given)
     return [word.strip() for word in (given.split(",") if isinstance(given, str) else given) if word.strip()]
 
 

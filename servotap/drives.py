@@ -40,6 +40,7 @@ from conformance.talk.drive_state import read_drive_state
 from conformance.talk.exchange import Answer, Completion, Exchange
 from conformance.talk.probe import plain_probe
 from conformance.talk.request import Request
+from servotap import arguments
 from servotap.captures import Frame, frame_of
 
 _SECOND_NS = 1000 * MS
@@ -110,6 +111,11 @@ class Drive:
         log: str | PathLike[str] | None = None,
         replace_log: bool = False,
     ) -> None:
+        arguments.check(
+            name=name, on=on, allow=allow, alone=alone, max_run=max_run, cut_power=cut_power, timeout=timeout, log=log
+        )
+        arguments.check(max_speed=max_speed, max_turns=max_turns, max_acceleration=max_acceleration, max_current=max_current)
+        arguments.check(subdivision=subdivision)
         target = one(name, on)
         bounds = {"speed": max_speed, "turns": max_turns, "acceleration": max_acceleration, "current": max_current}
         if target.named is not None:
@@ -207,6 +213,7 @@ class Drive:
 
         `field`: which one, where the reply has several. Raises UsageError for a command that does more than read, NotDone.
         """
+        arguments.check(field=field)
         fields = self.ask(command, **values)
         if not field and len(fields) == 1:
             return next(iter(fields.values()))
@@ -238,9 +245,12 @@ class Drive:
         besides those of the drive. `wait`: to the reply that says it is done. `must` False: a refusal or no answer raises
         nothing. `force`: also what the manual forbids. Raises Refused with nothing sent, UsageError, NotDone.
         """
+        arguments.check(allow=allow)
         return self._send(self._build(command, values, force=force), _risks(allow), wait=wait, must=must)
 
     def _build(self, command: str, values: Mapping[str, Any], *, force: bool = False) -> Built:
+        arguments.check(command=command)
+        arguments.check_values(values)
         given = {name: _value(value) for name, value in values.items()}
         built = assemble(self.dialect, find_command(self.dialect, command), self.address, given, physical=True, complete=True)
         if built.refusals and not force:
@@ -320,6 +330,7 @@ class Drive:
 
     def wait(self, seconds: float) -> list[Frame]:
         """Let time pass and return the frames that came; an emulated drive's time passes at once."""
+        arguments.check(seconds=seconds)
         exchange = self._dialogue.listen(int(seconds * 1e9))
         self._tick()
         return [frame_of(answer.entry) for answer in exchange.answers]

@@ -12,6 +12,7 @@ from analyzer.errors import UsageError
 from analyzer.reference.explanation import Explainer, Explanation
 from analyzer.reference.explanation_text import explanation_lines
 from analyzer.reference.hex_frame import Given, read_frame
+from servotap.arguments import check
 
 
 @dataclass(frozen=True, repr=False)
@@ -59,6 +60,10 @@ def explain(
 
     `request`: what this frame answers. Raises UsageError; UnreadableError where no dialect reads it.
     """
+    check(frame=frame, request=request)
+    if dialect is not None:
+        check(dialect=dialect)
+    check(model=model)
     if role not in (None, "request", "reply"):
         raise UsageError(f"role: got {role!r}, expected 'request' or 'reply'")
     explainer = Explainer(registry.asked_for(dialect, model))

@@ -10,6 +10,7 @@ from analyzer.fleet.lake import Lake as _Lake
 from analyzer.fleet.lake import store_of
 from analyzer.fleet.place import Place
 from analyzer.table.extras import needed
+from servotap.arguments import check
 
 if TYPE_CHECKING:
     import polars
@@ -25,6 +26,7 @@ class Lake:
     """
 
     def __init__(self, url: str | os.PathLike[str], **store: Any) -> None:
+        check(url=url)
         text = os.fspath(url)
         store_of(text)
         self._question = Question(_Lake(Place(text, store)))
@@ -51,5 +53,6 @@ class Lake:
 
     def sql(self, query: str) -> pyarrow.Table:
         """Return the answer to a query of DuckDB's SQL. Raises UsageError for what is none."""
+        check(query=query)
         answer: pyarrow.Table = self._question.sql(query).to_arrow_table()
         return answer

@@ -50,6 +50,7 @@ def number(expected: str, read: Callable[[str], Number], fits: Callable[[Number]
 
 
 positive = number("a number above 0", int, lambda value: value > 0)
+whole = number("a number from 0 on", int, lambda value: value >= 0)
 #: Of any dialect.
 address = number("an address 0..0x7FF", lambda text: int(text, 0), lambda value: 0 <= value <= 0x7FF)
 milliseconds = number("milliseconds above 0", float, lambda value: 0 < value < 1e9)

@@ -18,6 +18,7 @@ import msgspec
 
 from analyzer.catalogue import Role
 from analyzer.cli.filter import Filter, bytes_text, vocabulary
+from analyzer.cli.option_types import whole
 from analyzer.cli.reading import LONG_CAPTURE, add_reading_arguments, open_reading, progress
 from analyzer.decoder import physical, units_of
 from analyzer.events import text_of
@@ -52,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="a capture, an MCAP log, or a folder of its parts; - reads standard input")
     parser.add_argument("--follow", action="store_true", help="follow a log that is being recorded, until Ctrl-C or its end")
     parser.add_argument("--filter", metavar="EXPRESSION", help="show only messages that match this expression")
-    parser.add_argument("--limit", type=int, metavar="N", help="stop after N lines")
+    parser.add_argument("--limit", type=whole, metavar="N", help="stop after N lines")
     parser.add_argument("--json", action="store_true", help="one JSON object per line")
     parser.add_argument("--bytes", action="store_true", help="show the bytes of each frame too")
     add_reading_arguments(parser)

@@ -8,6 +8,7 @@ Where the system has no such locks (Windows) nothing is held and nothing is refu
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 from types import TracebackType
@@ -28,20 +29,41 @@ DECODING = "decoding.lock"
 class Lock:
     """A lock on a file of a folder, held until `close` or the end of the process.
 
-    `shared`: others may hold it so, too. Raises UsageError, with `taken` as its text, where it is held by others.
+    `shared`: others may hold it so, too. `removed`: `close` removes the file; a process that is killed leaves it.
+    Raises UsageError, with `taken` as its text, where it is held by others.
     """
 
-    def __init__(self, folder: Path, name: str, *, shared: bool = False, taken: str = "") -> None:
-        self._fd = os.open(folder / name, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666)
-        if fcntl is None:
-            return
+    def __init__(self, folder: Path, name: str, *, shared: bool = False, removed: bool = False, taken: str = "") -> None:
+        self._path = folder / name
+        self._removed = removed
+        while True:
+            self._fd = os.open(self._path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666)
+            if fcntl is None:
+                return
+            try:
+                fcntl.flock(self._fd, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+            except OSError:
+                self._let_go()
+                raise UsageError(taken or f"{self._path} is held by another process") from None
+            if not removed or self._stands():
+                return
+            # The one before removed it between opening and locking: whoever comes next would lock another file.
+            self._let_go()
+
+    def _stands(self) -> bool:
         try:
-            fcntl.flock(self._fd, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-        except OSError:
-            self.close()
-            raise UsageError(taken or f"{folder / name} is held by another process") from None
+            return os.path.samestat(os.fstat(self._fd), os.stat(self._path))
+        except FileNotFoundError:
+            return False
 
     def close(self) -> None:
+        """Let go of it; it may be done twice."""
+        if self._fd >= 0 and self._removed and fcntl is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(self._path)
+        self._let_go()
+
+    def _let_go(self) -> None:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1

@@ -5,7 +5,7 @@
 A drive is identified by its name on the command line. The file is replaced as a whole, so it is never half written.
 
 One run at a time keeps one file: of two with the same drive each would undo what the other keeps. The lock is on the folder's
-file `.NAME.lock`, for the file itself is replaced.
+file `.NAME.lock`, for the file itself is replaced; it goes with the run.
 """
 
 from __future__ import annotations
@@ -57,9 +57,8 @@ def claimed(path: str) -> Lock:
     """Return the lock of a file, held until it is closed. Raises UsageError where another run keeps the file."""
     real = Path(os.path.realpath(path))
     try:
-        return Lock(
-            real.parent, f".{real.name}.lock", taken=f"{path} is kept by another servotap emulate: end it, or name another"
-        )
+        taken = f"{path} is kept by another servotap emulate: end it, or name another"
+        return Lock(real.parent, f".{real.name}.lock", removed=True, taken=taken)
     except OSError as error:
         raise UsageError(f"{path} cannot be kept: {error.strerror}") from None
 

@@ -18,6 +18,8 @@ from analyzer.values import quote
 LOOPBACK = "127.0.0.1"
 _ENDPOINT = re.compile(r"(?:(?P<host>\[[0-9A-Fa-f:.%]+\]|[^:\[\]]*):)?(?P<port>\d{1,5})")
 _READ_SIZE = 4096
+#: Bytes that may wait for each client.
+_WAITING = 1 << 14
 #: Clients at one time.
 CLIENTS = 64
 #: `select` takes descriptors below this. `poll` would take all, but it wakes up to 1 ms late, and replies are due sooner.
@@ -45,6 +47,8 @@ class TcpPort:
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
             self._listener = socket.create_server(found[4][:2], family=found[0], backlog=8)
+            # By itself the system keeps megabytes for each client, which take an hour of the line after it has gone.
+            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _WAITING)
         except OSError as error:
             raise UsageError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
         self._listener.setblocking(False)

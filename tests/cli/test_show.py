@@ -96,3 +96,10 @@ def test_a_closed_pipe_is_no_error():
     done = subprocess.run(command, shell=True, cwd=ROOT, capture_output=True, text=True)
     assert done.stderr == ""
     assert len(done.stdout.splitlines()) == 3
+
+
+@pytest.mark.parametrize("value", ["-1", "x", "1.5", ""])
+def test_a_limit_is_a_number_of_lines(value, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["show", BENCH, f"--limit={value}"])
+    assert "expected a number from 0 on" in capsys.readouterr().err

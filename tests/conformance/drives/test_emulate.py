@@ -16,6 +16,8 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.encoder import build
 from analyzer.errors import UsageError
+from analyzer.live import lock
+from analyzer.live.lock import Lock
 from conformance.cli import HELP, emulate
 from conformance.drives import make
 from conformance.serve.state import StateFile, claimed
@@ -117,6 +119,29 @@ def test_a_state_that_another_run_keeps_is_refused(capsys: pytest.CaptureFixture
         told = refused(capsys, "mks-rs485@1", "--pty", "--state", str(state))
         assert f"{state} is kept by another servotap emulate" in told
     assert run("mks-rs485@1", "--pty", "--duration", "0.01", "--state", str(state)) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["drives.json"], "no lock is left"
+
+
+def test_a_lock_that_was_removed_between_opening_and_locking_is_taken_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = Lock(tmp_path, "x.lock", removed=True)
+    flock, opened = lock.fcntl.flock, []
+
+    def late(fd: int, how: int) -> None:
+        # The one before goes as the next has opened its file.
+        if not opened:
+            first.close()
+        opened.append(fd)
+        flock(fd, how)
+
+    monkeypatch.setattr(lock.fcntl, "flock", late)
+    with Lock(tmp_path, "x.lock", removed=True):
+        assert len(opened) == 2
+        with pytest.raises(UsageError, match="held by another process"):
+            Lock(tmp_path, "x.lock", removed=True)
+        assert (tmp_path / "x.lock").exists(), "one that is refused removes nothing"
+    assert not (tmp_path / "x.lock").exists()
 
 
 def test_tcp_a_duration_and_a_noisy_wire(tmp_path: Path) -> None:

@@ -70,6 +70,16 @@ def test_a_client_that_leaves_hard_does_not_matter(bus: SerialBus, place: str) -
     assert ask(place) == REPLY
 
 
+def test_little_waits_for_the_line_however_much_a_client_sends():
+    port = TcpPort("127.0.0.1", 0)
+    with socket.create_connection((port.host, port.port)):
+        port.read([port.descriptors()[0]])
+        (client,) = port._clients.values()
+        # Seconds of a line of 38400 baud, and no hour.
+        assert client.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) <= 1 << 15
+    port.close()
+
+
 def test_clients_too_many_are_let_go_and_the_others_go_on(bus: SerialBus) -> None:
     told: list[str] = []
     port = TcpPort("127.0.0.1", 0, told.append)
