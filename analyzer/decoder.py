@@ -439,8 +439,8 @@ def _chosen(lanes: tuple[Lane, Lane], data: bytes, context: Context) -> Lane | N
     own = data[request.start : request.stop]
     waiting = context.open.get(request.address)
     if not waiting:
-        return request if request.valid is None or request.valid(own) else None
-    if len(waiting) == 1 and waiting[0].command is reply.command and (reply.valid is None or reply.valid(own)):
+        return request if request.valid(own) else None
+    if len(waiting) == 1 and waiting[0].command is reply.command and reply.valid(own):
         return reply
     return None
 

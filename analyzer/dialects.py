@@ -10,7 +10,6 @@ A command is found by its name, its code (`0xF6`, `F6`) or its register (`0x0030
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -79,6 +78,8 @@ def get(name: str) -> Dialect:
         return dialect
     if name in _added():
         return _added()[name]
+    import difflib
+
     close = difflib.get_close_matches(name.lower(), readable(), 1, 0.4)
     hint = f"; did you mean {close[0]}?" if close else ""
     raise UsageError(f"no dialect {name!r}{hint} (there are {', '.join(readable())})")

@@ -127,7 +127,7 @@ class Pipeline:
         *,
         ports: Mapping[str, PortSetup] | None = None,
         on_setup: Callable[[Event], PortSetup | None] | None = None,
-        others: Sequence[Dialect] = (),
+        others: Callable[[], Sequence[Dialect]] = tuple,
     ) -> None:
         self.dialects = tuple(dialects)
         self.sinks = tuple(sinks)
@@ -144,7 +144,7 @@ class Pipeline:
         self._event_sinks = [s for s in self.sinks if isinstance(s, EventSink)]
         self._setups = dict(ports or {})
         self._on_setup = on_setup
-        self._others = tuple(others)
+        self._others = others
         self.ports: dict[str, Port] = {}
         self.sequence = 0
         #: Frames that were passed on by runs of a block.
@@ -186,7 +186,7 @@ class Pipeline:
             setup = self._setups.get(item.port) or usual_setup(self.dialects)
             kind = "can" if isinstance(item, CanFrame) else "serial"
             if all(d.bus != kind for d in setup.dialects):
-                setup = usual_setup([d for d in self._others if d.bus == kind] or self.dialects)
+                setup = usual_setup([d for d in self._others() if d.bus == kind] or self.dialects)
             port = self.ports[item.port] = Port(item.port, setup, self.options)
         port.bytes_in += len(item.data)
         return port
@@ -431,11 +431,7 @@ class Pipeline:
         decoder = port.decoders[frame.dialect.name]
         if frame.checksum_ok and not context.borrowed and not port.nodes.withheld:
             lane = decoder.lane(frame, context)
-            if (
-                lane is not None
-                and (lane.valid is None or lane.valid(frame.data[lane.start : lane.stop]))
-                and self._plain(port, lane, frame)
-            ):
+            if lane is not None and lane.valid(frame.data[lane.start : lane.stop]) and self._plain(port, lane, frame):
                 return
         message, asked = decoder.decode(frame, context)
         unlisted = is_unlisted(message)

@@ -180,13 +180,13 @@ class Lane:
     """
 
     __slots__ = (
+        "_has_data",
         "address",
         "codec",
         "command",
         "dialect",
         "form",
         "is_request",
-        "json",
         "meanings",
         "plain",
         "role",
@@ -194,7 +194,6 @@ class Lane:
         "states",
         "stop",
         "topic",
-        "valid",
     )  # fmt: skip
 
     def __init__(self, dialect: Dialect, role: Role, address: int, command: Command, form: Form, start: int, stop: int) -> None:
@@ -205,9 +204,7 @@ class Lane:
         self.command = command
         self.form = form
         self.codec = codec(form.layout)
-        #: Says whether data are as the manual lists them; None where there are none to be wrong.
-        self.valid = self.codec.valid if form.layout.fields else None
-        self.json = self.codec.json
+        self._has_data = bool(form.layout.fields)
         self.start = start
         self.stop = stop
         #: Whether its data carry the state of the drive.
@@ -217,6 +214,10 @@ class Lane:
         #: Data of a status reply -> what it means, as far as seen.
         self.meanings: dict[bytes, str] = {}
         self.topic = ""
+
+    def valid(self, own: bytes) -> bool:
+        """Say whether the data of a frame are as the manual lists them."""
+        return not self._has_data or self.codec.valid(own)
 
     def message(self, frame: Frame) -> Message:
         """Return the message of a frame of this lane."""

@@ -7,7 +7,6 @@ be built on purpose.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
@@ -97,6 +96,8 @@ def addresses(text: str, option: str, lowest: int = 1) -> list[int]:
 
 def near(word: str, known: Iterable[str]) -> str:
     """Return `; did you mean A or B?` with the names next to a word, or nothing."""
+    import difflib
+
     found = difflib.get_close_matches(word[:_LONGEST].lower(), list(known), 3, 0.5)
     return f"; did you mean {' or '.join(found)}?" if found else ""
 

@@ -7,7 +7,6 @@ commands by entry points of the group `servotap.commands` that name such a modul
 from __future__ import annotations
 
 import argparse
-import difflib
 import gc
 import os
 import re
@@ -148,6 +147,8 @@ def _main(words: list[str]) -> int:
 
     entry = COMMANDS.get(name) or _added().get(name)
     if entry is None:
+        import difflib
+
         near = difflib.get_close_matches(name, [*COMMANDS, *_added()], 1, 0.4)
         hint = f"; did you mean {near[0]}?" if near else ""
         print(f"servotap: no command {name!r}{hint} (see servotap --help)", file=sys.stderr)
@@ -185,6 +186,8 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one line: the usage stands in the help."""
 
     def error(self, message: str) -> NoReturn:
+        import difflib
+
         wrong = next((word for word in message.split() if word.startswith("--")), "")
         near = difflib.get_close_matches(wrong.partition("=")[0], self._option_string_actions, 1, 0.6) if wrong else []
         hint = f"; did you mean {near[0]}?" if near and near[0] not in message else ""

@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 
 from analyzer.catalogue import Dialect
-from analyzer.cli.decode import cores, decode
+from analyzer.cli.decode import cores, decode, processes
 from analyzer.cli.decode_targets import Capture
 from analyzer.cli.reading import progress
 from analyzer.cli.time_range import TimeRange
@@ -58,7 +58,7 @@ def as_log(path: str, arguments: argparse.Namespace) -> Iterator[AsLog]:
         return
     with scratch_folder() as folder:
         target = folder / "capture.mcap"
-        given = argparse.Namespace(**vars(arguments) | {"to": "mcap", "jobs": cores(), "force": True})
+        given = argparse.Namespace(**vars(arguments) | {"to": "mcap", "jobs": processes(cores()), "force": True})
         done = decode(
             Capture(path, target),
             given,

@@ -46,16 +46,25 @@ examples:
   servotap decode old.mcap -o new.mcap --dialect mks-modbus
   servotap decode week.mcap --since +10min --until +11min -o minute.mcap
   servotap decode week/ -o logs/                      all captures of a folder and its subfolders, several at once
-  servotap decode long.blf --jobs 1                   with one core; the log is the same
+  servotap decode long.blf --jobs 1                   in one process; the log is the same
   servotap decode can.log --dbc battery.dbc --dbc charger.dbc
   servotap decode bus.log --modbus-map meter.csv
   servotap decode can.log --to parquet                a folder can.log.parquet: a table for each command
 """
 
 
+#: Cores that one process uses.
+_OF_ONE_PROCESS = 2
+
+
 def cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def processes(cores: int) -> int:
+    """Return how many processes decode one capture soonest: one process uses two cores, as a thread of it packs the log."""
+    return 1 if cores <= _OF_ONE_PROCESS else cores
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +78,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strict", action="store_true", help="exit with 1 if there are findings of severity error")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON, one line per file")
     parser.add_argument("--force", action="store_true", help="replace a log that exists")
-    parser.add_argument("--jobs", type=positive, default=cores(), metavar="N", help="processes at most (default: the cores)")
+    parser.add_argument(
+        "--jobs", type=positive, metavar="N", help="processes at most (default: the cores; one process uses two for a capture)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -79,12 +90,15 @@ def run(arguments: argparse.Namespace) -> int:
         needed("pyarrow")
     found = captures(arguments)
     if len(found) == 1:
+        arguments.jobs = arguments.jobs or processes(cores())
         done = decode(found[0], arguments, _progress)
         done.report(arguments)
         if done.stopped.startswith("stopped"):
             raise KeyboardInterrupt
         return done.status(arguments)
     from analyzer.cli.decode_many import Far, Outcome, decode_many
+
+    arguments.jobs = arguments.jobs or cores()
 
     def decode_one(capture: Capture, arguments: argparse.Namespace, far: Far) -> Outcome:
         done = decode(capture, arguments, lambda reading, frames: far.noting(reading.source.position, frames))

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -115,13 +116,19 @@ class OpenCapture:
             self.choice = self._choose(traffic)
             self.dialects = tuple(registry.for_model(self.choice.dialects, self.model or None))
             self.ports = {bus: PortSetup(self.dialects, listed=ids) for bus, ids in self._ids.by_bus.items()}
-        #: Dialects of a bus of another kind, which may come up late.
-        kinds = {d.bus for d in self.dialects}
-        every = self._known or self._by_name()
-        self.others = tuple(d for d in every.values() if d.bus not in kinds)
+        self._first_kinds = {d.bus for d in self.dialects}
+        if self.model:
+            # A model that no dialect has is told before anything is made.
+            self.others  # noqa: B018
         #: Characters that an address takes: on CAN it is shown in hexadecimal.
         self.who_width = 5 if any(isinstance(item, CanFrame) for item in traffic) else 4
         self.options = self._options()
+
+    @cached_property
+    def others(self) -> tuple[Dialect, ...]:
+        """Dialects of a bus of another kind, which may come up late; most often they are not even loaded."""
+        every = self._known or self._by_name()
+        return tuple(d for d in every.values() if d.bus not in self._first_kinds)
 
     def __iter__(self) -> Iterator[Item]:
         """Yield all items of the capture."""
@@ -131,7 +138,7 @@ class OpenCapture:
         """Return the pipeline that decodes this capture into sinks."""
         on_setup: Callable[[Event], PortSetup | None] | None = self._set_up if self._known else None
         wanted = self.time_range.sinks(sinks)
-        return Pipeline(self.dialects, wanted, self.options, ports=self.ports, on_setup=on_setup, others=self.others)
+        return Pipeline(self.dialects, wanted, self.options, ports=self.ports, on_setup=on_setup, others=lambda: self.others)
 
     @property
     def possible(self) -> tuple[Dialect, ...]:

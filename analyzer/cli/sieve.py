@@ -56,8 +56,8 @@ class Sieve:
     def rows(self, run: Run) -> list[int]:
         """Return the rows of a run that are wanted, rising."""
         chosen: list[Integers] = []
-        for number, rows in groups(run.plain.lane[run.start : run.stop]):
-            lane, rows = run.plain.lanes[number], rows + run.start
+        for number, rows in groups(run.plain.lane[run.start : run.stop] + 1):
+            lane, rows = run.plain.lanes[number - 1], rows + run.start
             known = self._lanes.get(lane)
             if known is None:
                 known = self._lanes[lane] = self._of_lane(lane, run.entry(int(rows[0])))

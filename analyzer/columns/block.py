@@ -23,6 +23,16 @@ STANDARD_ID, WIDEST_DATA = 0x7FF, 8
 Head = tuple[int, int, bytes]
 
 
+def _heads(ids: Integers, sizes: Integers, data: Bytes, counts: Integers | int) -> list[Head]:
+    whole, width = data.tobytes(), data.shape[1]
+    stops = (counts + ids * 0).tolist()
+    starts = range(0, len(whole), width)
+    return [
+        (number, size, whole[start : start + stop])
+        for number, size, start, stop in zip(ids.tolist(), sizes.tolist(), starts, stops, strict=True)
+    ]
+
+
 @dataclass(frozen=True, slots=True)
 class CanBlock:
     """CAN frames: data frames with identifiers of 11 bits. All arrays have one entry a frame.
@@ -98,9 +108,9 @@ class CanBlock:
         # The rank of an identifier instead of itself: so numbers are small, of which groups are found fast.
         return numbered(self.data[:, :count], ranks(self.ids)[1].astype("i8") << 4 | self.sizes)
 
-    def head(self, row: int, count: int) -> Head:
-        """Return identifier, length and so many bytes at the beginning of a frame."""
-        return int(self.ids[row]), int(self.sizes[row]), self.data[row, :count].tobytes()
+    def heads(self, rows: Integers, counts: Integers | int) -> list[Head]:
+        """Return identifier, length and so many bytes at the beginning of some frames."""
+        return _heads(self.ids.take(rows), self.sizes.take(rows), self.data.take(rows, axis=0), counts)
 
     def frame_of(self, row: int, dialect: Dialect, offset: int) -> Frame:
         """Return one frame as one of a dialect. `offset`: bytes of the bus before it."""
@@ -226,9 +236,9 @@ class FrameBlock:
 
         return numbered(self.data[:, :count], self.sizes)
 
-    def head(self, row: int, count: int) -> Head:
-        """Return 0, length and so many bytes at the beginning of a frame."""
-        return 0, int(self.sizes[row]), self.data[row, :count].tobytes()
+    def heads(self, rows: Integers, counts: Integers | int) -> list[Head]:
+        """Return 0, length and so many bytes at the beginning of some frames."""
+        return _heads(rows * 0, self.sizes.take(rows), self.data.take(rows, axis=0), counts)
 
     def frame_of(self, row: int, dialect: Dialect, offset: int = 0) -> Frame:
         """Return one frame as one of a dialect; where it stands tells its offset."""

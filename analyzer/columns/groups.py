@@ -28,11 +28,10 @@ def ranks(values: NDArray[Any]) -> tuple[Integers, NDArray[Any]]:
 
 
 def groups(values: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
-    """Yield each value that occurs, rising, with the rows that have it. No value is negative."""
-    if not len(values):
-        return
-    known, places = ranks(values)
-    order = np.argsort(places, kind="stable")
+    """Yield each value above 0 that occurs, rising, with the rows that have it. No value is negative."""
+    rows = np.flatnonzero(values)
+    known, places = ranks(values.take(rows))
+    order = rows.take(np.argsort(places, kind="stable"))
     start = 0
     for value, count in zip(known.tolist(), np.bincount(places, minlength=len(known)).tolist(), strict=True):
         yield value, order[start : start + count]

@@ -14,9 +14,10 @@ one by one, in their order.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from inspect import unwrap
+from itertools import repeat
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,8 +50,7 @@ _UNKNOWN, _REQUEST, _REPLY = range(len(DIRECTIONS))
 _BYTES = 256
 
 
-@dataclass(frozen=True)
-class _Kind:
+class _Kind(msgspec.Struct, frozen=True):
     """What frames of one identifier, length and code can be: places of lanes, as requests and as replies.
 
     `start`, `stop`: where the command's own data stand. `address`: of the drive, -1 where there is no lane.
@@ -184,7 +184,7 @@ class Pairing:
         if context.borrowed or not transactions.may_follow(plain.data(start)):
             return start
         own = plain.lane[start:stop]
-        refused = [n for n in np.flatnonzero(np.bincount(own)).tolist() if not self._allowed(plain.lanes[n])]
+        refused = self._refused(np.flatnonzero(np.bincount(own)).tolist())
         allowed = ~np.isin(own, refused) if refused else np.ones(stop - start, dtype=np.bool_)
         if context.echoes:
             # On a bus that may echo, a reply that repeats its request can be one.
@@ -213,6 +213,27 @@ class Pairing:
         ended = (plain.lanes[n] for n in np.flatnonzero(np.bincount(plain.lane[rows])).tolist())
         moved = {lane.address for lane in ended if lane.command.silenced}
         self._port.transactions.were_answered(request, plain.frame(stop - 1), replies, moved, plain.block.t_ns[start:stop])
+
+    def _refused(self, numbers: Sequence[int]) -> list[int]:
+        """Return which of some lanes may not be plain."""
+        usual: dict[tuple[int, int | None], bool] = {}
+        refused = []
+        for number in numbers:
+            lane = self._plain.lanes[number]
+            drive = lane.address, self._identifiers[lane]
+            known = usual.get(drive)
+            if known is None:
+                # Nothing is known of most drives that would forbid any command.
+                known = usual[drive] = self._is_usual(*drive)
+            if not known and not self._allowed(lane):
+                refused.append(number)
+        return refused
+
+    def _is_usual(self, address: int, identifier: int | None) -> bool:
+        context = self._port.context
+        known = identifier is None or identifier in self._port.nodes.drives
+        speaks = context.speaks.get(address, self._dialect.name) == self._dialect.name
+        return known and speaks and not any(address in each for each in (context.groups, context.silenced, context.open))
 
     def _allowed(self, lane: Lane) -> bool:
         """Say whether what is known of the drives lets frames of a lane be plain."""
@@ -309,12 +330,12 @@ class Pairing:
         examples = np.empty(len(alike), dtype=np.int64)
         examples[at] = np.arange(len(at))
         numbers = np.empty(len(alike), dtype=np.int64)
-        for number, row in enumerate(examples.tolist()):
-            before = None if asked is None else int(asked[row])
-            head = block.head(row, widths if isinstance(widths, int) else int(widths[row])), before
+        heads = block.heads(examples, widths if isinstance(widths, int) else widths.take(examples))
+        before = repeat(None) if asked is None else asked.take(examples).tolist()
+        for number, head in enumerate(zip(heads, before, strict=asked is not None)):
             known = self._known.get(head)
             if known is None:
-                known = self._known[head] = self._new_kind(block, row, before)
+                known = self._known[head] = self._new_kind(block, int(examples[number]), head[1])
             numbers[number] = known
         tables = self._tables = self._tables or _Tables(self, self._kinds, self._said)
         kinds = numbers.take(at)
@@ -323,11 +344,9 @@ class Pairing:
         bytes_ = block.data.reshape(-1).take(np.arange(0, width * len(block), width) + starts.take(kinds))
         entries = kinds * 256 + bytes_
         said = [part.reshape(-1).take(entries) for part in tables.said]
-        for number, rows in groups(tables.readings[kinds]) if tables.examples else ():
-            if number:
-                kind = tables.examples[number - 1]
-                for part, own_said in enumerate(self.say(kind, taken(block.data, rows))):
-                    said[part][rows] = own_said
+        for number, rows in groups(tables.readings.take(kinds)) if tables.examples else ():
+            for part, own_said in enumerate(self.say(tables.examples[number - 1], taken(block.data, rows))):
+                said[part][rows] = own_said
         return kinds, said, tables
 
     def _alike(self, block: CanBlock | FrameBlock) -> tuple[Integers, Integers | int]:
@@ -461,6 +480,8 @@ def _reply_codes(command: Command) -> set[int | None]:
 
 def _first_of_two(pairs: Flags) -> Flags:
     """Return where exchanges begin that do not overlap: of rows that follow each other, the first, the third and so on."""
+    if not (pairs[1:] & pairs[:-1]).any():
+        return pairs
     rows = np.arange(len(pairs))
     before = np.concatenate(([False], pairs[:-1]))
     begin = np.maximum.accumulate(np.where(pairs & ~before, rows, 0))

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from analyzer.catalogue import Dialect
 from analyzer.columns.block import CanBlock, FrameBlock
-from analyzer.columns.codec import Flags, Integers
+from analyzer.columns.codec import Integers
 from analyzer.records import Frame, Lane
 
 
-@dataclass(frozen=True)
-class Plain:
+class Plain(msgspec.Struct, frozen=True, eq=False):
     """The frames of a block that are part of plain exchanges.
 
     `lanes`: those that occur; `lane`: of each row, a place in `lanes`, -1 where a frame is not plain. `offsets`: bytes of the
@@ -57,13 +56,12 @@ class Plain:
         """Return the bytes of one frame."""
         return self.block.data[row, : self.block.sizes[row]].tobytes()
 
-    def firsts(self, start: int, stop: int, wanted: Flags) -> list[int]:
-        """Return the first row of each lane that is wanted and occurs in some rows, in their order."""
-        first = np.full(len(wanted), stop, dtype=np.int64)
-        # Of several rows of a lane, what is written last stays.
+    def firsts(self, start: int, stop: int) -> Integers:
+        """Return of each lane the first of some rows that has it, `stop` where none has."""
+        first = np.full(len(self.lanes) + 1, stop, dtype=np.int64)
+        # Of several rows of a lane, what is written last stays. Rows without one write behind all lanes.
         first[self.lane[start:stop][::-1]] = np.arange(stop - 1, start - 1, -1)
-        rows: list[int] = np.sort(first[wanted & (first < stop)]).tolist()
-        return rows
+        return first[:-1]
 
     def part(self, first: int, runs: Sequence[tuple[int, int]]) -> tuple[Plain, Integers]:
         """Return what is plain in some runs, with no other lanes, and the places of its lanes here.

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from binascii import hexlify
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,8 +37,7 @@ _UNCOUNTED = 9
 _MARKS = [b"" if role is Role.UNKNOWN else f',"_direction":"{role}"'.encode() for role in DIRECTIONS]
 
 
-@dataclass(frozen=True, slots=True)
-class Messages:
+class Messages(msgspec.Struct, frozen=True, eq=False):
     """Messages as they stand in a chunk, of which the arrays have one entry each. `ends`: places in `data`.
 
     `entries`: of shape (messages, 2), times and where they begin in `data`.
@@ -125,8 +124,7 @@ def alike(plain: Plain, wanted: Flags | None = None) -> Iterator[tuple[Integers,
     examples = dict(zip(numbers, plain.lanes, strict=True))
     kind = of_lanes(plain, [number + 1 for number in numbers], 0)
     for number, rows in groups(kind if wanted is None else kind * wanted):
-        if number:
-            yield rows, examples[number - 1]
+        yield rows, examples[number - 1]
 
 
 def of_lanes(plain: Plain, each: Sequence[Any], other: Any) -> NDArray[Any]:
@@ -150,9 +148,11 @@ def _heads(plain: Plain, carried: list[_Part]) -> Iterator[_Part]:
         wire = column_codec(lane.form.layout, lane.start).wire(data)
         named = lane.form.layout.named
         pieces: list[text.Piece] = [b"{"]
+        numbers: dict[str, list[text.Piece]] = {}
         for name, values in wire.items():
             field = named[name]
-            pieces += [f'"{name}":'.encode(), *_number(values, field), b","]
+            numbers[name] = _number(values, field)
+            pieces += [f'"{name}":'.encode(), *numbers[name], b","]
             if field.choices is not None:
                 pieces += [f'"{name}_name":"'.encode(), text.names(values, field.choice_names), b'",']
         # A code that has one layout has one length.
@@ -161,7 +161,7 @@ def _heads(plain: Plain, carried: list[_Part]) -> Iterator[_Part]:
         if lane.states:
             parts: list[text.Piece] = []
             for quantity, shares in states(lane, wire).items():
-                parts += [(b"," if parts else b"{") + f'"{quantity}":'.encode(), *text.floats(shares)]
+                parts += [(b"," if parts else b"{") + f'"{quantity}":'.encode(), *_state(lane, quantity, shares, numbers)]
             carried.append((rows, [*parts, b"}"]))
 
 
@@ -210,19 +210,21 @@ def _few(plain: Plain) -> Iterator[tuple[Integers, text.Cell]]:
     same = np.ones(len(rows), dtype=np.bool_)
     for word in words(block.data).T:
         same &= word.take(rows) == word.take(examples).take(places)
-    texts, kinds = [], []
-    for row, number in zip(examples.tolist(), (known >> 8).tolist(), strict=True):
-        lane = lanes[number]
-        texts.append(_head(lane.codec, lane.start, lane.stop, block.data[row, : block.sizes[row]].tobytes()))
-        # Texts that are about as wide stand in one table.
-        kinds.append(1 + len(texts[-1]) // text.ROOM)
-    for kind, own in groups(np.array(kinds).take(places) * same):
-        if kind:
-            chosen = [n for n, each in enumerate(kinds) if each == kind]
-            number_of = np.zeros(len(kinds), dtype=np.int64)
-            number_of[chosen] = np.arange(len(chosen))
-            table = text.of_table(number_of.take(places.take(own)), [texts[n] for n in chosen])
-            yield rows.take(own), table
+    whole, sizes = block.data.take(examples, axis=0).tobytes(), block.sizes.take(examples).tolist()
+    texts = [
+        _head(lane.codec, lane.start, lane.stop, whole[at : at + size])
+        for lane, at, size in zip(
+            map(lanes.__getitem__, (known >> 8).tolist()), range(0, len(whole), width), sizes, strict=True
+        )
+    ]
+    # Texts that are about as wide stand in one table.
+    kinds = 1 + np.array([len(each) for each in texts]) // text.ROOM
+    for kind, own in groups(kinds.take(places) * same):
+        chosen = np.flatnonzero(kinds == kind)
+        number_of = np.zeros(len(kinds), dtype=np.int64)
+        number_of[chosen] = np.arange(len(chosen))
+        table = text.of_table(number_of.take(places.take(own)), [texts[n] for n in chosen.tolist()])
+        yield rows.take(own), table
 
 
 @lru_cache(maxsize=1 << 14)
@@ -234,6 +236,15 @@ def _head(codec: Codec, start: int, stop: int, data: bytes) -> bytes:
 def _number(values: Integers, field: Field) -> list[text.Piece]:
     shown = physical_column(values, field)
     return [text.integers(shown)] if shown.dtype == np.int64 else text.floats(shown)
+
+
+def _state(lane: Lane, quantity: str, shares: NDArray[np.float64], numbers: Mapping[str, list[text.Piece]]) -> list[text.Piece]:
+    """Return a quantity of some rows as text. `numbers`: their fields as text."""
+    own = [f for f in lane.form.layout.fields if f.state is not None and f.state.quantity == quantity]
+    if len(own) > 1 or own[0].state is None or own[0].state.factor != 1 or own[0].scale.numerator != 1:
+        return text.floats(shares)
+    # It is the field itself, but a number that is no integer.
+    return numbers[own[0].name] if own[0].scale.denominator != 1 else [*numbers[own[0].name], b".0"]
 
 
 def physical_column(values: Integers, field: Field) -> NDArray[Any]:

@@ -12,7 +12,6 @@ nothing has to be taken out afterwards.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -37,8 +36,7 @@ _SMALL, _GREAT = 1e-4, 1e16
 _MINUS_ZERO = np.int64(-1 << 63)
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
+class Cell(msgspec.Struct, frozen=True, eq=False):
     """One text a row. `codes`: ASCII, a row for each; `widths`: how many at the right of each row are its text."""
 
     codes: Bytes
@@ -213,7 +211,7 @@ def of_table(places: NDArray[np.integer], texts: Sequence[bytes]) -> Cell:
     cell = _at(b"".join(texts), np.cumsum(widths), widths)
     if len(set(widths.tolist())) == 1:
         return Cell(taken(cell.codes, places), int(widths[0]))
-    return Cell(taken(cell.codes, places), widths[places])
+    return Cell(taken(cell.codes, places), widths.take(places))
 
 
 def hexadecimal(data: Bytes, size: int) -> Cell:

@@ -76,11 +76,10 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     ]  # fmt: skip
     if errors:
         yield from _errors(scene, _sorted(errors), heard)
-    dialects = [d for d in scene.reader.dialects if d.bus == "can"]
     # A reply whose sum is wrong may be the frame of another make.
     replies = [p for p, _ in data if p.is_reply and p not in again]
     if not any(p.sound and p.message is not None and p.message.command is not None for p in replies):
-        yield from strangers(scene, data, dialects)
+        yield from strangers(scene, data, [d for d in scene.reader.dialects if d.bus == "can"])
 
 
 def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
+
+import msgspec
 
 from analyzer.catalogue import Dialect
 from analyzer.diagnosis import (
@@ -61,8 +62,7 @@ HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
 )
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(msgspec.Struct, frozen=True):
     """What is wrong in a capture. `verdict`: ok, trouble, unknown; `troubles`: how many things are wrong."""
 
     verdict: str

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+
+import msgspec
 
 from analyzer.diagnosis.scene import Confidence, Suspicion, Trouble
 
@@ -18,8 +19,7 @@ _EDGES = frozenset(("lost_start", "leading_glitch", "trailing_glitch"))
 _LEAST_NEW = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class Ranked:
+class Ranked(msgspec.Struct, frozen=True):
     """A cause and the share of the trouble that it explains."""
 
     suspicion: Suspicion

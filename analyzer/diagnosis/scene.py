@@ -9,6 +9,8 @@ from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
 
+import msgspec
+
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.reader import Reader
 from analyzer.records import CanFrame, Finding, Message
@@ -22,8 +24,7 @@ class Confidence(StrEnum):
     POSSIBLE = "possible"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class Piece(msgspec.Struct, frozen=True, eq=False):
     """Bytes and what they were taken for. `message` None: junk. `asked_by`: the number of the request that it answers."""
 
     offset: int
@@ -71,8 +72,7 @@ class Piece:
         return self.is_request and "unanswered" not in self.rules
 
 
-@dataclass(frozen=True, slots=True)
-class Read:
+class Read(msgspec.Struct, frozen=True):
     """Bytes that came at once: a line of a log, a read of a port. `firm`: the capture itself says where it ends."""
 
     offset: int
@@ -82,8 +82,7 @@ class Read:
     firm: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stretch:
+class Stretch(msgspec.Struct, frozen=True, eq=False):
     """Bytes in a row within the limits of a read; those of a trouble are damaged, and end at sound frames too.
 
     `opens`, `ends`: it begins or ends where a read does; so what stands there is all that was sent.
@@ -114,8 +113,7 @@ class Stretch:
         return None if can is None else can.id
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trouble:
+class Trouble(msgspec.Struct, frozen=True, eq=False):
     """One thing that is wrong: `rule` of the findings, or `damaged` for a stretch."""
 
     rule: str
@@ -124,8 +122,7 @@ class Trouble:
     piece: Piece | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Shown:
+class Shown(msgspec.Struct, frozen=True):
     """A frame that a cause is about. `right`: what it should be, as hex text; empty where it is not known."""
 
     offset: int
@@ -133,8 +130,7 @@ class Shown:
     right: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Suspicion:
+class Suspicion(msgspec.Struct, frozen=True):
     """A cause, with what it explains. `by_words`: words say it, where the bytes show causes, which come first."""
 
     cause: str
@@ -177,11 +173,12 @@ class Scene:
     noted: bool = False
     words: tuple[str, ...] = ()
     lost: int = 0
-    reader: Reader = field(init=False)
     explained: set[Trouble] = field(default_factory=set)
 
-    def __post_init__(self) -> None:
-        self.reader = Reader.of_bus("can" if any(p.can is not None for p in self.pieces) else "serial")
+    @cached_property
+    def reader(self) -> Reader:
+        """What reads bytes in all dialects of this kind of bus."""
+        return Reader.of_bus("can" if any(p.can is not None for p in self.pieces) else "serial")
 
     @cached_property
     def directed(self) -> bool:

@@ -57,7 +57,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     leading: list[_Edge] = []
     trailing: list[_Edge] = []
     lost: list[_Edge] = []
-    heads = _heads(scene)
+    heads = _heads(scene) if scene.damaged else ()
     parts = _parts(scene)
     for trouble in scene.damaged:
         stretch = trouble.stretch

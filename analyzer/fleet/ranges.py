@@ -239,7 +239,7 @@ def take_range(task: Range, to: Destination, options: argparse.Namespace) -> Tak
     tables = ParquetTables(capture.target, about["clock"])
     said: Iterator[PortSetup | None] = iter(about["setups"])
     dialects, given, ports, others = about["start"]
-    pipeline = Pipeline(dialects, (tables,), given, ports=ports, on_setup=lambda event: next(said), others=others)
+    pipeline = Pipeline(dialects, (tables,), given, ports=ports, on_setup=lambda event: next(said), others=lambda: others)
     pipeline.restore(state, setups)
     for item in about["items"]:
         pipeline.feed(item)

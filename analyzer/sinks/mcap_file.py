@@ -33,7 +33,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from analyzer.sinks.mcap_chunk import CHUNK_SIZE, MESSAGE, Batch, Chunk, Packed, Part, Run, pack, record_bytes
+from analyzer.sinks.mcap_chunk import CHUNK_SIZE, COMPRESSION, MESSAGE, Batch, Chunk, Packed, Part, Run, pack, record_bytes
 from analyzer.sinks.mcap_index import Index, MemoryIndex
 from analyzer.sources.magic import MCAP
 
@@ -353,7 +353,7 @@ class McapFile:
         chunks = self._waiting[0].result()
         while chunks:
             packed = chunks[0]
-            start, length, own = self._position, len(packed.record), packed.indexed
+            start, length, own = self._position, len(packed.head) + len(packed.data), packed.indexed
             # Packed here: a chunk has an entry for each channel, and the library writes them number by number.
             behind, offsets = start + length, [0] * (2 * len(own.channels))
             offsets[::2], offsets[1::2] = own.channels, [behind + begin for begin in own.begins]
@@ -361,9 +361,9 @@ class McapFile:
             fixed = packed.first_ns, packed.last_ns, start, length
             index = b"".join((
                 _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, _CHUNK_INDEX_REST + len(places), *fixed, len(places)), places,
-                _CHUNK_SIZES.pack(len(own.data), 4, b"zstd", packed.packed_size, packed.size),
+                _CHUNK_SIZES.pack(len(own.data), len(COMPRESSION), COMPRESSION, len(packed.data), packed.size),
             ))  # fmt: skip
-            self._put(packed.record + own.data)
+            self._put(b"".join((packed.head, packed.data, own.data)))
             # Only now is it gone from memory: the write may have failed.
             del chunks[0]
             self._chunks += 1

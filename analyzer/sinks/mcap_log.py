@@ -95,9 +95,11 @@ class McapLog:
         self._channels: dict[str, int] = {}
         self._last_ns = 0
         self._seconds: dict[str, Second] = {}
-        #: The present block, and of each of its lanes the channels of its topic and its state, 0 where none is open.
+        #: The present block, and of each of its lanes the channels of its topic and its state, 0 where none is open. Those of
+        #: all lanes so far.
         self._plain: Plain
         self._channels_of: Integers
+        self._channels_of_lanes: dict[Lane, tuple[int, int]] = {}
         self._speed = Speed(byte_ns, bit_ns)
         self._speeds = dict(speeds or {})
         if clock is not Clock.UTC:
@@ -120,7 +122,7 @@ class McapLog:
         data = frame.data
         log_ns = self._clock(log_ns)
         own = data[lane.start : lane.stop]
-        start, raw = lane.json(own), hexlify(data, " ").upper()
+        start, raw = lane.codec.json(own), hexlify(data, " ").upper()
         if request_sequence is None:
             text = b'%b"_raw":"%b","_checksum_ok":true,"_offset":%d}' % (start, raw, frame.offset)
         elif latency_ns is None:
@@ -159,7 +161,20 @@ class McapLog:
         """Take the next block of frames."""
         import numpy as np
 
-        self._plain, self._channels_of = plain, np.zeros((len(plain.lanes), 2), dtype=np.int64)
+        self._plain = plain
+        self._channels_of = np.array([self._channels_of_lanes.get(lane, (0, 0)) for lane in plain.lanes]).reshape(-1, 2)
+
+    def _open_lanes(self, start: int, stop: int) -> None:
+        """Open the topics of some rows that have none, in the order of the rows."""
+        plain = self._plain
+        firsts = plain.firsts(start, stop)
+        for row in sorted(firsts[(self._channels_of[:, 0] == 0) & (firsts < stop)].tolist()):
+            number = plain.lane[row]
+            lane = plain.lanes[number]
+            kept = self._lanes.get(lane.topic) or self._open_lane(lane.topic, lane.message(plain.frame(row)))
+            state = self._state_topic(kept, plain.block.port, lane.address) if lane.states else None
+            channels = self._channels_of_lanes[lane] = kept.channel, 0 if state is None else state.channel
+            self._channels_of[number] = channels
 
     def run(self, start: int, stop: int, sequence: int) -> None:
         """Write plain exchanges, and the state that they carry."""
@@ -174,12 +189,8 @@ class McapLog:
                 known_ns = latency_ns if asked_by is not None and latency_ns > 0 else None
                 self.plain(lane, plain.frame(row), number, known_ns, asked_by)
             return
-        for row in plain.firsts(start, stop, self._channels_of[:, 0] == 0):
-            number = plain.lane[row]
-            lane = plain.lanes[number]
-            kept = self._lanes.get(lane.topic) or self._open_lane(lane.topic, lane.message(plain.frame(row)))
-            state = self._state_topic(kept, block.port, lane.address) if lane.states else None
-            self._channels_of[number] = kept.channel, 0 if state is None else state.channel
+        if not self._channels_of[:, 0].all():
+            self._open_lanes(start, stop)
         log_ns = block.t_ns[start:stop].clip(self._last_ns, _LATEST_NS)
         second = self._seconds.get(block.port)
         written = counted = 0

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise, takewhile
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from analyzer import events
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.columns.block import DIRECTIONS, CanBlock
-from analyzer.columns.codec import Integers, column_codec
+from analyzer.columns.codec import Flags, Integers, column_codec
 from analyzer.columns.groups import taken
 from analyzer.columns.plain import Plain
-from analyzer.columns.rows import alike, physical_column, states
+from analyzer.columns.rows import alike, of_lanes, physical_column, states
 from analyzer.decoder import physical, state_of
 from analyzer.layout import STATE_UNITS, Field, FieldKind
 from analyzer.pipeline import Entry, plain_entry, topic_name
@@ -68,24 +68,37 @@ class _Table:
         self.rows: list[dict[str, Any]] = []
         self._target = target
         self._batches: list[pyarrow.Table] = []
+        #: Of the last of many rows, the number; whether all of them rise so far.
+        self._last, self._rises = 0, True
+        #: Rows that were taken together.
+        self.many = 0
 
-    def add(self, columns: Mapping[str, Any], count: int) -> None:
-        """Take many rows in their order; a column that is not given is empty."""
-        pa = needed("pyarrow")
+    def add(self, columns: Mapping[str, Any], sequences: Integers) -> None:
+        """Take many rows in their order, with their numbers; a column that is not given is empty."""
+        pa, count = needed("pyarrow"), len(sequences)
         arrays = [columns[f.name] if f.name in columns else pa.nulls(count, f.type) for f in self.schema]
         self._batches.append(pa.Table.from_arrays(arrays, schema=self.schema))
+        self._rises &= bool(self._last < sequences[0])
+        self._last, self.many = int(sequences[-1]), self.many + count
+
+    @property
+    def held(self) -> int:
+        """How many rows are held; one that was taken alone needs the room of some others."""
+        return self.many + _ALONE * len(self.rows)
 
     def write(self) -> None:
         """Write what is held, in order."""
         pa = needed("pyarrow")
         alone = [pa.Table.from_pylist(self.rows, schema=self.schema)] if self.rows else []
-        held = pa.concat_tables([*self._batches, *alone]) if self._batches or alone else None
-        if self._batches:
+        if not self._batches and not alone:
+            return
+        held = pa.concat_tables([*self._batches, *alone])
+        if self._batches and (alone or not self._rises):
             held = self._ordered(held, len(self.rows))
         self.rows.clear()
         self._batches.clear()
-        if held is not None:
-            self._target.write(held)
+        self._last, self._rises, self.many = 0, True, 0
+        self._target.write(held)
 
     @staticmethod
     def _ordered(held: pyarrow.Table, alone: int) -> pyarrow.Table:
@@ -107,6 +120,14 @@ class _Table:
         """Write the rest, and end the table."""
         self.write()
         self._target.close()
+
+
+class _Places(NamedTuple):
+    """What tells where each row of a block belongs: its address and number."""
+
+    plain: Plain
+    addresses: Integers
+    sequences: Integers
 
 
 class ParquetTables:
@@ -152,7 +173,7 @@ class ParquetTables:
         self._taken = []
 
     def _write(self) -> None:
-        """Write all that is held."""
+        """Give all that is held to the tables, and have the longest written."""
         blocks, self._blocks = self._blocks, []
         while blocks:
             count = sum(1 for _ in takewhile(lambda each: each[0].joins == blocks[0][0].joins, blocks))
@@ -161,87 +182,97 @@ class ParquetTables:
             # What is joined is held no more.
             del blocks[:count]
             self._settle(joined, sequences)
-        for table in self._tables.values():
+        # Short tables wait for more rows: each that is written costs about as much as some thousand rows.
+        tables = sorted(self._tables.values(), key=lambda table: -table.held)
+        held = sum(table.held for table in tables)
+        for table in tables:
+            if held <= HELD // 2:
+                break
+            held -= table.held
             table.write()
         self._held = 0
 
     def _settle(self, plain: Plain, sequences: Integers) -> None:
         """Give the rows of a block that have a number to their tables."""
         carried: list[tuple[Integers, dict[str, NDArray[np.float64]]]] = []
+        places = _Places(plain, of_lanes(plain, [lane.address for lane in plain.lanes], 0), sequences)
         for rows, lane in alike(plain, sequences > 0):
-            wire = self._columns(plain, rows, lane, sequences.take(rows))
+            wire = self._columns(places, rows, lane)
             if lane.states:
                 carried.append((rows, states(lane, wire)))
         if carried:
-            self._carried(plain, carried, sequences)
+            self._carried(places, carried)
 
-    def _places(self, plain: Plain, rows: Integers, sequences: Integers) -> dict[str, Any]:
-        """Return the columns that all tables have. `sequences`: of these rows."""
-        pa = self._pa
-        addresses = np.array([each.address for each in plain.lanes]).take(plain.lane.take(rows))
+    def _placed(self, places: _Places, rows: Integers) -> dict[str, Any]:
+        """Return the columns that all tables have."""
+        block = places.plain.block
         return {
-            "time": pa.array(plain.block.t_ns.take(rows)).view(self._time),
-            "bus": pa.repeat(topic_name(plain.block.port), len(rows)),
-            "address": pa.array(addresses.astype(np.int64, copy=False)),
-            "sequence": pa.array(sequences),
+            "time": self._numbers(block.t_ns.take(rows)).view(self._time),
+            "bus": self._pa.repeat(topic_name(block.port), len(rows)),
+            "address": self._numbers(places.addresses.take(rows)),
+            "sequence": self._numbers(places.sequences.take(rows)),
         }
 
-    def _columns(self, plain: Plain, rows: Integers, lane: Lane, sequences: Integers) -> dict[str, Integers]:
+    def _columns(self, places: _Places, rows: Integers, lane: Lane) -> dict[str, Integers]:
         """Take rows of lanes that read alike; return their fields as sent."""
+        plain, sequences = places.plain, places.sequences.take(rows)
         pa, block, count = self._pa, plain.block, len(rows)
         table = self._command(plain.dialect, lane.command, lane.role)
         sizes = int(block.sizes[rows[0]])
         whole = taken(block.data, rows)
         data = np.ascontiguousarray(whole[:, :sizes])
-        places = (
-            np.arange(0, (count + 1) * sizes, sizes, dtype=np.int32)[: count + 1] if sizes else np.zeros(count + 1, np.int32)
-        )
+        stops = np.arange(count + 1, dtype=np.int32) * np.int32(sizes)
         columns = {
-            **self._places(plain, rows, sequences),
-            "_raw": pa.Array.from_buffers(pa.binary(), count, [None, pa.py_buffer(places), pa.py_buffer(data)]),
+            **self._placed(places, rows),
+            "_raw": pa.Array.from_buffers(pa.binary(), count, [None, pa.py_buffer(stops), pa.py_buffer(data)]),
             "_checksum_ok": pa.repeat(True, count),
-            "_offset": pa.array(plain.offsets.take(rows)),
+            "_offset": self._numbers(plain.offsets.take(rows)),
         }
         if isinstance(block, CanBlock):
-            columns["_can_id"] = pa.array(block.ids.take(rows))
-            marks = block.directions[rows]
+            columns["_can_id"] = self._numbers(block.ids.take(rows))
+            marks = block.directions.take(rows)
             if marks.any():
                 names = pa.array([None if role is Role.UNKNOWN else role.value for role in DIRECTIONS])
                 columns["_direction"] = names.take(pa.array(marks))
         if not lane.is_request:
             latencies = plain.latencies.take(rows)
-            columns["_latency"] = pa.array(latencies / _SECOND, mask=latencies <= 0)
-            columns["_request_sequence"] = pa.array(sequences - plain.behind.take(rows))
+            columns["_latency"] = self._numbers(latencies / _SECOND, latencies <= 0)
+            columns["_request_sequence"] = self._numbers(sequences - plain.behind.take(rows))
         layout = lane.form.layout
         wire = column_codec(layout, lane.start).wire(whole)
         for name, values in wire.items():
             shown = physical_column(values, layout.named[name])
             # What pyarrow casts by would have to be loaded.
-            columns[name] = pa.array(shown.astype(table.schema.field(name).type.to_pandas_dtype(), copy=False))
+            columns[name] = self._numbers(shown.astype(table.schema.field(name).type.to_pandas_dtype(), copy=False))
             if name in table.choices:
                 columns[name + "_name"] = self._names(values, table.choices[name])
-        table.add(columns, count)
+        table.add(columns, sequences)
         return wire
 
-    def _carried(
-        self, plain: Plain, carried: Sequence[tuple[Integers, Mapping[str, NDArray[np.float64]]]], sequences: Integers
-    ) -> None:
+    def _carried(self, places: _Places, carried: Sequence[tuple[Integers, Mapping[str, NDArray[np.float64]]]]) -> None:
         """Take the states that rows of a block carry, in the order of the rows, though each kind of frame has its own."""
         rows = np.sort(np.concatenate([own for own, _ in carried]))
         count = len(rows)
         values = {name: np.zeros(count) for _, found in carried for name in found}
         missing = {name: np.ones(count, dtype=np.bool_) for name in values}
         for own, found in carried:
-            places = rows.searchsorted(own)
+            at = rows.searchsorted(own)
             for name, each in found.items():
-                values[name][places], missing[name][places] = each, False
-        columns = {name: self._pa.array(each, mask=missing[name]) for name, each in values.items()}
-        self._states().add({**self._places(plain, rows, sequences.take(rows)), **columns}, count)
+                values[name][at], missing[name][at] = each, False
+        columns = {name: self._numbers(each, missing[name]) for name, each in values.items()}
+        self._states().add({**self._placed(places, rows), **columns}, places.sequences.take(rows))
+
+    def _numbers(self, values: NDArray[Any], missing: Flags | None = None) -> pyarrow.Array:
+        """Return numbers as a column that stands where they do. `missing`: which of them count as none."""
+        pa = self._pa
+        # By `pyarrow.array`, the masked arrays of NumPy would be loaded.
+        known = None if missing is None or not missing.any() else pa.py_buffer(np.packbits(~missing, bitorder="little"))
+        return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [known, pa.py_buffer(values)])
 
     def _names(self, values: NDArray[np.int64], field: Field) -> pyarrow.Array:
         known = sorted(field.choice_names)
         places = np.searchsorted(known, values).clip(0, len(known) - 1)
-        indices = self._pa.array(places.astype(np.int32), mask=np.array(known)[places] != values)
+        indices = self._numbers(places.astype(np.int32), np.array(known)[places] != values)
         return self._pa.DictionaryArray.from_arrays(indices, [field.choice_names[value] for value in known])
 
     def _count_one(self) -> None:

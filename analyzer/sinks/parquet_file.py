@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,16 +25,39 @@ _DIFFERENCES = "DELTA_BINARY_PACKED"
 _LEVEL, _TOGETHER = 1, 1 << 14
 
 
+class _Writing:
+    """A thread that writes rows while the next ones are made: that needs no Python. One piece of work waits at most."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="servotap-tables")
+        self._last: Future[None] | None = None
+
+    def begin(self, work: Callable[[], None]) -> None:
+        """Have something done, once all before it is. Raises what that raised."""
+        self.wait()
+        self._last = self._thread.submit(work)
+
+    def wait(self) -> None:
+        """Return once all is done. Raises what it raised."""
+        last, self._last = self._last, None
+        if last is not None:
+            last.result()
+
+
 class File:
     """A Parquet file of one table; a table without rows leaves none."""
 
-    def __init__(self, path: Path, schema: pyarrow.Schema) -> None:
+    def __init__(self, path: Path, schema: pyarrow.Schema, writing: _Writing) -> None:
         self._path = path
         self._schema = schema
+        self._writing = writing
         self._writer: Any = None
 
     def write(self, rows: pyarrow.Table) -> None:
-        """Write the next rows as one row group."""
+        """Write the next rows as one row group, soon: what goes wrong is raised by the next call for any file of the folder."""
+        self._writing.begin(lambda: self._write(rows))
+
+    def _write(self, rows: pyarrow.Table) -> None:
         if self._writer is None:
             # A name that is no UTF-8 is none for pyarrow.
             self._stream = self._path.open("wb")
@@ -42,6 +66,7 @@ class File:
 
     def close(self) -> None:
         """End the file."""
+        self._writing.wait()
         if self._writer is not None:
             self._writer.close()
             self._stream.close()
@@ -49,7 +74,8 @@ class File:
 
 def files_in(folder: Path) -> Callable[[str, pyarrow.Schema], Target]:
     """Return what gives each table its file in a folder that exists."""
-    return lambda name, schema: File(folder / f"{name}.parquet", schema)
+    writing = _Writing()
+    return lambda name, schema: File(folder / f"{name}.parquet", schema, writing)
 
 
 def packing(schema: pyarrow.Schema) -> dict[str, Any]:

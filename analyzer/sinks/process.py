@@ -70,11 +70,8 @@ class SinkProcess:
 
     def begin(self, plain: Plain) -> None:
         """Pass a block on, its lanes as numbers."""
-        from analyzer.columns.groups import groups
-
-        # Rows without a lane come first, under 0.
-        firsts = [int(rows[0]) for number, rows in groups(plain.lane + 1) if number]
-        lanes = tuple(self._number(lane, plain.frame(row)) for lane, row in zip(plain.lanes, firsts, strict=True))
+        rows = plain.firsts(0, len(plain.lane)).tolist()
+        lanes = tuple(self._number(lane, plain.frame(row)) for lane, row in zip(plain.lanes, rows, strict=True))
         columns = plain.lane, plain.offsets, plain.behind, plain.latencies
         self._other(("begin", (plain.dialect, plain.block, lanes, *columns)))
 

@@ -196,18 +196,19 @@ class Summary:
         from analyzer.columns.groups import ranks
 
         numbers, latencies = (np.concatenate([each[rows] for rows in self._taken]) for each in (plain.lane, plain.latencies))
-        counts = np.bincount(numbers, minlength=len(plain.lanes))
+        counts = np.bincount(numbers, minlength=len(plain.lanes)).tolist()
         known: dict[int, Row] = {}
-        for number in np.flatnonzero(counts).tolist():
-            lane = plain.lanes[number]
+        for number, (lane, many) in enumerate(zip(plain.lanes, counts, strict=True)):
+            if not many:
+                continue
             row = self._known.get(lane.topic)
             if row is None:
                 message = lane.message(plain.frame(int((plain.lane == number).argmax())))
                 if message.frame.can is not None:
                     self._sound.add((plain.block.port, message.who))
                 row = self._row(Entry(message, 0, lane.topic))
-            row.requests += int(counts[number]) * lane.is_request
-            row.replies += int(counts[number]) * (not lane.is_request)
+            row.requests += many * lane.is_request
+            row.replies += many * (not lane.is_request)
             known[number] = row
         timed = np.flatnonzero(latencies > 0)
         if len(timed):

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from analyzer import dialects, sources
 from analyzer.cli import decode, main
 from analyzer.pipeline import Pipeline
-from analyzer.sinks import mcap_file
+from analyzer.sinks import mcap_file, workers
 from analyzer.sinks.forked import available
 from analyzer.sinks.mcap_chunk import Batch, Run
 from analyzer.sinks.mcap_file import McapFile
@@ -71,6 +71,24 @@ def test_a_serial_line_is_the_same_and_goes_by_columns(name, tmp_path, monkeypat
         logs.append((log.read_bytes(), capsys.readouterr().out.replace(log.name, "")))
     assert logs[0] == logs[1]
     assert b"frames_by_columns" in logs[0][0]
+
+
+@pytest.mark.parametrize(("cores", "jobs"), [(1, []), (2, []), (3, [3]), (8, [8])])
+def test_a_capture_alone_is_decoded_by_one_process_where_that_uses_all_cores(cores, jobs, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(decode, "LONG_CAPTURE", 0)
+    monkeypatch.setattr(decode, "cores", lambda: cores)
+    made = []
+
+    class Counted(Workers):
+        def __init__(self, count, dialects):
+            made.append(count + 1)
+            super().__init__(1, dialects)
+
+    monkeypatch.setattr(workers, "Workers", Counted)
+    monkeypatch.setattr(workers, "MOST", 99)
+    capture = str(CAPTURES / "mks_can.candump.log")
+    assert main(["decode", capture, "-o", str(tmp_path / "log.mcap")]) == 0
+    assert made == jobs
 
 
 def traffic():
