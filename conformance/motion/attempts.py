@@ -2,13 +2,17 @@
 
     tried = undamaged(probe, _try, row, rest=rest)          _try(probe, row, rest), and anew from where the shaft rests then
 
+    @anew
+    def spun(probe, ...)                                    what always is made so
+
 While a reply is waited for that the line damaged, a shaft goes on, a move comes to its end, or a ramp is over.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from functools import partial, wraps
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from conformance.claim import Inconclusive
 from conformance.motion import motion
@@ -20,6 +24,7 @@ if TYPE_CHECKING:
 _ATTEMPTS = 3
 
 Seen = TypeVar("Seen")
+Given = ParamSpec("Given")
 
 
 def undamaged(probe: Probe, attempt: Callable[..., Seen], *given: Any, rest: motion.Sample | None = None) -> Seen:
@@ -40,6 +45,16 @@ def undamaged(probe: Probe, attempt: Callable[..., Seen], *given: Any, rest: mot
         stands = motion.stand_still(probe)
         rest = rest and stands
     raise AssertionError("the last attempt returns or raises")
+
+
+def anew(attempt: Callable[Concatenate[Probe, Given], Seen]) -> Callable[Concatenate[Probe, Given], Seen]:
+    """Return a function that makes an attempt as `undamaged` does."""
+
+    @wraps(attempt)
+    def made(probe: Probe, /, *given: Given.args, **named: Given.kwargs) -> Seen:
+        return undamaged(probe, partial(attempt, **named), *given)
+
+    return made
 
 
 def damaged(probe: Probe, since: int) -> bool:

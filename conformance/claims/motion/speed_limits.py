@@ -19,6 +19,7 @@ from conformance.claims.motion.motion_claim import command_of, expect_speed, exp
 from conformance.claims.motion.moves import keeps_position, with_max_speed
 from conformance.claims.ranges import edges
 from conformance.motion import motion
+from conformance.motion.attempts import anew
 from conformance.motion.motion import MOVES, MS, SUBDIVISION, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -66,6 +67,7 @@ def _way(probe: Probe, speed: int, mode: str) -> int:
     return 1 if (motion.bus_modes(probe.dialect).index(mode) + beyond) % 2 == 0 else -1
 
 
+@anew
 def spun(probe: Probe, command: Command, speed: int, mode: str) -> Spun:
     """Turn the shaft at a speed as sent, by a run or a long move, and look when the ramp is over."""
     way = _way(probe, speed, mode)

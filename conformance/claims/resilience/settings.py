@@ -29,6 +29,7 @@ from conformance.claims.settings.known_settings import ReadableSetting, Setting,
 from conformance.claims.settings.setting_effects import STEEP, by_action
 from conformance.model import covering, lk_parameters
 from conformance.motion import arriving, motion, ramp
+from conformance.motion.attempts import anew
 from conformance.motion.motion import MS, SUBDIVISION
 from conformance.talk.acceptance import Acceptance, can_refuse, without_repeats
 from conformance.talk.exchange import Exchange
@@ -345,27 +346,32 @@ def _expect_run(probe: Probe, subdivision: int, when: str) -> None:
     law, run = probe.dialect.subdivision, probe.command(Verb.RUN_SPEED)
     assert law is not None  # there is a subdivision to set
     values = motion.values_of(probe.dialect, run, rpm=_RUN_RPM, acceleration=STEEP, subdivision=subdivision)
-    # `respond` may silence it.
-    exchange = probe.ask(run, values, until=Until.TIMEOUT, timeout_ns=_RUN_NS)
-    seen, sent = motion.speed(probe), values[motion.of(run).speed]
-    probe.ask(Verb.STOP_SPEED, {"acceleration": STEEP}, until=Until.TIMEOUT, timeout_ns=_SILENT_NS)
-    motion.wait_standing(probe)
+    exchange, seen = _ran(probe, run, values)
+    sent = values[motion.of(run).speed]
     wanted = sent if subdivision in law.plain else sent * law.counted_at / subdivision
     text = f"a run has another speed than its subdivision says, which was set {when}"
     probe.expect(abs(seen.value), near=wanted, within=_SPEED_SHARE * wanted + 2, unit="rpm", refutes=text, exchange=exchange)
 
 
+@anew
+def _ran(probe: Probe, run: Command, values: Mapping[str, int]) -> tuple[Exchange, motion.Sample]:
+    """Run from rest to rest; return what was said, and how fast the shaft was."""
+    # `respond` may silence it.
+    exchange = probe.ask(run, values, until=Until.TIMEOUT, timeout_ns=_RUN_NS)
+    seen = motion.speed(probe)
+    probe.ask(Verb.STOP_SPEED, {"acceleration": STEEP}, until=Until.TIMEOUT, timeout_ns=_SILENT_NS)
+    motion.wait_standing(probe)
+    return exchange, seen
+
+
 def _expect_move(probe: Probe, shown: Mapping[Verb, Mapping[str, int]], when: str) -> None:
     """Refute unless a move goes as far as the subdivision says, and is answered as `respond` says."""
     command, pulses = probe.command(Verb.MOVE_RELATIVE_PULSES), setting_effects.PULSES
-    start = setting_effects.counts(probe)
     values = {"direction": 0, "speed": 18, "acceleration": STEEP, "pulses": pulses}
     respond = shown.get(Verb.SET_RESPOND, {"respond": 1, "active": 1})
     # Where its end is told, no more is waited for.
     told = respond["respond"] and respond["active"] and motion.of(command).tells_end
-    exchange = probe.ask(command, values, until=Until.DONE if told else Until.TIMEOUT, timeout_ns=_MOVE_NS)
-    motion.wait_standing(probe)
-    went = abs(setting_effects.counts(probe) - start)
+    exchange, went = _moved(probe, command, values, Until.DONE if told else Until.TIMEOUT)
     subdivision = shown.get(Verb.SET_SUBDIVISION, {"subdivision": SUBDIVISION})["subdivision"]
     wanted = motion.counts_of(probe.dialect, command, pulses, subdivision)
     text = f"{pulses} pulses go another way after settings {when}"
@@ -376,6 +382,15 @@ def _expect_move(probe: Probe, shown: Mapping[Verb, Mapping[str, int]], when: st
         statuses = without_repeats(arriving.statuses((exchange,), command))
         seen = " then ".join(map(str, statuses)) or "silence"
         _expect_shown(probe, seen, effect.expected(probe.dialect, shown[Verb.SET_RESPOND]), "what a move is answered", when)
+
+
+@anew
+def _moved(probe: Probe, command: Command, values: Mapping[str, int], until: Until) -> tuple[Exchange, int]:
+    """Move from rest to rest; return what was said, and how many counts the shaft went."""
+    start = setting_effects.counts(probe)
+    exchange = probe.ask(command, values, until=until, timeout_ns=_MOVE_NS)
+    motion.wait_standing(probe)
+    return exchange, abs(setting_effects.counts(probe) - start)
 
 
 def _expect_shown(probe: Probe, seen: Any, wanted: Any, what: str, when: str) -> None:

@@ -28,6 +28,7 @@ from analyzer.layout import Field
 from conformance.claim import Inconclusive
 from conformance.model import limits
 from conformance.motion import arriving, motion
+from conformance.motion.attempts import anew
 from conformance.motion.motion import MS
 from conformance.talk import settings
 from conformance.talk.acceptance import Acceptance, acceptance, answers, need_reliable_replies, without_repeats
@@ -228,6 +229,7 @@ def steady_speed(probe: Probe) -> float:
     return read
 
 
+@anew
 def shift(probe: Probe, verb: Verb, values: Mapping[str, Any]) -> int:
     """Do a move and return how far the encoder went.
 
@@ -263,6 +265,7 @@ def near(probe: Probe, one: int, other: int) -> bool:
     )
 
 
+@anew
 def _statuses(probe: Probe) -> str:
     """Return the statuses that a small move is answered with, until the shaft stands and half a second longer."""
     values = {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": PULSES}
@@ -297,6 +300,7 @@ class Homing:
         return f"homing at {self.rpm:.0f} rpm, the encoder {'rising' if self.way > 0 else 'falling'}"
 
 
+@anew
 def homing(probe: Probe) -> Homing:
     """Begin homing, look, and stop at once. Raises Inconclusive where it does not begin."""
     exchange = probe.ask(Verb.HOME)

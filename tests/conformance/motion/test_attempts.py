@@ -10,7 +10,7 @@ from conformance import claims as registry
 from conformance.claim import Inconclusive
 from conformance.drives import make
 from conformance.motion import motion
-from conformance.motion.attempts import undamaged
+from conformance.motion.attempts import anew, undamaged
 from conformance.suite.rig_emulated import EmulatedRig
 
 
@@ -59,3 +59,19 @@ def test_what_the_last_attempt_raises_is_raised(probe, damages, made):
     with pytest.raises(Inconclusive):
         undamaged(probe, attempt)
     assert len(tried) == made
+
+
+def test_a_function_that_makes_attempts_keeps_its_name_and_what_it_is_given(probe):
+    tried = []
+
+    @anew
+    def turned(probe, turns, *, way):
+        """Turn the shaft."""
+        tried.append((turns, way))
+        probe.traffic += [SimpleNamespace(damaged=True)] * (len(tried) == 1)
+        return turns * way
+
+    assert turned(probe, 3, way=-1) == -3
+    assert tried == [(3, -1)] * 2
+    # A recording is known by the name of what made it.
+    assert turned.__name__ == "turned"
