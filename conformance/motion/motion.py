@@ -465,13 +465,14 @@ def values_of(
 ) -> dict[str, int]:
     """Return the values of a run, move or torque, as sent.
 
-    `degrees`: the length of a move. `rpm`: the speed; of a run its sign is the direction. `start`: where a move to a place
-    begins, as `place` tells it.
+    `degrees`: the length of a move. `rpm`: the speed; of a run and a torque its sign is the direction. `start`: where a move to
+    a place begins, as `place` tells it.
     """
     motion = of(command)
     values = {}
     if motion.kind is MotionKind.TORQUE:
-        values = {field.name: FORCE for c, field in dialect.effects(Effect.CURRENT) if c.name == command.name}
+        force = FORCE if rpm > 0 else -FORCE
+        values = {field.name: force for c, field in dialect.effects(Effect.CURRENT) if c.name == command.name}
     elif motion.kind is MotionKind.RUN and motion.direction:
         values = {motion.direction: int(rpm < 0)}
         rpm = abs(rpm)

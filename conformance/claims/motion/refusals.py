@@ -8,7 +8,8 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive
@@ -17,7 +18,7 @@ from conformance.claims.declare import Case, motions
 from conformance.claims.motion.motion_claim import command_of, expect_not_turned, expect_stays, of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import MOVES, MS, QUICK
+from conformance.motion.motion import CALM, MOVES, MS, QUICK
 from conformance.talk.acceptance import need_reliable_replies
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
@@ -33,45 +34,56 @@ def _can_refuse(command: Command) -> bool:
     return bool(command.replies.failed or command.replies.failed_forms)
 
 
-def _request(dialect: Dialect, command: Command, start: int = 0) -> dict[str, int]:
-    """Return values of a request that would move the shaft, or do what the command does."""
+def _turning(command: Command, way: int) -> dict[str, Any]:
+    """Return the way of a quarter turn, up or down, as motions are asked for."""
+    signed = motion.of(command).kind in (MotionKind.RUN, MotionKind.TORQUE)
+    return {"degrees": 90.0 * way, "rpm": float(CALM * way if signed else CALM)}
+
+
+def _request(dialect: Dialect, command: Command, start: int = 0, way: int = 1) -> dict[str, int]:
+    """Return values of a request that would move the shaft a way, or do what the command does."""
     if command.motion is not None and command.motion.kind in _SURE:
-        return motion.values_of(dialect, command, 90, acceleration=QUICK, start=start)
+        return motion.values_of(dialect, command, **_turning(command, way), acceleration=QUICK, start=start)
     return sample(dialect, command)
 
 
-def expect_refused(probe: Probe, command: Command, why: str, again: Callable[[], object] | None = None) -> None:
+def expect_refused(
+    probe: Probe, command: Command, why: str, again: Callable[[], object] | None = None, ways: Iterable[int] = (1,)
+) -> None:
     """Ask for a motion and refute unless it is refused and turns nothing, also after `again` (enabling, for instance)."""
     before = motion.position(probe)
-    start = motion.place(probe, command) if command.motion is not None else 0
-    exchange = probe.ask(command, _request(probe.dialect, command, start))
-    if exchange.silent and command.replies.failed:
-        # A reply can be lost; a drive that never refuses is another matter.
-        need_reliable_replies(probe)
-        again_asked = probe.ask(command, _request(probe.dialect, command, start))
-        text = f"{command.name} {why} is not answered at all"
-        probe.expect("silence", holds=not again_asked.silent, expected="a refusal", refutes=text, exchange=exchange)
-    answer = probe.reply(exchange)
-    probe.wait(_LOOKED_AT_NS)
+    for way in ways:
+        start = motion.place(probe, command) if command.motion is not None else 0
+        values = _request(probe.dialect, command, start, way)
+        exchange = probe.ask(command, values)
+        if exchange.silent and command.replies.failed:
+            # A reply can be lost; a drive that never refuses is another matter.
+            need_reliable_replies(probe)
+            again_asked = probe.ask(command, values)
+            text = f"{command.name} {why} is not answered at all"
+            probe.expect("silence", holds=not again_asked.silent, expected="a refusal", refutes=text, exchange=exchange)
+        answer = probe.reply(exchange)
+        probe.wait(_LOOKED_AT_NS)
+        expect_not_turned(probe, before, exchange, f"{command.name} {why} turns the shaft")
+        probe.expect(
+            answer.data.hex(" ").upper(),
+            holds=probe.refused(exchange),
+            expected="a refusal",
+            refutes=f"{command.name} {why} is not refused",
+            exchange=exchange,
+        )
     if again is not None:
         again()
         probe.wait(_LOOKED_AT_NS)
-    expect_not_turned(probe, before, exchange, f"{command.name} {why} turns the shaft")
-    probe.expect(
-        answer.data.hex(" ").upper(),
-        holds=probe.refused(exchange),
-        expected="a refusal",
-        refutes=f"{command.name} {why} is not refused",
-        exchange=exchange,
-    )
+        expect_not_turned(probe, before, exchange, f"{command.name} {why} turns the shaft")
 
 
 @of_motion(each=motions(*_SURE, where=_can_refuse), refuted_by="a motion, or an answer that says success")
 def _disabled(probe: Probe, command: Command) -> None:
-    """{command} is refused while the motor is disabled, and nothing turns when it is enabled again."""
+    """{command} is refused either way while the motor is disabled, and nothing turns when it is enabled again."""
     motion.ready_to_move(probe)
     motion.switch(probe, False)
-    expect_refused(probe, command, "while disabled", lambda: motion.switch(probe, True))
+    expect_refused(probe, command, "while disabled", lambda: motion.switch(probe, True), ways=(1, -1))
 
 
 @of_motion(
@@ -143,10 +155,10 @@ def _risks_of_request(case: Case) -> frozenset[Risk]:
 def _in_pulse_modes(probe: Probe, command: Command) -> None:
     """{command} is refused in the work modes in which pulses move the motor."""
     modes = motion.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
-    for mode in modes:
-        if mode not in motion.bus_modes(probe.dialect):
-            motion.set_mode(probe, mode)
-            expect_refused(probe, command, f"in mode {mode}")
+    by_pulses = [mode for mode in modes if mode not in motion.bus_modes(probe.dialect)]
+    for number, mode in enumerate(by_pulses):
+        motion.set_mode(probe, mode)
+        expect_refused(probe, command, f"in mode {mode}", ways=((-1) ** number,))
 
 
 @of_motion(
@@ -155,18 +167,20 @@ def _in_pulse_modes(probe: Probe, command: Command) -> None:
     risks=risks_by(Verb.MOTOR_OFF),
 )
 def _while_off(probe: Probe, command: Command) -> None:
-    """{command} is answered while the motor is off, and turns nothing, then or later."""
+    """{command} is answered while the motor is off, and turns nothing either way, then or later."""
     motion.ready_to_move(probe)
     motion.switch(probe, False)
     before = motion.position(probe)
-    exchange = motion.ask(probe, command, 90)
-    # A reply can be lost; a motor that is off never answers.
-    if exchange.silent and not motion.ask(probe, command, 90).silent:
-        raise Inconclusive(f"{command.name} was answered only when it was sent again")
-    text = f"{command.name} is not answered while the motor is off"
-    probe.expect("silence", holds=not exchange.silent, expected="a reply", refutes=text, exchange=exchange)
-    probe.wait(_LOOKED_AT_NS)
-    expect_stays(before, motion.position(probe), exchange, f"{command.name} turns a motor that is off")
+    for way in (1, -1):
+        how = _turning(command, way)
+        exchange = motion.ask(probe, command, **how)
+        # A reply can be lost; a motor that is off never answers.
+        if exchange.silent and not motion.ask(probe, command, **how).silent:
+            raise Inconclusive(f"{command.name} was answered only when it was sent again")
+        text = f"{command.name} is not answered while the motor is off"
+        probe.expect("silence", holds=not exchange.silent, expected="a reply", refutes=text, exchange=exchange)
+        probe.wait(_LOOKED_AT_NS)
+        expect_stays(before, motion.position(probe), exchange, f"{command.name} turns a motor that is off")
     motion.switch(probe, True)
     probe.wait(_LOOKED_AT_NS)
     after = motion.position(probe)

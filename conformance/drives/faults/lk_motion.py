@@ -251,6 +251,21 @@ def _disobedient(drive: LkDrive) -> None:
         drive.acts[name] = lambda drive, request, move=move: move(drive.motor, request)  # type: ignore[misc]
 
 
+def _disobedient_back(drive: LkDrive) -> None:
+    """Let motion commands of a negative number be obeyed while the motor is off."""
+    kept = dict(drive.acts)
+
+    def act(drive: LkDrive, request: Request) -> None:
+        back = any(value < 0 for value in request.values.values())
+        name = request.command.name
+        if back and not drive.motor.on:
+            MOVES[name](drive.motor, request)
+        else:
+            kept[name](drive, request)
+
+    drive.acts.update(dict.fromkeys(MOVES, act))
+
+
 def _keep_running(drive: LkDrive, request: Request) -> None:
     drive.motor.on = False
 
@@ -349,6 +364,7 @@ def _unbraked(old: Act) -> Act:
 ROWS: Rows = {
     "off": (
         Row("lk-off-still-moves", "motion commands are obeyed while the motor is off", tuned(_disobedient)),
+        Row("lk-while-off-backwards", "motion of a negative number is obeyed while the motor is off", tuned(_disobedient_back)),
         Row("lk-off-keeps-running", "0x80 does not end a motion under way", acting("motor_off", _keep_running)),
         Row("lk-off-keeps-torque", "0x80 does not end a torque or an open loop", acting("motor_off", _off_unless_torque)),
         Row("lk-off-ignored", "0x80 is answered and does nothing", acting("motor_off", nothing)),

@@ -668,6 +668,13 @@ def _is(message: Message, verb: Verb) -> bool:
     return message.command is not None and message.command.verb is verb
 
 
+def _enabled_back(drive: MksCore, request: Request) -> None:
+    """Enable the motor where a motion of direction 1, or of a negative number, comes."""
+    if request.values.get("direction") == mks_shared.MotionDirection.CW or request.values.get("position", 0) < 0:
+        drive.memory.enabled = True
+        drive.grip()
+
+
 def _deaf_to_group(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     """Hear no move by the group while the shaft turns."""
     moves = any(_is(message, verb) for verb in _MOVES)
@@ -920,6 +927,7 @@ _RESTORED = (
 )
 
 DOING: Rows = {
+    "disabled": (Row("disabled-moves-backwards", "motion backwards is obeyed while disabled", before(MOTIONS, _enabled_back)),),
     "restored": tuple(
         Row(f"{name}-kept", f"a restore leaves {name}", clinging(*names), SERIAL)
         for name, names in (*_STORED[:4], _STORED[5], *_RESTORED)

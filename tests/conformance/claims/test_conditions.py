@@ -19,6 +19,8 @@ REFUTED_BY = {
     "save-speed-without-direction": "read-back/save_speed/as-it-was",
     "right-limit-told-complete": "motion/set_home/end-limit-told-move_relative_pulses",
     "group-deaf-while-turning": "addressing/group/while-turning",
+    "lk-while-off-backwards": "motion/run_torque/while-off",
+    "disabled-moves-backwards": "motion/run_speed/disabled",
     "group-id-kept": "read-back/restore/set_group_address",
     "lk-speed-ramp-late": "timing/write_parameter/speed-ramp-under-way-move_multi_turn",
     "limits-passed-at-once": "motion/set_home/end-limit-stops-move_absolute_pulses",
