@@ -9,118 +9,17 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
-from functools import reduce
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
+from analyzer.diagnosis.check_rules import ORDER, RULES, RULES_OF_TWO, Rule
 from analyzer.diagnosis.exchanges import awaited, reported
 from analyzer.diagnosis.reader import Reader, Reading
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link.modbus import modbus_crc
 from analyzer.values import counted
 
-
-class Rule(NamedTuple):
-    """A way to compute a check: of a frame without its check and its CAN identifier, the bytes that it appends."""
-
-    name: str
-    cause: str
-    of: Callable[[bytes, int], bytes]
-
-    @property
-    def strong(self) -> bool:
-        """Whether one frame is evidence: a CRC of 16 bits; the high byte of a sum is mostly 0, and a lost bit is any."""
-        return len(self.of(b"\1\2\3", 0)) > 1 and "sum" not in self.name and self.cause != "wrong_parity"
-
-
-def _byte(value: int) -> bytes:
-    return bytes((value & 0xFF,))
-
-
-def _crc16(data: bytes, value: int, poly: int) -> int:
-    """Return a CRC of 16 bits that shifts to the left."""
-    for byte in data:
-        value ^= byte << 8
-        for _ in range(8):
-            value = (value << 1 ^ (poly if value & 0x8000 else 0)) & 0xFFFF
-    return value
-
-
-def _crc8(data: bytes) -> int:
-    value = 0
-    for byte in data:
-        value ^= byte
-        for _ in range(8):
-            value = (value << 1 ^ (0x07 if value & 0x80 else 0)) & 0xFF
-    return value
-
-
-def _arc(data: bytes) -> int:
-    """Return the CRC of Modbus begun with 0 instead of FFFF."""
-    value = 0
-    for byte in data:
-        value ^= byte
-        for _ in range(8):
-            value = value >> 1 ^ (0xA001 if value & 1 else 0)
-    return value
-
-
-def _seven(crc: int) -> bytes:
-    return bytes((crc & 0x7F, crc >> 8 & 0x7F))
-
-
-def _xor(data: bytes) -> int:
-    return reduce(int.__xor__, data, 0)
-
-
-_RULE = "wrong_checksum_rule"
-#: Rules that people take instead of the right one, the commonest first.
-RULES = (
-    Rule("the CRC with its bytes swapped", "crc_swapped", lambda b, i: modbus_crc(b).to_bytes(2, "big")),
-    Rule("the sum without the head byte", _RULE, lambda b, i: _byte(sum(b[1:]))),
-    Rule("the sum without the CAN identifier", _RULE, lambda b, i: _byte(sum(b))),
-    Rule("the XOR of all bytes", _RULE, lambda b, i: _byte(_xor(b))),
-    Rule("the sum of all bytes, in 8 bits", _RULE, lambda b, i: _byte(sum(b) + i)),
-    Rule("a Modbus CRC", _RULE, lambda b, i: modbus_crc(b).to_bytes(2, "little")),
-    Rule("the CRC without the address", _RULE, lambda b, i: modbus_crc(b[1:]).to_bytes(2, "little")),
-    Rule("the CRC without the address, high byte first", _RULE, lambda b, i: modbus_crc(b[1:]).to_bytes(2, "big")),
-    Rule("the CRC of address and function alone", _RULE, lambda b, i: modbus_crc(b[:2]).to_bytes(2, "little")),
-    Rule("the sum without head and address", _RULE, lambda b, i: _byte(sum(b[2:]))),
-    Rule("the XOR without the head byte", _RULE, lambda b, i: _byte(_xor(b[1:]))),
-    Rule("the XOR with the CAN identifier", _RULE, lambda b, i: _byte(_xor(b) ^ i ^ i >> 8)),
-    Rule("the two's complement of the sum", _RULE, lambda b, i: _byte(-sum(b) - i)),
-    Rule("the inverted sum", _RULE, lambda b, i: _byte(~(sum(b) + i))),
-    Rule("a CRC-8", _RULE, lambda b, i: _byte(_crc8(b))),
-    Rule("the CRC begun with 0 instead of FFFF", _RULE, lambda b, i: _arc(b).to_bytes(2, "little")),
-    Rule("a CRC-16/CCITT", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x1021).to_bytes(2, "big")),
-    Rule("a CRC-16/CCITT, low byte first", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x1021).to_bytes(2, "little")),
-    Rule("a CRC-16/XMODEM", _RULE, lambda b, i: _crc16(b, 0, 0x1021).to_bytes(2, "big")),
-    Rule("the right CRC with bit 7 of its bytes lost", "wrong_parity", lambda b, i: _seven(modbus_crc(b))),
-    Rule("the sum of all bytes in 16 bits", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "big")),
-    Rule("the sum of all bytes in 16 bits, low byte first", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "little")),
-)
-
-
-def _sum(data: bytes) -> bytes:
-    return _byte(sum(data))
-
-
-#: Rules for frames whose head has a check of its own: of the head without it and of the data, the whole frame.
-_OF_TWO: tuple[tuple[str, Callable[[bytes, bytes], bytes]], ...] = (
-    ("one sum over all bytes, and none behind the head", lambda h, d: h + d + _sum(h + d)),
-    ("one sum over the data, and none behind the head", lambda h, d: h + d + _sum(d)),
-    ("the sum of all bytes at its end", lambda h, d: h + _sum(h) + d + _sum(h + _sum(h) + d)),
-    ("the sum of all bytes but the head's own sum at its end", lambda h, d: h + _sum(h) + d + _sum(h + d)),
-    ("the sum of the data behind its head", lambda h, d: h + _sum(d) + d + _sum(d)),
-    ("the sum of all bytes behind its head", lambda h, d: h + _sum(h + d) + d + _sum(d)),
-    ("the sum of the head without its first byte", lambda h, d: h + _sum(h[1:]) + d + _sum(d)),
-    ("one sum over the head, and none behind the data", lambda h, d: h + _sum(h) + d),
-    ("the XOR of all bytes at its end", lambda h, d: h + _sum(h) + d + _byte(_xor(h + _sum(h) + d))),
-    ("the XOR of head and data", lambda h, d: h + _byte(_xor(h)) + d + _byte(_xor(d))),
-)
-RULES_OF_TWO = tuple((Rule(name, _RULE, lambda b, i: b""), whole) for name, whole in _OF_TWO)
-_ORDER = {rule: at for at, rule in enumerate((*RULES, *(rule for rule, _ in RULES_OF_TWO)))}
 _LONGEST_CHECK = 2
 #: A frame that differs from a right one by fewer bits may be that one, damaged; and right ones that are compared.
 _LEAST_BITS = 2
@@ -261,7 +160,7 @@ def _turned_replies(scene: Scene) -> Iterator[Suspicion]:
 def _summed(failing: Failing) -> bool:
     """Say whether the last byte is the sum of those before: then the sum is there, and a byte of the fields is not."""
     data = _data(failing)
-    return _sent_short(failing) and _sum(data[:-1]) == data[-1:]
+    return _sent_short(failing) and sum(data[:-1]) & 0xFF == data[-1]
 
 
 def _sent_short(failing: Failing) -> bool:
@@ -331,7 +230,7 @@ def _named(wrong: list[Failing], some_right: bool) -> dict[Rule, list[Failing]]:
             fitting[rule].append(failing)
     named: dict[Rule, list[Failing]] = {}
     left = {id(f) for f in wrong}
-    for rule in sorted(fitting, key=lambda r: (-len(fitting[r]), _ORDER[r])):
+    for rule in sorted(fitting, key=lambda r: (-len(fitting[r]), ORDER[r])):
         own = [f for f in fitting[rule] if id(f) in left]
         different = len({f.right for f in own})
         if different > 1 or (own and (rule.strong or not some_right or len(own) > 2)):

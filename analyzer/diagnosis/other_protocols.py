@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from itertools import product
 from typing import NamedTuple
 
-from analyzer.diagnosis.checks import RULES
+from analyzer.diagnosis.check_rules import RULES
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link import FUNCTIONS, modbus_crc
 from analyzer.values import counted

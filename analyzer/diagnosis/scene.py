@@ -397,3 +397,8 @@ def shown(data: bytes, can_id: int | None = None) -> str:
     """Return bytes as people write them."""
     text = data.hex(" ").upper()
     return text if can_id is None else f"{can_id:03X} {text}"
+
+
+def whole(piece: Piece | None) -> str:
+    """Return a piece as it is shown, with the identifier of its CAN frame."""
+    return "" if piece is None else shown(piece.data, None if piece.can is None else piece.can.id)

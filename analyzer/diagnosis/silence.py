@@ -7,14 +7,13 @@ from collections import defaultdict
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from analyzer.catalogue import Command, Dialect, Risk, Role, Verb
+from analyzer.catalogue import Command, Dialect, Role, Verb
+from analyzer.diagnosis.addresses import addressed
 from analyzer.diagnosis.exchanges import reported
-from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown, whole
 from analyzer.dialects import drive_name
 from analyzer.encoder import build
 from analyzer.layout import Effect
-from analyzer.link import FUNCTIONS, modbus_crc
-from analyzer.records import Message
 from analyzer.values import counted, identifier
 
 #: Requests without a reply, and their share, from which on a drive that answers others has fallen silent.
@@ -40,7 +39,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             answering.setdefault(piece.message.address, piece.message.frame.dialect.name)
     for asked in _unanswered(scene):
         yield from _unanswered_by_all(scene, asked, answering)
-    for part in (_reported, _from_new, _to_all, _to_none, _respond, _switched_off, _refused):
+    for part in (_reported, addressed, _respond, _switched_off, _refused):
         yield from part(scene)
 
 
@@ -61,8 +60,8 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -
     who = identifier(address) if dialect.bus == "can" else str(address)
     first = asked.troubles[0]
     assert first.piece is not None  # kept with its piece
-    evidence = f"{_bytes(first.piece)} at byte {first.offset}; {counted(len(asked.troubles), 'request')} unanswered"
-    frames = tuple(Shown(t.offset, _bytes(t.piece)) for t in asked.troubles if t.piece is not None)
+    evidence = f"{whole(first.piece)} at byte {first.offset}; {counted(len(asked.troubles), 'request')} unanswered"
+    frames = tuple(Shown(t.offset, whole(t.piece)) for t in asked.troubles if t.piece is not None)
     switched = _switched(scene, dialect, address)
     if switched is not None:
         setting, cause, what, todo = switched
@@ -70,10 +69,10 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -
         yield Suspicion(
             cause, Confidence.CERTAIN, later,
             f"The drive was {what}, and is still asked at {who} as before.",
-            f"{_bytes(setting)} at byte {setting.offset} sets it; "
+            f"{whole(setting)} at byte {setting.offset} sets it; "
             f"{counted(len({t.offset for t in later}), 'request')} after it unanswered",
             todo,
-            (Shown(setting.offset, _bytes(setting)), *frames),
+            (Shown(setting.offset, whole(setting)), *frames),
         )  # fmt: skip
         return
     if address in answering:
@@ -168,11 +167,11 @@ def _falls_silent(scene: Scene, asked: _Asked, who: str) -> Iterator[Suspicion]:
     yield Suspicion(
         "no_reply", Confidence.LIKELY if stops else Confidence.POSSIBLE, left,
         f"Address {who} has answered, and then stops." if stops else f"Address {who} answers at times, and at times not.",
-        f"{_bytes(first.piece)} at byte {first.offset} has no reply; {counted(len(left), 'request')} of {len(of_drive)}"
+        f"{whole(first.piece)} at byte {first.offset} has no reply; {counted(len(left), 'request')} of {len(of_drive)}"
         + ("" if stops or first.piece is None or first.piece.data not in good else ", and the same request is answered, too"),
         "Look for what changed: power, a loose wire, a stall or a restart of the drive, another program at the port; then wait "
         "longer for replies and between requests",
-        tuple(Shown(t.offset, _bytes(t.piece)) for t in left),
+        tuple(Shown(t.offset, whole(t.piece)) for t in left),
     )  # fmt: skip
 
 
@@ -275,123 +274,6 @@ def _reported(scene: Scene) -> Iterator[Suspicion]:
         )  # fmt: skip
 
 
-def _to_all(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect reads that are sent to all: no drive may answer them."""
-    sent = [
-        piece
-        for piece in scene.pieces
-        if (m := piece.message) is not None and piece.is_request and piece.sound and m.command is not None
-        and m.address == m.frame.dialect.broadcast and m.command.reply_forms and (_reads(m) or _only_to_all(scene, m))
-    ]  # fmt: skip
-    # Requests that a unit answered under its own address have another cause already.
-    if not sent or {at for piece in sent for at in (piece.offset, piece.stop)} & {t.offset for t in scene.explained}:
-        return
-    message = sent[0].message
-    assert message is not None
-    assert message.command is not None  # chosen so above
-    dialect = message.frame.dialect
-    one = dialect.addresses[0]
-    if message.command in dialect.commands:
-        right = build(dialect, message.command, one)
-    else:
-        # A register that the catalogue does not have: the same request, to one unit.
-        right = dialect.link.completed(bytes((one,)) + message.frame.data[1 : dialect.link.parse(message.frame.data).stop])
-    yield Suspicion(
-        "broadcast_no_reply", Confidence.CERTAIN if _reads(message) else Confidence.LIKELY,
-        [t for t in scene.troubles if t.piece in sent or t.rule in ("unanswered", "unsolicited_reply")],
-        f"{message.command.name} is sent to address {dialect.broadcast}, which is all drives: by the manual none answers.",
-        f"{_bytes(sent[0])} at byte {sent[0].offset}; {counted(len(sent), 'time')}",
-        f"Ask one drive: {shown(right, dialect.link.identifier(message.command, one))}",
-        tuple(Shown(p.offset, _bytes(p)) for p in sent),
-    )  # fmt: skip
-
-
-def _only_to_all(scene: Scene, message: Message) -> bool:
-    """Say whether an unknown register is written and all requests are broadcasts: a real broadcast has others beside it."""
-    unknown = message.command in message.frame.dialect.fallbacks.values()
-    return unknown and all(p.message is not None and p.message.address == message.address for p in scene.requests)
-
-
-def _to_none(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect Modbus frames to an address that no unit can have."""
-    troubles = [
-        t for t in scene.damaged
-        if t.stretch is not None and t.stretch.can_id is None and t.stretch.direction is not Role.REPLY
-        and _beyond(t.stretch.data)
-    ]  # fmt: skip
-    if not troubles or troubles[0].stretch is None:
-        return
-    data = troubles[0].stretch.data
-    asked = {t.stretch.data for t in troubles if t.stretch is not None}
-    if any(b.direction is not Role.REQUEST and b.data[:2] == data[:2] and b.data not in asked for b in scene.bursts):
-        # Who answers at it has it.
-        return
-    general = _GENERAL.get(data[0], "")
-    likely = Confidence.CERTAIN if len(troubles) > 1 else Confidence.LIKELY
-    yield Suspicion(
-        "wrong_address", Confidence.POSSIBLE if general else likely, troubles,
-        f"Address {data[0]} is none of a Modbus unit: those end at {_MODBUS_LAST}."
-        + (f" {general} answer at it where they are alone on the bus." if general else ""),
-        f"{shown(data)} at byte {troubles[0].offset}; {counted(len(troubles), 'time')}",
-        f"Ask at the unit's own address: for 1 send {shown(_at_one(data))}",
-        tuple(Shown(t.offset, shown(t.stretch.data), shown(_at_one(t.stretch.data))) for t in troubles if t.stretch),
-    )  # fmt: skip
-
-
-def _from_new(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect a new address where the reply to a write of one register comes from the address that it writes."""
-    before: Piece | None = None
-    for piece in scene.pieces:
-        data, message = piece.data, piece.message
-        written, before = before, piece
-        if message is None or len(data) != _WRITE_ONE or piece.can is not None or not message.frame.checksum_ok:
-            continue
-        unknown = message.command in message.frame.dialect.fallbacks.values()
-        if not unknown or data[1] != _WRITES or int.from_bytes(data[4:6], "big") != data[0] or data[0] == 1:
-            continue
-        asked = written is not None and written.data[0] != data[0] and (
-            written.data[1:6] == data[1:6]
-            # The reply to a write to all may name another register.
-            or (not written.data[0] and (written.data[1], written.data[4:6]) == (data[1], data[4:6]))
-        )  # fmt: skip
-        if not asked and len(scene.pieces) > 1:
-            continue
-        pair = (piece, written) if asked else (piece,)
-        yield Suspicion(
-            "address_changed", Confidence.LIKELY if asked else Confidence.POSSIBLE,
-            [t for t in scene.troubles if t.piece in pair] or [Trouble("unsolicited_reply", piece.offset, None, piece)],
-            f"The unit was given the address {data[0]}, and answers from it at once.",
-            f"{shown(data)} at byte {piece.offset} writes {data[0]}, and comes from {data[0]}",
-            f"Ask at address {data[0]} from here on: the write is done, also where a library reports an error",
-            (Shown(piece.offset, shown(data)),),
-        )  # fmt: skip
-        return
-
-
-def _beyond(data: bytes) -> bool:
-    known = len(data) > _MODBUS_SHORTEST and data[0] > _MODBUS_LAST and data[1] in FUNCTIONS
-    # A CRC that fits still does with a 00 behind it.
-    return known and modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0
-
-
-def _at_one(data: bytes) -> bytes:
-    body = b"\1" + data[1:-2]
-    return body + modbus_crc(body).to_bytes(2, "little")
-
-
-_MODBUS_LAST = 247
-#: Who answers at these addresses as well as at its own.
-_GENERAL = {0xF8: "Some meters (PZEM)", 0xFE: "Some sensors and relays", 0xFF: "Some relays and chargers"}
-_MODBUS_SHORTEST = 5
-_WRITE_ONE = 8
-_WRITES = 0x06
-
-
-def _reads(message: Message) -> bool:
-    assert message.command is not None  # asked of known commands
-    return message.command.risks(message.values) == frozenset((Risk.READ,))
-
-
 def _respond(scene: Scene) -> Iterator[Suspicion]:
     answering = {p.message.address for p in scene.pieces if p.is_reply and p.message is not None}
     troubles = [t for t in scene.of("silent_address") if t.piece is not None] or list(_silenced(scene))
@@ -410,9 +292,9 @@ def _respond(scene: Scene) -> Iterator[Suspicion]:
         yield Suspicion(
             "respond_off", Confidence.LIKELY, [trouble],
             f"Address {message.who} answers reads and no motion command: respond is off.",
-            f"{_bytes(trouble.piece)} at byte {trouble.offset} has no reply, and reads do",
+            f"{whole(trouble.piece)} at byte {trouble.offset} has no reply, and reads do",
             f"Switch replies on: send {frame}; if it is a group address, no reply is right (--group {address})",
-            (Shown(trouble.offset, _bytes(trouble.piece), frame),),
+            (Shown(trouble.offset, whole(trouble.piece), frame),),
         )  # fmt: skip
 
 
@@ -442,9 +324,9 @@ def _switched_off(scene: Scene) -> Iterator[Suspicion]:
             "respond_off", Confidence.CERTAIN if scene.words else Confidence.LIKELY,
             [t for t in scene.troubles if t.offset >= piece.offset],
             f"Address {message.who} is told to answer no motion command: respond is set to 0.",
-            f"{_bytes(piece)} at byte {piece.offset}",
+            f"{whole(piece)} at byte {piece.offset}",
             f"Switch replies on: send {frame}",
-            (Shown(piece.offset, _bytes(piece), frame),),
+            (Shown(piece.offset, whole(piece), frame),),
         )  # fmt: skip
         return
 
@@ -509,16 +391,12 @@ def _refused(scene: Scene) -> Iterator[Suspicion]:
         yield Suspicion(
             "refused_mode", Confidence.LIKELY, troubles,
             f"Address {first.message.who} refuses motion while it answers: it is in a mode that takes pulses, not the bus.",
-            f"{_bytes(first)} at byte {first.offset} reports a refusal; {counted(len(troubles), 'time')}, and none succeeds",
+            f"{whole(first)} at byte {first.offset} reports a refusal; {counted(len(troubles), 'time')}, and none succeeds",
             f"Change the work mode to {mode}: send {frame}; then enable the motor and move. If it is in that mode, ask for a "
             f"stall: `{Verb.READ_PROTECTION}`",
-            tuple(Shown(t.offset, _bytes(t.piece)) for t in troubles if t.piece is not None),
+            tuple(Shown(t.offset, whole(t.piece)) for t in troubles if t.piece is not None),
         )  # fmt: skip
 
 
 def _needs_mode(command: Command) -> bool:
     return bool(command.modes) and (command.moves or command.verb is Verb.ENABLE)
-
-
-def _bytes(piece: Piece | None) -> str:
-    return "" if piece is None else shown(piece.data, None if piece.can is None else piece.can.id)
