@@ -119,7 +119,7 @@ class OpenCapture:
         self._first_kinds = {d.bus for d in self.dialects}
         if self.model:
             # A model that no dialect has is told before anything is made.
-            self.others  # noqa: B018
+            self._by_name()
         #: Characters that an address takes: on CAN it is shown in hexadecimal.
         self.who_width = 5 if any(isinstance(item, CanFrame) for item in traffic) else 4
         self.options = self._options()
