@@ -149,9 +149,10 @@ def test_whatever_a_package_raises_is_named_and_left_out(error, capsys):
     assert "\x1b" not in said
 
 
-def test_an_interrupt_is_none_of_a_package():
+def test_an_interrupt_is_none_of_a_package_and_names_what_was_waited_for(capsys):
     def call():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         attempt("a toy", call)
+    assert capsys.readouterr().err == "servotap: interrupted in a toy\n"

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.fleet.lake import CAPTURES, Lake
+from analyzer.fleet.lake import CAPTURES, LOG, Lake
 from analyzer.fleet.place import again
 from analyzer.table.extras import needed
 from analyzer.values import near, printable
@@ -161,7 +161,7 @@ class Question:
         place = self.lake.place
         place.fs.invalidate_cache()
         with self.lake.reading(table):
-            log = again(lambda: place.fs.ls(place.path(f"{table}/_delta_log"), detail=True))
+            log = again(lambda: place.fs.ls(place.path(f"{table}/{LOG}"), detail=True))
         for each in log:
             if each["name"].endswith(".json") and not each["size"]:
                 raise UnreadableError(

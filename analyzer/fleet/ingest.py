@@ -29,7 +29,7 @@ from typing import Any
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.fleet.files import PARTITIONS
-from analyzer.fleet.lake import Lake
+from analyzer.fleet.lake import CAPTURES, JOURNAL, LOG, RANGES, Lake
 from analyzer.fleet.place import Found, Place, again
 from analyzer.fleet.ranges import HUGE, Range, Scan, Task, do, is_split, joined, waiting, works_of
 from analyzer.fleet.rows import TAKEN, Taken, Work
@@ -175,15 +175,24 @@ class Machines:
 
 
 def _captures(source: Place, files: Sequence[Found], lake: Place) -> Iterator[Found]:
-    """Yield those of a source's files that are captures: no profiles, nor what `decode` and `record` made."""
+    """Yield those of a source's files that are captures: no profiles, nor what `decode`, `record` and `ingest` made."""
     names = {each.name for each in files}
+    lakes = _of_lakes(names)
     own = f"{lake.root}/" if type(lake.fs) is type(source.fs) else ""
     for each in files:
         folders = each.name.split("/")[:-1]
         made = each.name.removesuffix(".mcap") in names and each.name.endswith(".mcap")
-        made |= posixpath.basename(each.name) == profile.FILE
+        made |= posixpath.basename(each.name) == profile.FILE or each.name.startswith(lakes)
         if not made and not any(name.endswith(_MADE) for name in folders) and not (own and each.key.startswith(own)):
             yield each
+
+
+def _of_lakes(names: Collection[str]) -> tuple[str, ...]:
+    """Return how names of files in lakes begin: below the folders of tables, and what a lake keeps of batches beside them."""
+    tables = {name[:at] for name in names if (at := f"/{name}".find(f"/{LOG}/")) >= 0}
+    beside = {f"{table.removesuffix(f'{CAPTURES}/')}{folder}/" for table in tables for folder in (JOURNAL, RANGES)
+              if f"/{table}".endswith(f"/{CAPTURES}/")}  # fmt: skip
+    return tuple(tables | beside)
 
 
 def tasks(found: Sequence[Work], number: int) -> list[Task]:

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import time
 import uuid
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
 
 CAPTURES = "captures"
 JOURNAL = "journal"
+#: The folder in each table that says which files it has.
+LOG = "_delta_log"
 #: The folder of ranges of huge captures that wait for a worker.
 RANGES = "ranges"
 #: A later version of a table, of which a column has another meaning.
@@ -148,6 +151,11 @@ class Lake:
     def _uri(self, table: str) -> str:
         return f"{self._base}/{table}"
 
+    def _check_files(self, folder: str) -> None:
+        """Raise ValueError where something in a folder of the lake cannot be read to an end."""
+        if self.place.local and os.path.isdir(path := self.place.path(folder)):
+            self.place.check_files(f"{folder}/{name}" for name in os.listdir(path))
+
     def _exists(self, table: str) -> bool:
         with self.reading(table):
             return bool(self._delta.DeltaTable.is_deltatable(self._uri(table), storage_options=self._options))
@@ -156,6 +164,7 @@ class Lake:
         """Return a table as it is now."""
         opened = self._open.get(table)
         with self.reading(table):
+            self._check_files(f"{table}/{LOG}")
             if opened is None:
                 opened = self._open[table] = self._delta.DeltaTable(self._uri(table), storage_options=self._options)
             else:
@@ -172,6 +181,7 @@ class Lake:
             files = arrow.SubTreeFileSystem(self._uri(table), arrow.LocalFileSystem())
         with self.reading(table):
             found: pyarrow.dataset.Dataset = opened.to_pyarrow_dataset(filesystem=files)
+            self.place.check_files(f"{table}/{path}" for path in getattr(found, "files", ()))
             for path in getattr(found, "files", ()):
                 if ".." in path.split("/") or path.startswith("/"):
                     raise ValueError(f"its log names a file that is not below it: {path}")
@@ -208,9 +218,9 @@ class Lake:
         found = []
         for depth in ("*", "*/*/*/*"):
             with self.reading("*"):
-                paths = self.place.glob(f"{depth}/_delta_log")
+                paths = self.place.glob(f"{depth}/{LOG}")
             for path in paths:
-                found.append(path[len(self.place.root) :].strip("/").removesuffix("/_delta_log"))
+                found.append(path[len(self.place.root) :].strip("/").removesuffix(f"/{LOG}"))
         # A client that died while it made a table, or found no room for it, leaves a log without a commit.
         found = [name for name in found if name in self._open or self._exists(name)]
         return sorted(found, key=lambda name: (name != CAPTURES, name.startswith("messages/"), name))
@@ -350,6 +360,7 @@ class Lake:
     def pending(self) -> Iterator[tuple[str, Journal]]:
         """Yield the batches that have a journal."""
         with self.reading(JOURNAL):
+            self._check_files(JOURNAL)
             paths = self.place.glob(f"{JOURNAL}/*.json")
         for path in paths:
             name = path.rpartition("/")[2]

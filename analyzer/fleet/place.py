@@ -113,6 +113,13 @@ class Place:
                         return path
         return ""
 
+    def check_files(self, names: Iterable[str]) -> None:
+        """Raise ValueError for a pipe, a socket or a device on a disk: whoever reads it may wait for ever."""
+        for name in names if self.local else ():
+            path = self.path(name)
+            if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+                raise ValueError(f"{path} is a pipe, a socket or a device: expected a file")
+
     def files(self, folder: str = "") -> list[Found]:
         """Return all files below this place, or a folder of it, by name. Raises UnreadableError where it is not there."""
         # What a listing held is of before; a store that is asked again has to look again.

@@ -33,8 +33,9 @@ _WHOLE_PAUSE_NS = 2 * MS
 _LONGEST_FRAME = 64
 #: So long after a deadline, this process stood still: a machine that is free wakes it within that.
 _STOOD_STILL_NS = 5 * MS
-#: Pieces that are read at the most behind a deadline, and bytes: others may send without end. A tty holds no more.
-_MOST_WAITING, _MOST_WAITING_BYTES = 256, 1 << 16
+#: Read at the most behind a deadline: pieces, and bytes, unless the line can have brought more since the request. Others may
+#: send without end, and a server on a network is faster than a line.
+_MOST_WAITING, _MOST_WAITING_BYTES = 256, 4096
 #: Requests whose replies are still known for theirs.
 _OPEN_REQUESTS = 256
 #: Spans of the bus that were sent here: what is decoded late may lie in an earlier one.
@@ -224,10 +225,11 @@ class Dialogue:
 
         A busy machine can let this process stand still until after a deadline, and what came meanwhile came in time.
         """
+        most = max(_MOST_WAITING_BYTES, (self.gate.now_ns() - self._exchange.sent_ns) // max(1, self.gate.line.byte_ns))
         waited = 0
         for _ in range(_MOST_WAITING):
             got = self.receive(self.gate.now_ns())
-            if got is None or waited > _MOST_WAITING_BYTES:
+            if got is None or waited > most:
                 return
             waited += len(got.data)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -53,6 +54,21 @@ def test_a_damaged_lake_is_told_in_a_line(tmp_path, name):
     damaged.write_text("}{")
     with pytest.raises(UnreadableError, match=damaged.parts[-2] if "journal" in name else "captures cannot be read"):
         Question(Lake(made.place)).dataset("captures")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes with names")
+@pytest.mark.parametrize("what", ["captures/*.parquet", "states/**/*.parquet", "captures/_delta_log/*.json", "journal"])
+def test_a_pipe_in_a_lake_is_told_and_not_waited_for(captures, tmp_path, what, capsys):
+    made = lake(tmp_path / "lake")
+    ingest(made, captures)
+    place = tmp_path / "lake"
+    pipe = place / "journal" / "left.json" if what == "journal" else min(place.glob(what))
+    pipe.parent.mkdir(exist_ok=True)
+    pipe.unlink(missing_ok=True)
+    os.mkfifo(pipe)
+    table = what.partition("/")[0] if what != "journal" else "captures"
+    assert main(["ask", str(place), f"select * from {table}"]) == 2
+    assert f"{pipe} is a pipe, a socket or a device: expected a file" in capsys.readouterr().err
 
 
 def changed_in_log(made, table, old, new):

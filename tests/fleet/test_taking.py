@@ -12,7 +12,7 @@ from analyzer.errors import UsageError
 from analyzer.fleet.ask import Question
 from analyzer.fleet.files import PARTITIONS
 from analyzer.fleet.ingest import Pattern, tasks
-from analyzer.fleet.lake import Lake
+from analyzer.fleet.lake import JOURNAL, RANGES, Lake
 from analyzer.fleet.place import Found, Place
 from analyzer.fleet.rows import Work
 from tests.fleet.lakes import candump, hall, ingest, lake, rows
@@ -38,6 +38,24 @@ def test_what_was_made_of_captures_is_none(tmp_path):
         assert main(["decode", str(folder / "a.log"), "--to", to]) == 0
     made = lake(folder / "lake")
     assert [ingest(made, folder).files for _ in range(2)] == [1, 1]
+
+
+def test_files_of_another_lake_are_no_captures(tmp_path):
+    folder = hall(tmp_path / "in", 2)
+    another = lake(folder / "older")
+    ingest(another, folder / "m0")
+    for name in (JOURNAL, RANGES):
+        (folder / "older" / name).mkdir(exist_ok=True)
+        (folder / "older" / name / "left.json").write_text("{}")
+    # What else stands there is a capture like any other.
+    (folder / "older" / "mine.log").write_text(candump(7))
+    made = lake(tmp_path / "lake")
+    outcome = ingest(made, folder, pattern=None)
+    assert outcome.files == 4
+    assert sorted(row["name"] for row in made.rows("name") if row["name"]) == [
+        "m0/2026-03-01/0.log", "m1/2026-03-01/1.log", "notes.txt", "older/mine.log",
+    ]  # fmt: skip
+    assert ingest(lake(tmp_path / "third"), folder / "older").files == 1
 
 
 def test_what_cannot_be_read_says_why_and_is_tried_again(tmp_path):

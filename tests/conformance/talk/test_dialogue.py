@@ -98,7 +98,8 @@ def test_what_is_read_behind_a_deadline_has_a_bound_whatever_the_size_of_its_pie
     Dialogue(Gate(line, Allowance(frozenset(Risk))), [MKS]).ask(READ, 500 * MS)
     pieces = 2000 - len(line.pieces)
     # On top: the piece that passes the bound, and what comes, one a millisecond, while a frame that has begun may be ended.
-    assert pieces <= min(256, (1 << 16) // size + 2) + 60
+    at_38400_baud = 3840 * 3
+    assert pieces <= min(256, at_38400_baud // size + 2) + 60
 
 
 def test_listening_ends_with_the_reply_or_with_the_time():
