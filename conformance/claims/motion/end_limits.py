@@ -285,13 +285,7 @@ def _told(probe: Probe, run: Command) -> None:
         probe.expect(told, equal=[1, 3], expected=f"1, 3: {where}", refutes=text, exchange=exchange)
 
 
-@_of_limits(
-    "a second answer",
-    each=_answering_moves,
-    name="{command}/end-limit-inactive-{run}",
-    at_best=Certainty.LIKELY,
-    quirks=_deaf_after_moves,
-)
+@_of_limits("a second answer", each=_answering_moves, name="{command}/end-limit-inactive-{run}", at_best=Certainty.LIKELY)
 def _not_told(probe: Probe, run: Command) -> None:
     """With active 0, {run} that an end limit stops is answered when it begins, and not when it is stopped, at each side."""
     for where, exchange, told in _met(probe, run, active=0):
