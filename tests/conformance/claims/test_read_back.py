@@ -9,7 +9,12 @@ from tests.conformance import theme_runs
 
 #: Drives beside those of every theme, with the claims that are not about them: another protocol's address, another model.
 _OTHERS = {
-    "mks-rs485@255,model=57D": {"set_modbus/restart", "restore/limit-remap", "set_limit_remap/limit-remap-and-back"},
+    "mks-rs485@255,model=57D": {
+        "set_modbus/restart",
+        "restore/limit-remap",
+        "set_limit_remap/limit-remap-and-back",
+        *(f"set_limit_remap/restart-{way}-limit-remap" for way in ("broadcast", "group", "package")),
+    },
     "mks-rs485@3,baud=115200": {"set_limit_remap/effect"},
 }
 
