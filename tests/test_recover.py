@@ -23,8 +23,9 @@ from analyzer.sinks.mcap_sound import is_whole
 from analyzer.sources import magic
 from analyzer.sources.mcap_scan import HEAD
 from tests.collect import sum8
-from tests.live.spooled import Spools, content, decoded_of, metadata, port, raw_of, read
+from tests.live.spooled import Spools, content, decoded_of, port, raw_of, read
 from tests.live.test_recorder_killed import ARM, LEFT, RIGHT, fill
+from tests.logs import metadata
 
 
 def killed(tmp_path, steps=300, **about):

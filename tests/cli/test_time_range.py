@@ -21,7 +21,8 @@ from analyzer.errors import UsageError
 from analyzer.sources import open_source
 from analyzer.sources.times import iso, parse_time
 from tests.collect import sum8
-from tests.live.spooled import UTC, Spools, content, metadata, port, raw_of, read
+from tests.live.spooled import UTC, Spools, content, port, raw_of, read
+from tests.logs import metadata
 
 SECOND = 1_000_000_000
 CAPTURES = Path(__file__).parents[2] / "captures"

@@ -50,7 +50,7 @@ def test_names_of_a_plot_are_texts() -> None:
 NONE = [None, 5, float("nan"), float("inf"), 10**400, b"\xff", [5], object()]
 
 
-@pytest.mark.parametrize("value", [None, 5, 1.5, 10**12, -1, ["FA"], object()], ids=repr)
+@pytest.mark.parametrize("value", [None, 5, 1.5, 10**12, -1, ["FA"], {}], ids=repr)
 def test_a_frame_is_hex_or_bytes(value: Any) -> None:
     with pytest.raises(servotap.UsageError, match=r"^frame: expected hex as a text, or bytes, got "):
         servotap.explain(value)
