@@ -56,6 +56,8 @@ TRAITS: tuple[tuple[str, int, tuple[str, ...]], ...] = (
 STORED, _KEEP = 15, 10
 #: What a number that is stored is of its default, or of its range where that is 0.
 _SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(5, 4), Fraction(2))
+#: A run that is kept for power-on, in each direction.
+_RUNS = tuple({"saved_run": 1, "saved_speed": 100, "saved_acceleration": 100, "saved_direction": way} for way in (0, 1))
 #: Without any current no shaft turns.
 _LEAST = {"current": 400}
 
@@ -68,7 +70,7 @@ def stored(dialect: Dialect, model: str, chance: random.Random, share: int = STO
         if name in usual.held and chance.randrange(100) < share:
             held[name] = max(_LEAST.get(name, field.low), min(field.high, _value(field, usual.held[name], chance)))
     if share and chance.randrange(100) < _KEEP:
-        held |= {n: v for n, v in chance.choice(set_otherwise.TOGETHER).items() if n in usual.held}
+        held |= {n: v for n, v in chance.choice((*set_otherwise.TOGETHER, *_RUNS)).items() if n in usual.held}
     return [f"{name}={usual.text(name, value)}" for name, value in held.items() if value != usual.held[name]]
 
 

@@ -55,8 +55,6 @@ _ASKED = 4
 _WORTH_NS = 60 * MS
 #: How late a reply to a motion was seen to come.
 _BEHIND_NS, _SLOW_REPLY_NS = 800 * MS, 250 * MS
-#: By then a run that a drive keeps turns the shaft.
-_BEGINS_NS = 100 * MS
 #: By then a run has its speed.
 _LONG_NS = 100_000 * MS
 #: How long a shaft may take to come to rest that its twin's has, and the speed of one that surely turns.
@@ -275,7 +273,6 @@ class Walk:
         kind = command.motion.kind if command.motion is not None else None
         if verb is Verb.RESTART:
             wait_for_answer(probe)
-            self._end_kept_run()
             twin.wait(self._twin_ns(probe.gate.now_ns()))
             while not twin.drive.listening:
                 twin.wait(twin.now_ns + 10 * MS)
@@ -314,17 +311,6 @@ class Walk:
             if verb is Verb.RESTART and Verb.READ_ZERO_STATUS in self.dialect.by_verb:
                 # Whether a zero is kept for power-on no read tells, and a motor that is off does not go back to it.
                 self._learn_own(self.dialect.by_verb[Verb.READ_ZERO_STATUS])
-
-    def _end_kept_run(self) -> None:
-        """Stop a run that was kept for power-on: no read tells whether one is, and other claims judge it."""
-        probe = self.probe
-        if Verb.SAVE_SPEED not in self.dialect.by_verb:
-            return
-        # Behind the way back to a kept zero it has just begun.
-        probe.wait(_BEGINS_NS)
-        if abs(motion.speed(probe).value) >= 1 + probe.noise.rpm:
-            motion.stand_still(probe)
-            self._since = len(probe.traffic)
 
     def _on_its_way(self) -> None:
         """Look at a move before its end is told: how fast it goes no place at its end tells."""

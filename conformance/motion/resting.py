@@ -79,10 +79,30 @@ def let_stand(probe: Probe) -> bool:
     if abs(motion.speed(probe).value) < _RESTS:
         return False
     motion.stand_still(probe)
+    return forget_run(probe)
+
+
+def forget_run(probe: Probe, mode: int | None = None) -> bool:
+    """Make a drive forget the run that it may keep for power-on; say whether its dialect has such runs.
+
+    No read tells of one. In a pulse mode it does not begin, and forgetting is refused: so a mode of the bus is set first.
+    `mode`: the work mode, as sent, to go back to. Raises Inconclusive, Refused, NotRun.
+    """
     command = probe.dialect.by_verb.get(Verb.SAVE_SPEED)
-    if command is not None:
-        probe.do(command, {"save_state": motion.choice(command, "save_state", "clean")})
-    return command is not None
+    if command is None:
+        return False
+    for left in reversed(range(_ATTEMPTS)):
+        try:
+            motion.ready_to_move(probe)
+            probe.do(command, {"save_state": motion.choice(command, "save_state", "clean")})
+            if mode is not None:
+                probe.do(Verb.SET_WORK_MODE, {"work_mode": mode})
+            break
+        except Inconclusive:
+            # The line may have damaged it.
+            if not left:
+                raise
+    return True
 
 
 def in_motion(probe: Probe) -> Noise:

@@ -115,13 +115,16 @@ class EmulatedRig(ClaimRig):
         return plain_probe(self.dialect, self.address, self._gate_to(self.make_drive()))
 
     def _gate_to(self, drive: Drive) -> Gate:
-        """Return the gate of a line to a drive; a shaft that turns since power came on is let stand, as on a bench."""
+        """Return the gate of a line to a drive; what it does or keeps for power-on is ended first, as on a bench."""
         gate = Gate(EmulatedLine([drive]), self._allowance)
-        if drive.rest.since_ns < 0:
-            gate.wait(_POWERED_NS)
-            # A shaft that turns on is judged by the claims about stops; a stop may also need more than was allowed.
-            with contextlib.suppress(Inconclusive, Refused):
-                resting.let_stand(plain_probe(self.dialect, self.address, gate))
+        probe = plain_probe(self.dialect, self.address, gate)
+        # A shaft that turns on is judged by the claims about stops; a stop may also need more than was allowed.
+        with contextlib.suppress(Inconclusive, Refused):
+            if drive.rest.since_ns < 0:
+                gate.wait(_POWERED_NS)
+                resting.let_stand(probe)
+            elif drive.settings.get("saved_run"):
+                resting.forget_run(probe, drive.settings["work_mode"])
         return gate
 
     def probe(self, claim: Claim) -> Probe:

@@ -105,6 +105,8 @@ class RealRig(ClaimRig):
         #: What makes the drive answer motion, by command, where a user has set it not to; whether it was looked at for that.
         self._loud: dict[str, dict[str, int]] = {}
         self._heard = False
+        #: Whether it was told to forget a run kept for power-on.
+        self._forgotten = False
         #: Why the drive is not set to answer motion, or nothing.
         self._unheard = ""
         #: Where a claim saw the shaft stand, until something is sent that may move it.
@@ -218,6 +220,7 @@ class RealRig(ClaimRig):
             self._tell(say.ReadState())
         if MAY_MOVE & claim.risks:
             self._let_stand(claim)
+            self._forget_run(claim)
             self._be_heard(claim)
         if self._in_motion is None and resting.can_turn(self.dialect, claim):
             self._in_motion = self._at_rest
@@ -236,6 +239,24 @@ class RealRig(ClaimRig):
                 print(f"servotap: {self.name}: it turned by a run kept for power-on, which is forgotten", file=sys.stderr)
         except (Inconclusive, Refused, NotRun):
             # What turns on is judged by claims, and said by the stop behind each.
+            return
+        finally:
+            self.settle(probe)
+
+    def _forget_run(self, claim: Claim) -> None:
+        """Forget a run that may be kept for power-on, before the first claim that restarts the drive.
+
+        In a pulse mode it shows only when a claim has set another mode and restarts.
+        """
+        restart = self.dialect.by_verb.get(Verb.RESTART)
+        if self._forgotten or restart is None or not claim.risks >= restart.all_risks:
+            return
+        self._forgotten = True
+        probe = Probe(self, claim)
+        try:
+            resting.forget_run(probe)
+        except (Inconclusive, Refused, NotRun):
+            # What is not to be changed, or refuses it, keeps what it has.
             return
         finally:
             self.settle(probe)

@@ -7,6 +7,7 @@ Rules kept here:
 - What the drive tells or the user told is known. A drive set so is refuted for its settings, whatever the claim says of it.
 - What neither tells may be anything: one setting at a time differs, and what belongs together in a few rows.
 - The address, the speed of the line and the dialect are known, for the drive answers.
+- A run that is kept for power-on is no such setting: the rig has the drive forget it first.
 """
 
 from __future__ import annotations
@@ -26,14 +27,11 @@ if TYPE_CHECKING:
     from analyzer.catalogue import Dialect
     from conformance.suite.rig import ClaimRig
 
-#: What is kept for power-on: a way to a zero, each way there, and a run in each direction.
-TOGETHER: tuple[Mapping[str, int], ...] = (
-    *(
-        {"zero_mode": mode, "zero_kept": 1, "zero_point": point, "zero_direction": direction}
-        for mode, direction in ((1, 0), (1, 1), (2, 0))
-        for point in (5000, 12000)
-    ),
-    *({"saved_run": 1, "saved_speed": 100, "saved_acceleration": 100, "saved_direction": way} for way in (0, 1)),
+#: What is kept for power-on: a way to a zero, and each way there.
+TOGETHER: tuple[Mapping[str, int], ...] = tuple(
+    {"zero_mode": mode, "zero_kept": 1, "zero_point": point, "zero_direction": direction}
+    for mode, direction in ((1, 0), (1, 1), (2, 0))
+    for point in (5000, 12000)
 )
 
 

@@ -399,13 +399,21 @@ ONCE_ACCUSED_THOUGH_TOLD = [
         91400000,
         "traffic/",
     ),
+    # In a pulse mode a kept run did not show, and began when the claims restarted the drive in another mode.
+    (
+        "mks-rs485@18,model=35D,encoder-noise=1,loop-error=3,speed-noise=1.5%,speed-lag=5ms,hysteresis=2,stall=10ms,clock=+2%,"
+        "latency=0.3..3ms,byte-gap=0.5,voltage-noise=0.1,line-errors=1%,zero_mode=2,saved_run=1,saved_speed=100,"
+        "saved_acceleration=100",
+        81100020,
+        "read-back/settings/restart",
+    ),
 ]
 
 
 @pytest.mark.parametrize(
     ("drive", "seed", "claims"),
     ONCE_ACCUSED_THOUGH_TOLD,
-    ids=["faster", "kept-run", "three-speeds", "kept-zero", "no-way-back", "session"],
+    ids=["faster", "kept-run", "three-speeds", "kept-zero", "no-way-back", "session", "kept-unseen"],
 )
 def test_an_honest_drive_whose_settings_were_told_is_not_accused(drive, seed, claims):
     _, counts, refuted = honest.accused(drive, seed, part=claims)
@@ -431,6 +439,9 @@ STORED = [
     ("mks-rs485@1,model=42D,zero_mode=2,zero_kept=1,zero_point=5000", "restart/motion-as-before"),
     ("mks-rs485@1,model=42D,zero_mode=1,zero_kept=1,zero_point=5000", "read-back/set_zero_mode/clean"),
     ("mks-modbus@1,work_mode=sr_vfoc,saved_run=1,saved_speed=100,saved_acceleration=100", "restart/ends-motion"),
+    # In a pulse mode it does not turn when power comes on.
+    ("mks-modbus@1,saved_run=1,saved_speed=100,saved_acceleration=100", "restart/ends-motion"),
+    ("mks-can@1,saved_run=1,saved_speed=100,saved_acceleration=100", "restart/motion-as-before"),
 ]
 
 
@@ -508,3 +519,16 @@ def test_a_run_that_was_kept_for_power_on_is_stopped_and_forgotten_before_the_fi
     assert found == [Outcome.CONFIRMED]
     assert "a run kept for power-on, which is forgotten" in capsys.readouterr().err
     assert rig.setting("saved_run") == 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "outcome"), [("", Outcome.CONFIRMED), (",fault=restart-lies", Outcome.REFUTED)], ids=["none", "fault"]
+)
+def test_a_run_that_no_shaft_shows_is_forgotten_before_the_first_restart(fault, outcome, tmp_path):
+    kept = "saved_run=1,saved_speed=100,saved_acceleration=200"
+    rig = EmulatedPort(f"mks-rs485@1,{kept}{fault}", tmp_path, settings=KNOWN)
+    before = rig.setting("work_mode")
+    found = [engine.run_claim(c, rig).outcome for c in every_claim(rig._target) if c.id.endswith("restart/ends-motion")]
+    rig.close()
+    assert found == [outcome]
+    assert (rig.setting("saved_run"), rig.setting("work_mode")) == (0, before)
