@@ -306,10 +306,12 @@ def _torque_limit_of(probe: Probe, how: Command) -> None:
         return
     motion.ready_to_move(probe)
     exchange = set_parameter(probe, "torque_limit", 0)
+    assert how.motion is not None  # it is one of the motions
+    both = ((how, -30),) if how.motion.kind is MotionKind.TORQUE else ()
     went = []
-    for command in (probe.command(Verb.RUN_SPEED), how):
+    for command, rpm in ((probe.command(Verb.RUN_SPEED), 30), (how, 30), *both):
         before = motion.position(probe)
-        motion.ask(probe, command, 90, rpm=30)
+        motion.ask(probe, command, 90, rpm=rpm)
         probe.wait(300 * MS)
         went.append(abs(motion.position(probe).value - before.value))
         probe.do(Verb.STOP)
@@ -319,7 +321,7 @@ def _torque_limit_of(probe: Probe, how: Command) -> None:
     if went[0] > most:
         raise Observed("a run turns the shaft with a torque limit of 0")
     text = f"{how.name} turns the shaft with a torque limit of 0"
-    probe.expect(went[1], at_most=most, unit="degrees", refutes=text, exchange=exchange)
+    probe.expect(max(went[1:]), at_most=most, unit="degrees", refutes=text, exchange=exchange)
 
 
 def _forces(dialect: Dialect) -> Iterator[Case]:
@@ -346,15 +348,19 @@ def _torque_limit_at_once(probe: Probe, how: Command) -> None:
 
     motion.ready_to_move(probe)
     set_parameter(probe, "torque_limit", _LOW)
-    seen = []
+    seen, speeds = [], []
     for way in (1, -1):
         exchange = probe.do(how, {name: way * FORCE})
         seen.append(strength())
+        speeds.append(abs(motion.speed(probe).value))
         motion.stand_still(probe)
     begun, other = seen
     set_parameter(probe, "torque_limit", kept)
-    probe.do(how, {name: FORCE})
-    free = strength()
+    for way in (-1, 1):
+        motion.stand_still(probe)
+        probe.do(how, {name: way * FORCE})
+        free = strength()
+        speeds.append(abs(motion.speed(probe).value))
     written = set_parameter(probe, "torque_limit", _LOW)
     changed = strength()
     motion.stand_still(probe)
@@ -363,5 +369,25 @@ def _torque_limit_at_once(probe: Probe, how: Command) -> None:
         raise Observed(f"with a torque limit of {_LOW} the torque is {begun:.0f}, and {free:.0f} without")
     text = f"a torque limit that holds for {how.name} one way does not hold the other way"
     probe.expect(other, near=-_LOW, within=_NEAR, unit="LSB", refutes=text, exchange=exchange)
+    text = f"{how.name} is told as limited each way, and its limit slows the shaft down one way alone"
+    _expect_slower(probe, speeds, text, exchange)
     text = f"a torque limit does not hold for {how.name} that is under way"
     probe.expect(changed, near=_LOW, within=_NEAR, unit="LSB", refutes=text, exchange=written)
+
+
+#: What a limit must leave of a speed at most to be seen in it.
+_SLOWED = 0.75
+
+
+def _expect_slower(probe: Probe, speeds: list[float], refutes: str, exchange: Exchange) -> None:
+    """Expect that a limit that slows a shaft down one way slows it down the other way, each against the speed without it.
+
+    `speeds` (rpm): under the limit one way and the other way, without it the other way and the one way. The load of a shaft
+    may differ each way, so its speeds are not compared across: only no effect at all is refuted.
+    """
+    one, other, other_free, one_free = speeds
+    noise = probe.noise.rpm
+    if one + noise > one_free * _SLOWED or other_free <= noise:
+        return
+    most = other_free * (1 + _SLOWED) / 2
+    probe.expect(other, at_most=most, unit="rpm", refutes=refutes, exchange=exchange)

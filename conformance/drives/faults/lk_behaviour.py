@@ -11,14 +11,14 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import cast
 
 from analyzer.protocols.lk_rs485 import DIALECT
 from conformance.drives.drive import Drive, Request
 from conformance.drives.faults.places import LK, Change, together
 from conformance.drives.lk.drive import ACTS, Act, LkDrive
-from conformance.drives.lk.motor import Goal, Torque
+from conformance.drives.lk.motor import Goal, LkMotor, Torque
 
 #: Commands that end at a position counted over all turns, at an angle within one, or at a distance.
 MULTI_TURN = ("move_multi_turn", "move_multi_turn_limited")
@@ -96,6 +96,22 @@ def learning(name: str, models: tuple[str, ...]) -> Change:
             drive.learn(DIALECT.by_name[name], ACTS[name])
 
     return tuned(learn)
+
+
+@dataclass(frozen=True)
+class _Unlimited(Torque):
+    """A torque for which no limit holds, and which is told as if it did."""
+
+    def push(self, motor: LkMotor) -> float:
+        return self.torque
+
+
+def told_as_limited(drive: LkDrive) -> None:
+    """Let no limit hold for a torque below 0, and tell it as limited."""
+    go = drive.motor.go
+    drive.motor.go = lambda goal: go(  # type: ignore[method-assign]
+        _Unlimited(goal.torque) if isinstance(goal, Torque) and goal.torque < 0 else goal
+    )
 
 
 def limited_one_way(drive: LkDrive) -> None:

@@ -24,6 +24,7 @@ from conformance.drives.faults.lk_behaviour import (
     nothing,
     rebuilt,
     replaced,
+    told_as_limited,
     tuned,
     turns,
 )
@@ -434,6 +435,11 @@ ROWS: Rows = {
         Row("lk-torque-half-range", "0xA1 gives 1024 at most", asked("torque_current", _half_range)),
         Row("lk-max-speed-kept", "the max_speed of 0xA8 limits the next 0xA3", Change(_keeping_speed, LK)),
         Row("lk-torque-limit-one-way", "the torque limit does not hold for a torque below 0", tuned(limited_one_way)),
+        Row(
+            "lk-torque-limit-told-one-way",
+            "the torque limit does not hold for a torque below 0, which 0x9C tells as limited",
+            tuned(told_as_limited),
+        ),
         Row("lk-torque-limit-ignored", "the torque limit of 0xC1 has no effect", _without_effect("torque_limit")),
         Row("lk-angle-limit-ignored", "0xA3 and 0xA4 go beyond the angle limit", moving(MULTI_TURN, _past_angle_limit)),
     ),

@@ -29,6 +29,7 @@ REFUTED_BY = {
     "home-direction-2-at-corners": "ranges/set_home/at-corners",
     "lk-torque-without-sign": "motion/read_state_2/torque-sign",
     "lk-torque-limit-one-way": "motion/write_parameter/torque-limit-at-once-run_torque",
+    "lk-torque-limit-told-one-way": "motion/write_parameter/torque-limit-at-once-run_torque",
     "fe-of-old-zero": "motion/home/zero",
     "homing-ccw-untold": "motion/home/replies",
     "home-backs-off-half-a-turn": "motion/home/backs-off-cw",
