@@ -8,8 +8,8 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.encoder import build
 from conformance.bus.intake import FLOOD, SECOND_NS, Intake
-from conformance.cli import stop
 from conformance.gate.gate import Allowance, Gate
+from conformance.safety import stopping
 from conformance.suite.preflight import DriveNotFound, check
 from tests.conformance.bus.flooded import MS, Flooded
 from tests.conformance.cli.test_stop import run
@@ -90,11 +90,9 @@ def test_a_stop_on_a_flooded_line_reaches_all_at_once_and_ends(what: str, place:
     assert "and a line of 38400 bit/s brings 3840" in told
     first = {data: t_ns for t_ns, data in reversed(line.written)}
     for dialect in (d for d in dialects.every() if d.bus == "serial"):
-        for address in range(1, 5):
-            gentle = {"acceleration": 200} if dialect.name != "lk-rs485" else {}
-            stops = [c for c in stop.stopping.ramped_stops(dialect) if dialect.broadcast is None]
-            for command in stops:
-                assert first[build(dialect, command.name, address, gentle)] < SECOND_NS
+        for address in range(1, 5) if dialect.broadcast is None else (dialect.broadcast,):
+            for command in stopping.ramped_stops(dialect):
+                assert first[build(dialect, command.name, address, stopping._gentle(command))] < SECOND_NS
     # So long for a drive that seems to be there, and so long for each address that is asked in three dialects.
     assert line.now_ns() < (30 + 4 * 3) * SECOND_NS
 
