@@ -97,6 +97,11 @@ class LastingLine(Line):
         """Which frames of a CAN bus are read; such a port is not opened anew, so it stays."""
         return self._line.acceptance
 
+    @property
+    def passed(self) -> int:
+        """Bytes that came and were not read since the port was opened last."""
+        return self._line.passed
+
     @contextlib.contextmanager
     def _there(self) -> Iterator[Line]:
         if self.lost:

@@ -41,13 +41,18 @@ class Line(ABC):
 
     @property
     def passed(self) -> int:
-        """Bytes of CAN frames that came and were not read."""
+        """Bytes that came and were not read: CAN frames of others, and what came faster than any line."""
         return 0 if self.acceptance is None else self.acceptance.passed
 
     @property
     def byte_ns(self) -> int:
         """Time of one byte on a serial line; 0 on CAN, and where no line speed is known."""
         return self.endpoint.byte_ns
+
+    @property
+    def brings(self) -> int:
+        """Bytes that a serial line brings in a second, at the usual speed where none is known."""
+        return self.endpoint.bits_per_second // self.endpoint.bits_per_byte
 
     @abstractmethod
     def now_ns(self) -> int:

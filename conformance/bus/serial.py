@@ -23,7 +23,7 @@ from serial.tools import list_ports
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import Unopened, find_adapter
-from conformance.bus.stream import StreamLine, read_all
+from conformance.bus.stream import StreamLine, read_some
 
 try:
     import fcntl
@@ -80,7 +80,7 @@ class SerialLine(StreamLine):
         if not _HAS_SELECT:
             return bytes(self._port.read(self._port.in_waiting or 1))
         try:
-            return read_all(self.fileno())
+            return read_some(self.fileno())
         except EOFError:
             raise self.lost("the other end has closed") from None
 

@@ -1,6 +1,6 @@
 """Lines of bytes on a descriptor: what serial ports and TCP connections share.
 
-    receive: wait for the descriptor, read all there is, stamp it at once
+    receive: wait for the descriptor, read what there is, stamp it at once; leave out what no line can bring (`intake`)
 
 The waiting thread takes the stamp right after the wait; a separate thread would be delayed by Python's lock. Bytes that come
 while the caller does other work are stamped late. Exchanges wait for their reply, so their stamps are right.
@@ -18,13 +18,15 @@ from analyzer.catalogue import Role
 from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame, Chunk
 from conformance.bus.echo import EchoFilter
+from conformance.bus.intake import SECOND_NS, Intake
 from conformance.bus.line import Line, LineLost
 
-SECOND_NS = 1_000_000_000
 #: How long a port may take no bytes before it is taken to be stuck.
 _STUCK_NS = 5 * SECOND_NS
-#: Read at one go: what a line brings in 10 ms at 4 Mbit/s. A server may bring megabytes, and to decode them takes time.
-READ_SIZE = 4096
+#: Read at one go, and passed on at one go: what a line brings in 10 ms at 4 Mbit/s, for to decode more takes time.
+READ_SIZE, _PIECE = 1 << 16, 4096
+#: Between two looks at what is sent faster than any line: to read all of it would take all the time there is.
+_FLOODED_SECONDS = 0.01
 
 
 class StreamLine(Line):
@@ -34,9 +36,15 @@ class StreamLine(Line):
         self.endpoint = endpoint
         self.anchor_ns = time.time_ns() - time.monotonic_ns()
         self.echo = EchoFilter()
+        self._intake = Intake()
         self._ready: deque[Chunk] = deque()
         self._free_ns = 0
         self._closed = False
+
+    @property
+    def passed(self) -> int:
+        """Bytes that came faster than any line and were not read."""
+        return self._intake.left_out
 
     def now_ns(self) -> int:
         return time.monotonic_ns()
@@ -107,9 +115,17 @@ class StreamLine(Line):
                 data = self._read()
             except OSError as error:
                 raise self.lost(error.strerror or str(error)) from None
-            if data:
-                self._ready.extend(self.echo.heard(self._chunk(data, t_ns)))
+            taken = self._intake.take(t_ns, len(data), self.brings)
+            for begin in range(0, taken, _PIECE):
+                self._ready.extend(self.echo.heard(self._chunk(data[begin : min(taken, begin + _PIECE)], t_ns)))
+            if taken < len(data) and not self._ready:
+                if left_ns <= 0:
+                    return None
+                self._pause(min(left_ns / SECOND_NS, _FLOODED_SECONDS))
         return self._ready.popleft()
+
+    def _pause(self, seconds: float) -> None:
+        time.sleep(seconds)
 
     def _wait(self, timeout_ns: int) -> bool:
         try:
@@ -134,12 +150,13 @@ class StreamLine(Line):
             self._shut()
 
 
-def read_all(descriptor: int) -> bytes:
-    """Return what a descriptor that does not block has, b"" for nothing; None of it is left. Raises OSError, EOFError."""
+def read_some(descriptor: int) -> bytes:
+    """Return what a descriptor that does not block has, b"" for nothing, with an end. Raises OSError, EOFError."""
     parts: list[bytes] = []
-    while True:
+    # A terminal gives no more than its own 4 KiB at one go.
+    for _ in range(READ_SIZE // _PIECE):
         try:
-            part = os.read(descriptor, READ_SIZE)
+            part = os.read(descriptor, _PIECE)
         except BlockingIOError:
             break
         if not part:
@@ -147,6 +164,6 @@ def read_all(descriptor: int) -> bytes:
                 break
             raise EOFError
         parts.append(part)
-        if len(part) < READ_SIZE:
+        if len(part) < _PIECE:
             break
     return b"".join(parts)

@@ -139,6 +139,7 @@ def _stopped(gate: Gate, drives: list[_Drive], everywhere: _Everywhere | None) -
 
     Raises LineLost.
     """
+    told_ns, passed = gate.now_ns(), gate.line.passed
     for drive in drives:
         _ask(gate, drive)
     if everywhere is not None:
@@ -146,7 +147,9 @@ def _stopped(gate: Gate, drives: list[_Drive], everywhere: _Everywhere | None) -
         drives += [each for each in everywhere.found() if each not in drives]
         drives += [] if drives else everywhere.insist()
     for drive in drives:
-        yield _prove(gate, drive)
+        # Where more comes than any line brings, bytes that fit by chance look like drives: their ramps are waited for at once.
+        is_flooded = not gate.line.is_can and gate.line.passed > passed
+        yield _prove(gate, drive, told_ns if is_flooded else None)
 
 
 class _Everywhere:
@@ -159,6 +162,8 @@ class _Everywhere:
         self._rates = rates
         self._refused = ""
         self._others_send: list[str] = []
+        #: Whether more came than any line brings while drives were looked for.
+        self._is_flooded = False
 
     def tell(self, *, thoroughly: bool = False, at_once: bool = False) -> None:
         """Tell all to stop. `thoroughly`: each address, too, where one reaches all; `at_once`: without a ramp, too."""
@@ -177,8 +182,11 @@ class _Everywhere:
         gate, drives = self._gate, list[_Drive]()
 
         def take(found: Found) -> bool:
-            drives.append(_Drive(found.dialect, found.address, found.speed))
-            _ask(gate, drives[-1])
+            drive = _Drive(found.dialect, found.address, found.speed)
+            # One that seems to answer for every address is asked once: the proof asks again.
+            if drive not in drives:
+                drives.append(drive)
+                _ask(gate, drive)
             return False
 
         begun_ns, passed = gate.now_ns(), gate.line.passed
@@ -188,16 +196,18 @@ class _Everywhere:
             )  # fmt: skip
         heard = sum(len(stray.data) for stray in report.strays) + _CAN_BYTES * report.others.total()
         heard += gate.line.passed - passed
-        self._others_send = stopping.flood(heard, gate.now_ns() - begun_ns)
+        self._is_flooded = not gate.line.is_can and gate.line.passed > passed
+        self._others_send = stopping.flood(heard, gate.now_ns() - begun_ns, gate.line)
         return list({drive.name: drive for drive in drives}.values())
 
     def insist(self) -> list[_Drive]:
         """Send all stops to all addresses, again and again, until a drive is found; return those that are."""
         # A silent line of an unknown rate drowns nothing: there the power is not to wait for what was done once.
         rounds = _ROUNDS if self._others_send or len(self._rates) == 1 else 0
-        for at_once in (False, True) * rounds:
+        for number, at_once in enumerate((False, True) * rounds, 1):
             self.tell(thoroughly=True, at_once=at_once)
-            if drives := self.found():
+            # In more than any line brings no drive is found, and the power is not to wait for that: one last look is enough.
+            if (not self._is_flooded or number == 2 * rounds) and (drives := self.found()):
                 return drives
         if not rounds:
             self.tell(thoroughly=True, at_once=True)
@@ -218,11 +228,17 @@ def _ask(gate: Gate, drive: _Drive) -> None:
             print(f"{drive.name}: {refused}", file=sys.stderr)
 
 
-def _prove(gate: Gate, drive: _Drive) -> tuple[str, bool]:
-    """Prove that a drive stands, and stop it once more where it does not; return what is found, and whether it stands."""
+def _prove(gate: Gate, drive: _Drive, told_ns: int | None) -> tuple[str, bool]:
+    """Prove that a drive stands, and stop it once more where it does not; return what is found, and whether it stands.
+
+    `told_ns`: as `stopping.stop` takes it.
+    """
     if drive.rate != gate.line.endpoint.bits_per_second:
         gate.set_speed(drive.rate)
-    way, failure = stopping.stop(gate.under(stopping.stopping(drive.address)), drive.dialect, drive.address)
+    passed = gate.line.passed
+    way, failure = stopping.stop(gate.under(stopping.stopping(drive.address)), drive.dialect, drive.address, told_ns=told_ns)
+    if not failure and not gate.line.is_can and gate.line.passed > passed:
+        failure = "what shows it standing came faster than any line brings, and proves nothing"
     if failure:
         return f"{drive.name}: {failure}", False
     try:

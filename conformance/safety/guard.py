@@ -155,7 +155,7 @@ class Guard:
 
     def receive(self, request: say.Receive) -> say.Answer:
         got = self.gate.receive(request.timeout_ns)
-        return say.Got(None if got is None else say.wire(got))
+        return say.Got(None if got is None else say.wire(got), self.line.passed)
 
     def speed(self, request: say.Speed) -> say.Answer:
         self.gate.set_speed(request.bits_per_second)

@@ -98,6 +98,7 @@ class GuardedLine(Line):
         self._reader.start()
         self._decode = msgspec.msgpack.Decoder(say.Answer).decode
         self._closed = False
+        self._passed = 0
         self.not_stopped: NotStopped | None = None
         #: Whether a drive may be moving: the suite or the guard sent a motion, and nothing has shown a standstill since.
         self.moving = False
@@ -156,6 +157,11 @@ class GuardedLine(Line):
         if isinstance(request, say.Standing):
             self.moving = False
 
+    @property
+    def passed(self) -> int:
+        """Bytes that came to the guard's port and were not read."""
+        return self._passed
+
     def now_ns(self) -> int:
         """Return the time of the guard's clock: both are the monotonic clock of one machine."""
         return time.monotonic_ns() + self._ahead_ns
@@ -175,7 +181,9 @@ class GuardedLine(Line):
         while True:
             left_ns = max(0, until_ns - self.now_ns())
             got = self._ask(say.Receive(min(left_ns, _PIECE_NS)))
-            if isinstance(got, say.Got) and got.item is not None:
+            assert isinstance(got, say.Got)  # every other answer raises
+            self._passed = got.passed
+            if got.item is not None:
                 return say.received(got.item, self.endpoint.name)
             if left_ns <= _PIECE_NS:
                 return None

@@ -110,9 +110,10 @@ class Busy(msgspec.Struct, frozen=True, tag="busy"):
 
 
 class Got(msgspec.Struct, frozen=True, tag="got"):
-    """What came, or nothing."""
+    """What came, or nothing. `passed`: bytes that came until now and were not read."""
 
     item: Wire | None = None
+    passed: int = 0
 
 
 class Failed(msgspec.Struct, frozen=True, tag="failed"):

@@ -26,7 +26,7 @@ from analyzer.dialects import drive_name
 from analyzer.encoder import assemble
 from analyzer.errors import ServotapError, UsageError
 from analyzer.values import counted
-from conformance.bus.line import LineLost
+from conformance.bus.line import Line, LineLost
 from conformance.claim import Inconclusive, NotStopped
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
@@ -54,8 +54,8 @@ _AGAIN_NS = 1_000_000_000
 _BUSY_NS = 150_000_000
 #: How many of the last exchanges tell whether others are sending now.
 _RECENT = 8
-#: Bytes that others send in a second where their traffic is worth a word.
-_FLOOD = 50
+#: Bytes that others send in a second where their traffic is worth a word; so many times what the line brings come from no line.
+_FLOOD, _NO_LINE = 50, 2
 #: Between stops whose replies are not looked at: a stop and its reply have so many bytes, and a drive takes so long.
 _STOP_BYTES, _STOP_GAP_NS = 30, 4_000_000
 
@@ -84,24 +84,28 @@ def stop(
     noise: Noise = QUIET,
     *,
     thoroughly: bool = False,
+    told_ns: int | None = None,
 ) -> Stopped:
     """Stop a drive, by a ramp if that works, and prove that it stands. Raises LineLost.
 
     `stands_at`: where it was seen standing, if nothing was sent since then that may move it: one stop and one look are enough
     if it still stands there. `noise`: of a shaft at rest. `thoroughly`: as `prove_standing` takes it.
+    `told_ns`: when it was told to stop by a ramp already, which then counts from there.
 
     Where one way of stopping fails, the next is tried until none is left. The address of all drives: they are told to stop, and
     none can be asked whether it does. A line that goes meanwhile is tried once more: its port may be back (`bus.lasting`).
     """
     try:
-        return _stop(gate, dialect, address, stands_at, noise, thoroughly)
+        return _stop(gate, dialect, address, stands_at, noise, thoroughly, told_ns)
     except GuardLost:
         raise
     except LineLost:
-        return _stop(gate, dialect, address, None, noise, thoroughly)
+        return _stop(gate, dialect, address, None, noise, thoroughly, None)
 
 
-def _stop(gate: Gate, dialect: Dialect, address: int, stands_at: float | None, noise: Noise, thoroughly: bool) -> Stopped:
+def _stop(
+    gate: Gate, dialect: Dialect, address: int, stands_at: float | None, noise: Noise, thoroughly: bool, told_ns: int | None
+) -> Stopped:
     if address == dialect.broadcast:
         return _stop_all(gate, dialect, address)
     probe = plain_probe(dialect, address, gate)
@@ -111,7 +115,8 @@ def _stop(gate: Gate, dialect: Dialect, address: int, stands_at: float | None, n
     at_once = tuple(c for c in dialect.motions(MotionKind.STOP) if c not in ramped)
     if stands_at is not None and ramped and not ask(probe, ramped[0]) and not prove_standing(probe, _LOOK_NS, stands_at):
         return Stopped("by a ramp", "")
-    for way, sent, limit_ns in (("by a ramp", ramped, _RAMP_NS), ("at once", at_once, _AT_ONCE_NS)):
+    ramp_ns = _RAMP_NS if told_ns is None else max(_AT_ONCE_NS, told_ns + _RAMP_NS - gate.now_ns())
+    for way, sent, limit_ns in (("by a ramp", ramped, ramp_ns), ("at once", at_once, _AT_ONCE_NS)):
         refused = [text for command in sent if (text := ask(probe, command))]
         if sent:
             failure = prove_standing(probe, limit_ns, thoroughly=thoroughly, again=sent)
@@ -119,7 +124,7 @@ def _stop(gate: Gate, dialect: Dialect, address: int, stands_at: float | None, n
                 return Stopped(way, "")
             failure = "; ".join([failure, *refused])
     failure = failure or f"{dialect.name} has no stop"
-    return Stopped("", "; ".join([failure, *others_send(probe.traffic)]))
+    return Stopped("", "; ".join([failure, *others_send(probe.traffic, gate.line)]))
 
 
 def _stop_all(gate: Gate, dialect: Dialect, address: int) -> Stopped:
@@ -145,11 +150,11 @@ def tell(gate: Gate, dialect: Dialect, address: int, *, at_once: bool = False) -
     return refused
 
 
-def others_send(traffic: Sequence[Exchange]) -> list[str]:
+def others_send(traffic: Sequence[Exchange], line: Line) -> list[str]:
     """Return in words how much came in these exchanges that answers nothing; nothing where it is little."""
     frames = [m.frame for e in traffic for m in (*(a.message for a in e.others), *e.foreign)]
     count = sum(len(frame.data) for frame in frames) + sum(e.passed + sum(len(j.data) for j in e.junk) for e in traffic)
-    return [*flood(count, sum(e.until_ns - e.sent_ns for e in traffic)), *_moved_by_others(traffic)]
+    return [*flood(count, sum(e.until_ns - e.sent_ns for e in traffic), line), *_moved_by_others(traffic)]
 
 
 def _moved_by_others(traffic: Sequence[Exchange]) -> list[str]:
@@ -169,10 +174,14 @@ def _moved_by_others(traffic: Sequence[Exchange]) -> list[str]:
     return [f"others tell address {last.message.address} to move: {what}"]
 
 
-def flood(count: int, duration_ns: int) -> list[str]:
+def flood(count: int, duration_ns: int, line: Line) -> list[str]:
     """Return in words that others send, if it is so many bytes in such a time that they hide what is asked and answered."""
     rate = count * 1e9 / max(1, duration_ns)
-    return [f"others send on this bus ({rate:.0f} bytes a second), and what runs into theirs is lost"] * (rate >= _FLOOD)
+    if rate < _FLOOD:
+        return []
+    is_no_line = not line.is_can and rate >= _NO_LINE * line.brings
+    brings = f", and a line of {line.endpoint.bits_per_second} bit/s brings {line.brings}" * is_no_line
+    return [f"others send on this bus ({rate:.0f} bytes a second{brings}), and what runs into theirs is lost"]
 
 
 def _gentle(command: Command) -> dict[str, int]:
@@ -253,7 +262,7 @@ def prove_standing(
 
 
 def _patience_ns(probe: Probe) -> int | None:
-    return _BUSY_NS if others_send(probe.traffic[-_RECENT:]) else None
+    return _BUSY_NS if others_send(probe.traffic[-_RECENT:], probe.gate.line) else None
 
 
 def _stays(spot: Sequence[tuple[int, float]]) -> bool:

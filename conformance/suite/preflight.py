@@ -19,8 +19,9 @@ from analyzer.values import printable
 from conformance.claim import RigFault
 from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
-from conformance.talk.dialogue import MS
-from conformance.talk.scan import PATIENCE_NS, Finder, Found, Report, scan, search_read
+from conformance.safety.stopping import flood
+from conformance.talk.dialogue import MS, Dialogue
+from conformance.talk.scan import LISTEN_NS, PATIENCE_NS, Finder, Found, Report, scan, search_read
 
 #: Addresses at which a drive that is not there is looked for.
 _NEAR = range(1, 33)
@@ -35,6 +36,7 @@ _CAN_BITS = 135
 #: A drive that moves was seen to take 0.7 s for an answer.
 _PATIENT_NS = 1000 * MS
 _ATTEMPTS = 3
+_SECOND_NS = 1_000_000_000
 #: Places that a message lists.
 _LISTED = 8
 
@@ -58,8 +60,10 @@ def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool, spoken: fr
 
     `spoken`: the dialects in which others are looked for, None: all of the bus. Sends reads only.
 
-    Raises DriveNotFound with what came instead.
+    Raises DriveNotFound with what came instead, or where others fill the line.
     """
+    if full := _full(gate, dialect):
+        raise DriveNotFound(f"{registry.drive_name(dialect, address)} cannot be asked on {gate.line.endpoint.text}: {full}")
     search = find_drive(gate, dialect, address)
     if search.found is None and (search.elsewhere or not any(s.data for s in search.report.strays)):
         raise DriveNotFound(search.text)
@@ -75,6 +79,17 @@ def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool, spoken: fr
                 "drive of another dialect (--spoken names those of this bus); nothing was sent but reads"
             )
     return search.found.identity if search.found is not None else ""
+
+
+def _full(gate: Gate, dialect: Dialect) -> str:
+    """Listen, and say how much others send on a serial line, if that is half of what it brings; else nothing."""
+    if gate.line.is_can:
+        return ""
+    heard = Dialogue(gate.under(Allowance()), [dialect]).listen(LISTEN_NS)
+    count, duration_ns = len(heard.received) + heard.passed, heard.until_ns - heard.sent_ns
+    if count * _SECOND_NS < gate.line.brings * duration_ns // 2:
+        return ""
+    return "; ".join(flood(count, duration_ns, gate.line))
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -34,7 +34,7 @@ from conformance.safety.guarded_line import GuardedLine, beginning
 from conformance.safety.journal import Entry, Journal
 from conformance.safety.keeper import Keeper
 from conformance.safety.signals import undisturbed
-from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, stop_or_cut
+from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, others_send, stop_or_cut
 from conformance.suite import set_otherwise
 from conformance.suite.preflight import check, find_drive
 from conformance.suite.rig import ClaimRig
@@ -53,6 +53,10 @@ if TYPE_CHECKING:
 _SAID_NS, _LOST_NS = 5 * SECOND_NS, 15 * SECOND_NS
 #: As many questions at least: one that goes on for long is not silence.
 _UNANSWERED = 3
+
+
+class LineFlooded(RigFault):
+    """More comes than any line brings."""
 
 
 class DriveSilent(RigFault):
@@ -113,6 +117,8 @@ class RealRig(ClaimRig):
         self._stands_at: float | None = None
         #: The first of the questions that stayed without an answer, and how many did; whether that was said.
         self._silent_ns, self._silent_command, self._unanswered, self._said_silent = 0, "", 0, False
+        #: Since when more has come in each exchange than any line brings, None: it does not.
+        self._flooded_ns: int | None = None
         #: Why nothing that moves may be sent, or nothing.
         self._unproved = ""
         self._closed = False
@@ -297,7 +303,16 @@ class RealRig(ClaimRig):
             self._moved, self._ever_moved, self._stands_at = True, True, None
 
     def exchanged(self, exchange: Exchange) -> None:
-        """Raise DriveSilent where the drive has answered nothing for long, and does not when it is looked for."""
+        """Raise DriveSilent where the drive has answered nothing for long, and does not when it is looked for.
+
+        Raises LineFlooded where more than any line brings has come for as long.
+        """
+        if self._line.is_can or not exchange.passed:
+            self._flooded_ns = None
+        elif self._flooded_ns is None:
+            self._flooded_ns = exchange.sent_ns
+        elif self._line.now_ns() - self._flooded_ns >= _LOST_NS:
+            raise LineFlooded(f"{self.name}: nothing can be judged: {'; '.join(others_send([exchange], self._line))}")
         if exchange.received:
             self._unanswered, self._said_silent = 0, False
         elif exchange.command is not None and exchange.address == self.address:

@@ -225,7 +225,9 @@ class Dialogue:
 
         A busy machine can let this process stand still until after a deadline, and what came meanwhile came in time.
         """
-        most = max(_MOST_WAITING_BYTES, (self.gate.now_ns() - self._exchange.sent_ns) // max(1, self.gate.line.byte_ns))
+        byte_ns = self.gate.line.byte_ns
+        brought = (self.gate.now_ns() - self._exchange.sent_ns) // byte_ns if byte_ns else 0
+        most = max(_MOST_WAITING_BYTES, brought)
         waited = 0
         for _ in range(_MOST_WAITING):
             got = self.receive(self.gate.now_ns())

@@ -247,7 +247,7 @@ def test_what_others_send_is_counted_where_it_is_not_read(pair: tuple[MulticastP
         assert [a.data for a in exchange.answers] == [reply]
         assert len(exchange.foreign) == 32
         assert exchange.passed == 8 * (200 - 32)
-        assert "others send on this bus" in stopping.others_send([exchange])[0]
+        assert "others send on this bus" in stopping.others_send([exchange], line)[0]
 
 
 def test_an_interface_of_python_can_passes_over_others_too():

@@ -91,7 +91,7 @@ def test_a_drive_that_does_not_answer_is_not_stopped(port, capsys, tmp_path, mon
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_stop_that_is_interrupted_says_that_the_drive_may_turn(number, port, capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(stop, "_prove", lambda gate, drive: signal.raise_signal(number))
+    monkeypatch.setattr(stop, "_prove", lambda gate, drive, told_ns: signal.raise_signal(number))
     assert run(port[0], "mks-rs485@2", "--cut-power", f"touch {tmp_path / 'cut'}") == 20
     assert "NOT STOPPED: mks-rs485@2: interrupted" in capsys.readouterr().err
     assert (tmp_path / "cut").exists()

@@ -7,7 +7,7 @@ import pytest
 from analyzer.catalogue import Risk
 from conformance.claim import NotStopped, Outcome, Refuted
 from conformance.suite import engine
-from conformance.suite.rig_real import DriveSilent
+from conformance.suite.rig_real import DriveSilent, LineFlooded
 from tests.conformance.safety.test_keeper import EmulatedPort, claim
 
 S = 1_000_000_000
@@ -58,6 +58,21 @@ def test_a_claim_that_asks_on_and_on_is_broken_off(rig, monkeypatch):
     with pytest.raises(DriveSilent):
         engine.run_claim(claim(rig, check), rig)
     assert rig.line.now_ns() - began_ns < 30 * S
+    rig.close()
+
+
+def test_a_claim_on_a_line_that_brings_more_than_any_line_is_broken_off(tmp_path, monkeypatch):
+    rig = EmulatedPort("mks-rs485@1", tmp_path)
+    monkeypatch.setattr(type(rig.line), "passed", property(lambda line: line.now_ns() // 1000))
+    began_ns = rig.line.now_ns()
+
+    def check(probe):
+        while True:
+            probe.ask("read_speed")
+
+    with pytest.raises(LineFlooded, match=r"nothing can be judged: others send .* a line of 38400 bit/s brings 3840"):
+        engine.run_claim(claim(rig, check), rig)
+    assert 15 * S <= rig.line.now_ns() - began_ns < 17 * S
     rig.close()
 
 
