@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 from analyzer.catalogue import Risk, Role
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown, whole
 from analyzer.encoder import build
+from analyzer.layout import Effect
 from analyzer.link import FUNCTIONS, modbus_crc
 from analyzer.records import Message
 from analyzer.values import counted
@@ -23,16 +25,22 @@ def addressed(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the address to which a host sends."""
     yield from _from_new(scene)
     yield from _to_all(scene)
+    yield from _waited_on(scene)
     yield from _to_none(scene)
 
 
 def _to_all(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect reads that are sent to all: no drive may answer them."""
+    """Suspect reads that are sent to all, or to a group: no drive may answer them."""
+    groups = _groups(scene)
     sent = [
         piece
         for piece in scene.pieces
         if (m := piece.message) is not None and piece.is_request and piece.sound and m.command is not None
-        and m.address == m.frame.dialect.broadcast and m.command.reply_forms and (_reads(m) or _only_to_all(scene, m))
+        and m.command.reply_forms
+        and (
+            (m.address == m.frame.dialect.broadcast and (_reads(m) or _only_to_all(scene, m)))
+            or (_drive(m) in groups and _reads(m))
+        )
     ]  # fmt: skip
     # Requests that a unit answered under its own address have another cause already.
     if not sent or {at for piece in sent for at in (piece.offset, piece.stop)} & {t.offset for t in scene.explained}:
@@ -41,7 +49,8 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
     assert message is not None
     assert message.command is not None  # chosen so above
     dialect = message.frame.dialect
-    one = dialect.addresses[0]
+    one = groups.get(_drive(message), dialect.addresses[0])
+    whom = "all drives" if message.address == dialect.broadcast else "a group of drives"
     if message.command in dialect.commands:
         right = build(dialect, message.command, one)
     else:
@@ -50,11 +59,74 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
     yield Suspicion(
         "broadcast_no_reply", Confidence.CERTAIN if _reads(message) else Confidence.LIKELY,
         [t for t in scene.troubles if t.piece in sent or t.rule in ("unanswered", "unsolicited_reply")],
-        f"{message.command.name} is sent to address {dialect.broadcast}, which is all drives: by the manual none answers.",
+        f"{message.command.name} is sent to address {message.who}, which is {whom}: by the manual none answers.",
         f"{whole(sent[0])} at byte {sent[0].offset}; {counted(len(sent), 'time')}",
         f"Ask one drive: {shown(right, dialect.link.identifier(message.command, one))}",
         tuple(Shown(p.offset, whole(p)) for p in sent),
     )  # fmt: skip
+
+
+def _waited_on(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect motion commands to a group whose replies a host waits for: words say so, and it sends them again."""
+    if scene.noted or not any(_WAITED.search(words) for words in scene.words):
+        return
+    groups = _groups(scene)
+    known = {_drive(p.message) for p in scene.pieces if p.is_reply and p.message is not None}
+    # An address that is asked for no read may be a group that was set before.
+    read = {_drive(p.message) for p in scene.pieces if p.is_request and p.message is not None and _is_read(p.message)}
+    sent: dict[tuple[str, int], list[Piece]] = {}
+    for piece in scene.requests:
+        message = piece.message
+        if message is None or message.command is None or not message.command.moves:
+            continue
+        drive = _drive(message)
+        if message.address == message.frame.dialect.broadcast or drive in groups or (known and drive not in known | read):
+            sent.setdefault(drive, []).append(piece)
+    for drive, pieces in sent.items():
+        message = pieces[0].message
+        if len(pieces) == len({piece.data for piece in pieces}) or message is None:
+            continue
+        sure = drive in groups or message.address == message.frame.dialect.broadcast
+        yield Suspicion(
+            "broadcast_no_reply", Confidence.LIKELY if sure else Confidence.POSSIBLE,
+            [t for t in scene.troubles if t.piece in set(pieces)],
+            f"The host waits for a reply of address {message.who}, which {'is' if sure else 'may be'} that of several drives: "
+            "by the manual none answers there.",
+            f"{whole(pieces[0])} at byte {pieces[0].offset}, {counted(len(pieces), 'time')}; the text tells of waiting",
+            "Wait for no reply there; to see what the drives do, ask each at its own address"
+            + ("" if sure else ". If no group has this address, it is wrong, or respond is off there"),
+            tuple(Shown(p.offset, whole(p)) for p in pieces),
+        )  # fmt: skip
+
+
+#: Words of a program that waits for a reply in vain.
+_WAITED = re.compile(
+    r"time[ds]?[ -]?out|\bretr(?:y|ies)\b|\bno (?:response|answer|reply)\b(?! (?:is )?(?:expected|needed|wanted|due))",
+    re.IGNORECASE,
+)
+
+
+def _groups(scene: Scene) -> dict[tuple[str, int], int]:
+    """Return the addresses of groups that the capture sets, each with the address of a drive in it."""
+    found: dict[tuple[str, int], int] = {}
+    for piece in scene.requests:
+        message = piece.message
+        field = message.command.sets(Effect.GROUP) if message is not None and message.command is not None else None
+        if message is not None and field is not None and (value := message.values.get(field)) is not None:
+            found[message.frame.dialect.name, value] = message.address
+    # Who answers at the address is a drive of its own.
+    for piece in scene.pieces if found else ():
+        if piece.is_reply and piece.message is not None:
+            found.pop(_drive(piece.message), None)
+    return found
+
+
+def _drive(message: Message) -> tuple[str, int]:
+    return message.frame.dialect.name, message.address
+
+
+def _is_read(message: Message) -> bool:
+    return message.command is not None and _reads(message)
 
 
 def _only_to_all(scene: Scene, message: Message) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.can_frames import sent_again, strangers
+from analyzer.diagnosis.can_frames import extended_requests, sent_again, strangers
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Suspicion, Trouble, shown
 from analyzer.records import CanFrame
 from analyzer.values import counted
@@ -78,8 +78,11 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         yield from _errors(scene, _sorted(errors), heard)
     # A reply whose sum is wrong may be the frame of another make.
     replies = [p for p, _ in data if p.is_reply and p not in again]
-    if not any(p.sound and p.message is not None and p.message.command is not None for p in replies):
-        yield from strangers(scene, data, [d for d in scene.reader.dialects if d.bus == "can"])
+    dialects = [d for d in scene.reader.dialects if d.bus == "can"]
+    if any(p.sound and p.message is not None and p.message.command is not None for p in replies):
+        yield from extended_requests(scene, data, dialects)
+    else:
+        yield from strangers(scene, data, dialects)
 
 
 def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:

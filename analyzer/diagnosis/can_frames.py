@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.other_makers import CODES_RMD
@@ -39,15 +39,7 @@ def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list
         (r := scene.reader.best(p.data, can.id & 0x7FF, Role.REQUEST)) is not None and r.listed for p, can in extended
     )
     if known or (len(extended) > 1 and len(extended) * 2 > len(frames)):
-        piece, can = extended[0]
-        right = shown(piece.data, can.id & 0x7FF)
-        yield Suspicion(
-            "can_extended_id", Confidence.CERTAIN, scene.troubles,
-            "The frames have identifiers of 29 bits; the drives take 11 bits.",
-            f"{identifier(can.id, extended=True)} {shown(piece.data)}; {counted(len(extended), 'frame')}",
-            f"Send standard frames: {right}",
-            (Shown(piece.offset, shown(piece.data), right),),
-        )  # fmt: skip
+        yield _extended(extended, scene.troubles)
         return
     standard = [(p, can) for p, can in frames if not can.extended and not can.remote]
     yield from _too_long(frames)
@@ -113,6 +105,33 @@ def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list
     yield from _wrong_identifier(scene, standard, checked)
     yield from _padded(scene, standard, checked)
     yield from _other_length(scene, standard, checked)
+
+
+def _extended(found: list[tuple[Piece, CanFrame]], troubles: Sequence[Trouble]) -> Suspicion:
+    piece, can = found[0]
+    right = shown(piece.data, can.id & _STANDARD)
+    return Suspicion(
+        "can_extended_id", Confidence.CERTAIN, troubles,
+        "The frames have identifiers of 29 bits; the drives take 11 bits.",
+        f"{identifier(can.id, extended=True)} {shown(piece.data)}; {counted(len(found), 'frame')}",
+        f"Send standard frames: {right}",
+        (Shown(piece.offset, shown(piece.data), right),),
+    )  # fmt: skip
+
+
+def extended_requests(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> Iterator[Suspicion]:
+    """Suspect requests with identifiers of 29 bits beside frames of a drive: they are of its numbers, codes and sums."""
+    low = [(p, can) for p, can in frames if can.extended and can.id <= _STANDARD and not can.remote]
+    asked = [
+        (p, can)
+        for p, can in low
+        if any(d.link.fits(p.data, can.id) for d in dialects if d.link.checked)
+        and (reading := scene.reader.best(p.data, can.id, Role.REQUEST)) is not None and reading.listed
+    ]  # fmt: skip
+    # Another protocol has other frames, too; and one sum fits by chance.
+    if len(asked) == len(low) and len({(can.id, p.data) for p, can in asked}) >= _LEAST:
+        own = {p for p, _ in asked}
+        yield _extended(asked, [t for t in scene.troubles if t.piece in own])
 
 
 def _too_long(frames: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:

@@ -7,6 +7,7 @@ requests: they are among what the host receives.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher
@@ -54,7 +55,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     spoiled = [each for each in spoiled if each.trouble not in scene.explained]
     if not found and spoiled:
         found = [*_two_drives(scene, spoiled), *_too_early(scene, spoiled), *_late_driver(scene, spoiled)]
-    yield from found or _noise(scene, spoiled)
+    yield from found or (*_report_meets_reply(scene, spoiled), *_noise(scene, spoiled))
 
 
 def _asked(scene: Scene, stretch: Stretch) -> Piece | None:
@@ -250,6 +251,37 @@ def _late_driver(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
         "for a fixed time",
         frames,
     )  # fmt: skip
+
+
+def _report_meets_reply(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect the report of a motion's end, which a drive sends by itself: it never comes, and each time a reply is damaged."""
+    begun = [piece for piece in scene.requests if _lacks_end(scene, piece)]
+    starts = [piece.offset for piece in begun]
+    met = {starts[at - 1] for each in spoiled if (at := bisect_right(starts, each.stretch.offset))}
+    # The last motion may have gone on behind the end of the capture.
+    if len(spoiled) < _REPLIES or len(met) != len(spoiled) or len(met) < len(begun) - 1:
+        return
+    drives = {p.message.address for p in begun if p.message is not None}
+    if any(e.asked is None or e.asked.message is None or e.asked.message.address in drives for e in spoiled):
+        return
+    troubles, frames = _of(spoiled)
+    yield Suspicion(
+        "collision", Confidence.LIKELY if len(spoiled) >= _NOISE else Confidence.POSSIBLE, troubles,
+        "Two drives send at once: one reports the end of its motion while another replies.",
+        f"{frames[0].data} at byte {frames[0].offset} is damaged; {counted(len(begun), 'motion')} without a reported end, "
+        "and behind each one reply of another drive is damaged",
+        "Ask no other drive while a motion runs, or switch the reports off (active = 0 in 8C) and read the status",
+        frames,
+    )  # fmt: skip
+
+
+def _lacks_end(scene: Scene, piece: Piece) -> bool:
+    """Say whether a request is a motion that began, and whose end was not reported."""
+    command = None if piece.message is None else piece.message.command
+    if command is None or command.motion is None or not command.motion.tells_end:
+        return False
+    told = [r.message.values.get(command.replies.status) for r in scene.replies.get(piece.sequence, ()) if r.message]
+    return bool(told) and command.replies.interim.issuperset(told[-1:])
 
 
 def _same(one: bytes, other: bytes) -> int:

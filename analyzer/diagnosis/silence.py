@@ -99,6 +99,17 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -
         return
     if others:
         there = ", ".join(identifier(a) if dialect.bus == "can" else str(a) for a in others[:4])
+        # The same digits, read as hexadecimal and as decimal.
+        digits = next((a for a in others if dialect.bus == "can" and f"{address:x}" == str(a)), None)
+        if digits is not None:
+            yield Suspicion(
+                "can_wrong_id", Confidence.LIKELY, asked.troubles,
+                f"No drive answers at identifier {who}; {there} does, which is {digits} in decimal digits.",
+                f"{evidence}; replies come from {there}",
+                f"Write identifiers in one way: {digits} is {identifier(digits)}, not {who}",
+                frames,
+            )  # fmt: skip
+            return
         yield Suspicion(
             "wrong_address", Confidence.LIKELY, asked.troubles,
             f"No drive answers at address {who}; {there} does.",

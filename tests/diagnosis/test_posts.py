@@ -4,12 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from analyzer import dialects as registry
-from analyzer.diagnosis.diagnose import diagnosis
-from analyzer.diagnosis.watch import Watch
-from analyzer.pipeline import Pipeline
-from analyzer.records import CanFrame
-from analyzer.sources import open_source
 from tests.diagnosis.test_pastes import checked
 
 ASKED, REPLIED = checked("11 03 00 10 00 02"), checked("11 03 04 3C A6 43 6A")
@@ -25,28 +19,6 @@ ASKED_TWICE = "10:00:18.940 Serial Send: {}\n10:00:{} Serial Send: {}\n10:00:19.
 
 def bracketed(text):
     return "".join(f"[{byte}]" for byte in text.split())
-
-
-@pytest.fixture
-def causes_of(tmp_path):
-    """Return what is suspected of a text, with its words."""
-
-    def of(text):
-        path = tmp_path / "post.txt"
-        path.write_text(text + "\n", encoding="utf-8")
-        with open_source(path) as source:
-            items = list(source)
-        kind = "can" if any(isinstance(item, CanFrame) for item in items) else "serial"
-        dialects = [d for d in registry.every() if d.bus == kind]
-        watch = Watch()
-        pipeline = Pipeline(dialects, [watch])
-        for item in items:
-            watch.take(item)
-            pipeline.feed(item)
-        pipeline.close()
-        return [each.suspicion.cause for each in diagnosis(watch, dialects).causes]
-
-    return of
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,102 @@
+"""Who may answer at all: groups, identifiers of 29 bits, numbers that are read wrongly, and two drives at once."""
+
+from __future__ import annotations
+
+import pytest
+
+
+def native(text):
+    """Return a frame of the native dialect with its sum."""
+    data = bytes.fromhex(text)
+    return (data + bytes((sum(data) & 0xFF,))).hex(" ").upper()
+
+
+GROUPED = f"> {native('FA 03 8D 60')}\n< {native('FB 03 8D 01')}\n"
+MOTION, READ = native("FA 60 F6 00 50 05"), native("FA 60 31")
+ANSWERED = f"> {native('FA 03 F1')}\n< {native('FB 03 F1 01')}\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        GROUPED + f"> {MOTION}\nno answer, retry\n" * 3,
+        GROUPED + f"> {MOTION}\ntimeout\n" * 2 + ANSWERED,
+        # A read is sent in vain, with words or without.
+        GROUPED + f"> {READ}\n" * 3,
+        GROUPED + f"> {READ}\n" + ANSWERED,
+        # The group was given its address before.
+        f"> {MOTION}\ntimed out\n" * 3 + ANSWERED,
+        # So for all.
+        ANSWERED + f"> {native('FA 00 F6 00 50 05')}\nno response\n" * 3,
+    ],
+)
+def test_a_host_that_waits_for_a_group(text, causes_of):
+    assert causes_of(text) == ["broadcast_no_reply"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # A group is moved again, as it should be.
+        GROUPED + f"> {MOTION}\n" * 3,
+        GROUPED + f"> {MOTION}\nto the group, no reply expected\n" * 3 + ANSWERED,
+        # Each motion is another one, and a text tells of somebody else's timeout.
+        GROUPED + f"> {MOTION}\n> {native('FA 60 F6 00 60 05')}\nSerial timeout: 50 ms\n" + ANSWERED,
+        # The number of the group is a drive of its own.
+        GROUPED + f"> {READ}\n< {native('FB 60 31 00 00 00 00 12 34')}\n" * 2,
+    ],
+)
+def test_a_group_that_is_moved_is_well(text, causes_of):
+    assert causes_of(text) == []
+
+
+STANDARD = "can0  003   [2]  F1 F4\ncan0  003   [3]  F1 01 F5\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "causes"),
+    [
+        ("can0  00000003   [2]  31 34\ncan0  00000003   [2]  F1 F4\n" + STANDARD, ["can_extended_id"]),
+        ("t0032F1F4\nt0033F101F5\nT0000000323134\nT000000032F1F4\n", ["can_extended_id"]),
+        # Identifiers of another protocol, sums that do not fit, and one frame by chance.
+        ("can0  18FEF103   [2]  31 34\ncan0  18FEF103   [2]  F1 F4\n" + STANDARD, []),
+        ("can0  00000003   [2]  31 35\ncan0  00000003   [2]  F1 F5\n" + STANDARD, []),
+        ("can0  00000003   [2]  31 34\n" + STANDARD, []),
+        ("can0  00000003   [2]  31 34\ncan0  00000003   [2]  F1 F4\ncan0  00000004   [3]  01 02 03\n" + STANDARD, []),
+    ],
+)
+def test_identifiers_of_29_bits_beside_those_of_a_drive(text, causes, causes_of):
+    assert causes_of(text) == causes
+
+
+@pytest.mark.parametrize(("asked", "cause"), [("020", "can_wrong_id"), ("021", "wrong_address")])
+def test_digits_that_are_read_as_hexadecimal(asked, cause, causes_of):
+    """Drive 20 is 014, and not 020."""
+    sums = f"{(int(asked, 16) + 0x31) & 0xFF:02X}"
+    rows = [(asked, f"31{sums}")] * 3 + [("014", "F105"), ("014", "F10106")]
+    text = "".join(f"({number}.500000) can0 {who}#{data}\n" for number, (who, data) in enumerate(rows))
+    assert causes_of(text) == [cause]
+
+
+def reports(damaged, *, ends=False):
+    """Return motions of drive 4 while drive 2 is read: `damaged` replies of each, and the end of the motion or none."""
+    text, ms = "", 0
+    for _ in range(4):
+        rows = [("TX", native("FA 04 FD 00 50 05 00 00 10 00")), ("RX", native("FB 04 FD 01"))]
+        for number in range(6):
+            came = bytes.fromhex(native(f"FB 02 31 00 00 00 00 {number:02X} 40"))
+            if number in damaged:
+                came = came[:3] + b"\x10" + came[5:]
+            rows += [("TX", native("FA 02 31")), ("RX", came.hex(" ").upper())]
+        rows += [("RX", native("FB 04 FD 02"))] if ends else []
+        for mark, data in rows:
+            ms += 10
+            text += f"{ms / 1000:.3f} {mark} {data}\n"
+    return text
+
+
+def test_a_report_that_meets_a_reply(causes_of):
+    assert causes_of(reports({3}))[0] == "collision"
+    assert "collision" not in causes_of(reports({3}, ends=True))
+    assert "collision" not in causes_of(reports({1, 3}))
+    assert "collision" not in causes_of(reports(set()))
