@@ -35,6 +35,8 @@ _RESTS = 5.0
 #: When a move has come to its speed, until when it keeps it, how far it goes, in degrees, and how fast: in whole rpm
 #: a slower one shows its rounding alone.
 _GOING_NS, _STEADY_NS, _WAY, _RPM = 300 * motion.MS, 900 * motion.MS, 1080.0, 180
+#: By then a run that a drive keeps turns the shaft.
+_BEGINS_NS = 150 * motion.MS
 #: How long a shaft that stands is watched.
 _CREEPS_NS = 800 * motion.MS
 #: The first looks at it, in which it may still settle: that is no tremble.
@@ -76,6 +78,8 @@ def let_stand(probe: Probe) -> bool:
     if max(abs(motion.speed(probe).value) for _ in range(2)) < _RESTS:
         return False
     restarts.wait_for_arrival(probe, probe.address)
+    # Behind the way back a kept run has just begun.
+    probe.wait(_BEGINS_NS)
     if abs(motion.speed(probe).value) < _RESTS:
         return False
     motion.stand_still(probe)

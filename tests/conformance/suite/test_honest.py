@@ -510,10 +510,16 @@ def test_drawn_drives_with_drawn_settings_are_not_accused(number):
     assert counts[Outcome.CONFIRMED.value] > counts[Outcome.INCONCLUSIVE.value]
 
 
-def test_a_run_that_was_kept_for_power_on_is_stopped_and_forgotten_before_the_first_motion(tmp_path, capsys):
-    kept = "saved_run=1,saved_speed=100,saved_acceleration=200"
+# Behind a way back to zero the run has just begun when that is first seen to be over.
+@pytest.mark.parametrize(
+    ("zero", "powered_ns"),
+    [("zero_mode=0", motion.SECOND_NS), ("zero_mode=2,zero_kept=1,zero_point=5000", 100 * motion.MS)],
+    ids=["at-once", "behind-the-way-back"],
+)
+def test_a_run_that_was_kept_for_power_on_is_stopped_and_forgotten_before_the_first_motion(zero, powered_ns, tmp_path, capsys):
+    kept = f"saved_run=1,saved_speed=100,saved_acceleration=20,{zero}"
     rig = EmulatedPort(f"mks-rs485@1,work_mode=sr_vfoc,{kept}", tmp_path, settings=KNOWN | {"work_mode": "sr_vfoc"})
-    rig.gate.wait(motion.SECOND_NS)
+    rig.gate.wait(powered_ns)
     found = [engine.run_claim(c, rig).outcome for c in every_claim(rig._target) if c.id.endswith("restart/ends-motion")]
     rig.close()
     assert found == [Outcome.CONFIRMED]
