@@ -306,7 +306,7 @@ _FAILED = re.compile(
     r"\b(?:bad|wrong|invalid)[ _-]?(?:crc|checksum)\b|\b(?:crc|checksum)[ _-]?(?:error|fail\w*|mismatch)", re.IGNORECASE
 )
 #: Words of a library that has got a part of a frame, and of one that has joined the parts.
-_WAITS = re.compile(r"\bframe\b[^\n]{0,20} not ready\b", re.IGNORECASE)
+_WAITS = re.compile(r"\bframe\b[^\n]{0,20} not ready\b|\brequest timed out\b", re.IGNORECASE)
 _JOINED = re.compile(r"\bgetting frame\b|\bfactory response\b", re.IGNORECASE)
 
 
