@@ -44,6 +44,7 @@ def test_a_host_that_waits_for_a_group(text, causes_of):
         GROUPED + f"> {MOTION}\nto the group, no reply expected\n" * 3 + ANSWERED,
         # Each motion is another one, and a text tells of somebody else's timeout.
         GROUPED + f"> {MOTION}\n> {native('FA 60 F6 00 60 05')}\nSerial timeout: 50 ms\n" + ANSWERED,
+        "Serial timeout: 50 ms, timeout=0.05\n" + f"> {MOTION}\n" * 3 + ANSWERED,
         # The number of the group is a drive of its own.
         GROUPED + f"> {READ}\n< {native('FB 60 31 00 00 00 00 12 34')}\n" * 2,
     ],
