@@ -65,9 +65,9 @@ def storable(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def counted(count: int, noun: str) -> str:
-    """Return a count with its noun: 1 frame, 2 frames."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+def counted(count: int, noun: str, nouns: str = "") -> str:
+    """Return a count with its noun: 1 frame, 2 frames. `nouns`: the plural of one that takes no s."""
+    return f"{count} {noun}" if count == 1 else f"{count} {nouns or noun + 's'}"
 
 
 def identifier(number: int, *, extended: bool = False) -> str:

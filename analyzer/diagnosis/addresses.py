@@ -101,7 +101,8 @@ def _waited_on(scene: Scene) -> Iterator[Suspicion]:
 
 #: Words of a program that waits for a reply in vain.
 _WAITED = re.compile(
-    r"time[ds]?[ -]?out|\bretr(?:y|ies)\b|\bno (?:response|answer|reply)\b(?! (?:is )?(?:expected|needed|wanted|due))",
+    r"time[ds]?[ -]?out\b(?!\s*(?:[:=(]|of|is|ms|in\b))|\bretr(?:y|ies)\b"
+    r"|\bno (?:response|answer|reply)\b(?! (?:is )?(?:expected|needed|wanted|due))",
     re.IGNORECASE,
 )
 

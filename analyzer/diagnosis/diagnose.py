@@ -63,11 +63,15 @@ HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
 
 
 class Diagnosis(msgspec.Struct, frozen=True):
-    """What is wrong in a capture. `verdict`: ok, trouble, unknown; `troubles`: how many things are wrong."""
+    """What is wrong in a capture. `verdict`: ok, trouble, unknown; `troubles`: how many things are wrong.
+
+    `unexplained`: what can be said where no cause is named.
+    """
 
     verdict: str
     causes: tuple[Ranked, ...]
     troubles: int
+    unexplained: str = ""
 
     def as_objects(self) -> list[dict[str, Any]]:
         """Return the causes for JSON."""
@@ -118,7 +122,24 @@ def weighed(scenes: Sequence[Scene]) -> Diagnosis:
     known = any(p.message is not None and p.message.command is not None for scene in scenes for p in scene.pieces)
     lost = sum(scene.lost for scene in scenes)
     well = known and not lost and all(not scene.troubles or _is_search(scene) for scene in scenes)
-    return Diagnosis("trouble" if causes else "ok" if well else "unknown", causes, len(troubles) + lost)
+    count = len(troubles) + lost
+    return Diagnosis("trouble" if causes else "ok" if well else "unknown", causes, count, _unexplained(scenes, count))
+
+
+def _unexplained(scenes: Sequence[Scene], troubles: int) -> str:
+    """Return what can be said where no cause is named: bytes of others, or of a text, are no trouble of these drives."""
+    sound = [(p, p.message) for scene in scenes for p in scene.pieces if p.sound and p.message is not None]
+    if not troubles:
+        return "no frame of a known dialect came, so nothing can be said of it"
+    if not any(message.command is not None for _, message in sound):
+        others = counted(troubles, "stretch of bytes", "stretches of bytes")
+        return f"no frame of a known dialect came: {others} of something else, and no cause"
+    if not any(piece.is_reply for piece, _ in sound) and all(scene.words and not scene.timed for scene in scenes):
+        return "requests stand in a text, without replies: nothing shows that they were sent"
+    what = counted(troubles, "thing")
+    if all(message.command in (None, *message.frame.dialect.fallbacks.values()) for _, message in sound):
+        return f"the frames are of no command of these drives; {what} among them cannot be explained"
+    return f"{what} went wrong, and no cause shows in the bytes"
 
 
 def _is_search(scene: Scene) -> bool:
@@ -143,10 +164,8 @@ def lines(found: Diagnosis) -> list[str]:
     """Return a diagnosis for people."""
     if found.verdict == "ok":
         return ["nothing wrong was found"]
-    if not found.causes and not found.troubles:
-        return ["no frame of a known dialect came, so nothing can be said of it"]
     if not found.causes:
-        return [f"{counted(found.troubles, 'thing')} went wrong, and no cause shows in the bytes"]
+        return [found.unexplained]
     return [line for number, each in enumerate(found.causes, 1) for line in cause_lines(number, each)]
 
 

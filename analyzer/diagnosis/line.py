@@ -137,8 +137,10 @@ def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Susp
         best = max((best, *at_other_speeds(garbled), *of_replies(garbled)), key=lambda way: way.taken)
     if best.fits and _is_told(best):
         yield _said(best, [each.trouble for each in all_garbled])
-    elif _heard(scene, side) and not _sound(scene, side) and (same_line_noise(garbled) or no_reply_at_all(garbled)):
-        yield unknown(garbled)
+    elif _heard(scene, side) and not _sound(scene, side):
+        repeats = len({each.data for each in all_garbled}) < len(all_garbled)
+        if same_line_noise(garbled, repeats=repeats) or no_reply_at_all(garbled):
+            yield unknown(garbled)
 
 
 def _is_told(way: Way) -> bool:

@@ -6,15 +6,17 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import reduce
-from itertools import takewhile
+from itertools import dropwhile, takewhile
 
 from analyzer.diagnosis.scene import Confidence, Shown, Suspicion, shown
 from analyzer.diagnosis.ways import ALIKE, DIFFERENT, FEWEST, Garbled
 from analyzer.link.modbus import modbus_crc
 from analyzer.values import counted
 
-#: Bytes of which one in so many differs from the others; and bits that are high in what noise makes of an idle line.
-_MANY, _IDLE_BITS = 5, 6
+#: Bytes of which one in so many differs from the others, and the most different ones: a protocol whose frames repeat has more.
+_MANY, _MOST_DIFFERENT = 5, 12
+#: Bits that are high in what noise makes of an idle line.
+_IDLE_BITS = 6
 #: Where frames repeat, so many of what is read begin with the same byte; and so many checks fit where it is a protocol.
 _BEGIN_ALIKE, _CHECKED = 0.6, 0.5
 #: Characters of bytes that are text with a head or a tail.
@@ -30,7 +32,7 @@ _CHECKS: tuple[Callable[[bytes], bool], ...] = (
 )
 
 
-def same_line_noise(garbled: Sequence[Garbled]) -> bool:
+def same_line_noise(garbled: Sequence[Garbled], *, repeats: bool) -> bool:
     """Say whether bytes come from frames on a wrong line, though none is found: they repeat, and are no other protocol."""
     stretches = [each.data for each in garbled]
     if all(byte in _PRINTED for data in stretches for byte in data):
@@ -40,7 +42,8 @@ def same_line_noise(garbled: Sequence[Garbled]) -> bool:
     if _of_few_bytes(b"".join(stretches)):
         return True
     stretches = [data for data in stretches if len(data) > ALIKE]
-    if len(stretches) < FEWEST or _framed(stretches):
+    # The same frame becomes the same bytes each time.
+    if not repeats or len(stretches) < FEWEST or _framed(stretches):
         return False
     most = Counter(data[0] for data in stretches).most_common(1)[0][1]
     return most >= max(FEWEST, _BEGIN_ALIKE * len(stretches)) and not any(
@@ -58,7 +61,14 @@ def _framed(stretches: Sequence[bytes]) -> bool:
     # Frames of one command, whose values differ: so much of their beginnings no two requests of a host have in common.
     by_size = [[data for data in distinct if len(data) == size] for size in set(map(len, distinct))]
     alike = any(len(rows) > 1 and len(set(_common_beginning(rows))) > DIFFERENT for rows in by_size)
-    return one_frame or alike or words > len(distinct) / 2 or text >= _READABLE * sum(map(len, distinct))
+    counted_up = any(len(rows) >= FEWEST and _fixed_behind_changing(rows) for rows in by_size)
+    return one_frame or alike or counted_up or words > len(distinct) / 2 or text >= _READABLE * sum(map(len, distinct))
+
+
+def _fixed_behind_changing(rows: Sequence[bytes]) -> bool:
+    """Say whether bytes differ at a place and are the same at places behind it, as the fields of whole frames are."""
+    fixed = [len(set(column)) == 1 for column in zip(*rows, strict=True)]
+    return sum(dropwhile(bool, fixed)) > ALIKE
 
 
 def _common_beginning(rows: Sequence[bytes]) -> bytes:
@@ -83,7 +93,7 @@ def _of_few_bytes(data: bytes) -> bool:
     """Say whether many bytes are the same few, which are not those of an idle line."""
     different = set(data)
     idle = sum(byte.bit_count() >= _IDLE_BITS for byte in data) > len(data) / 2
-    return len(data) >= _MANY and _MANY * len(different) <= len(data) and not idle
+    return len(data) >= _MANY and _MANY * len(different) <= len(data) and len(different) <= _MOST_DIFFERENT and not idle
 
 
 def unknown(garbled: Sequence[Garbled]) -> Suspicion:

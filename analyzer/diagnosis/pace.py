@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 from analyzer.catalogue import Role
@@ -262,7 +262,7 @@ def _split_replies(scene: Scene) -> Iterator[Suspicion]:
 def _in_parts(scene: Scene) -> Iterator[Suspicion]:
     """Suspect frames that are received in several reads, where a log shows that of most of them, or words ask about it."""
     asked = any(ASKS_OF_PARTS.search(words) for words in scene.words)
-    waits = any(_WAITS.search(words) for words in scene.words)
+    waits = _waits(scene.words)
     # The program that wrote the log judges each read alone.
     failed = any(_FAILED.search(words) for words in scene.words)
     asked |= failed
@@ -305,8 +305,19 @@ def _in_parts(scene: Scene) -> Iterator[Suspicion]:
 _FAILED = re.compile(
     r"\b(?:bad|wrong|invalid)[ _-]?(?:crc|checksum)\b|\b(?:crc|checksum)[ _-]?(?:error|fail\w*|mismatch)", re.IGNORECASE
 )
-#: Words of a library that has got a part of a frame.
-_WAITS = re.compile(r"\bframe\b[^\n]{0,20} not ready\b", re.IGNORECASE)
+#: Words of a library that has got a part of a frame, and of one that has joined the parts.
+_WAITS = re.compile(r"\bframe\b[^\n]{0,20} not ready\b|\brequest timed out\b", re.IGNORECASE)
+_JOINED = re.compile(r"\bgetting frame\b|\bfactory response\b", re.IGNORECASE)
+
+
+def _waits(said: Sequence[str]) -> bool:
+    """Say whether a library waits for the rest of a frame, and does not go on to join its parts."""
+    waits = False
+    for words in said:
+        waits = _WAITS.search(words) is not None or (waits and _JOINED.search(words) is None)
+    return waits
+
+
 #: Words of people who get a frame in parts.
 ASKS_OF_PARTS = re.compile(
     r"\b(?:split\w*|chunk(?:s|ed)|fragment\w*|pieces|in parts|partial(?:ly)?|byte by byte|not all at once"

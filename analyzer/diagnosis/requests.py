@@ -239,6 +239,9 @@ def _miscounted(scene: Scene) -> Iterator[Suspicion]:
         first, data, said = rows[0]
         # Without a CRC that fits it may be damaged.
         checked = [row for row in rows if modbus_crc(row[1]) == 0]
+        if not checked and 2 * len(rows) < len(scene.spoiled):
+            # Most others are damaged otherwise: so is this one.
+            continue
         one = Confidence.CERTAIN if len(checked) > 1 else Confidence.LIKELY if checked else Confidence.POSSIBLE
         yield Suspicion(
             cause, one, [t for t, _, _ in rows],

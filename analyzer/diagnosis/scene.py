@@ -13,6 +13,7 @@ import msgspec
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.reader import Reader
+from analyzer.link import READS, WRITE_MANY, read_bytes
 from analyzer.records import CanFrame, Finding, Message
 
 
@@ -287,7 +288,12 @@ class Scene:
     @cached_property
     def troubles(self) -> tuple[Trouble, ...]:
         """All that is wrong, each once: what only follows from another is left out."""
-        damaged = [Trouble("damaged", s.offset, s) for s in self.stretches if not self._is_body(s)]
+        stretches = [stretch for stretch in self.stretches if not self._is_body(stretch)]
+        # A log leaves out the CRC of each request; one that stays unanswered among them says nothing of it.
+        sent = [stretch for stretch in stretches if stretch.direction is Role.REQUEST]
+        if sent and all(map(self._was_answered, sent)):
+            stretches = [stretch for stretch in stretches if stretch not in sent]
+        damaged = [Trouble("damaged", s.offset, s) for s in stretches]
         by_sequence = {piece.sequence: piece for piece in self.pieces}
         following = self._followed()
         # A capture of one side alone shows what it shows.
@@ -314,10 +320,16 @@ class Scene:
             return True
         at = bisect_left(self.pieces, stretch.stop, key=lambda piece: piece.offset)
         whole = self.pieces[at] if stretch.opens and stretch.ends and at < len(self.pieces) else None
-        return (
-            whole is not None and whole.sound and whole.can is None and whole.message is not None
-            and whole.data[: -len(whole.message.frame.dialect.link.checks(whole.data)[-1].expected)] == stretch.data
-        )  # fmt: skip
+        return whole is not None and _body(whole) == stretch.data
+
+    def _was_answered(self, stretch: Stretch) -> bool:
+        """Say whether a request of Modbus stands without its CRC, and its reply behind it: the unit has seen a CRC.
+
+        A glitch may stand before the reply.
+        """
+        at = bisect_left(self.pieces, stretch.stop, key=lambda piece: piece.offset)
+        near = [piece for piece in self.pieces[at : at + 2] if piece.is_reply]
+        return stretch.opens and stretch.ends and any(_answers(_body(piece), stretch.data) for piece in near)
 
     @cached_property
     def _carried(self) -> frozenset[bytes]:
@@ -379,8 +391,25 @@ class Scene:
         return [t for t in self.damaged if t.stretch is not None and t.stretch.can_id is None and not t.stretch.checked]
 
 
-#: The shortest request of Modbus that carries something.
-_CARRIES = 8
+def _body(piece: Piece) -> bytes:
+    """Return a sound frame of a serial bus without its check; of all else nothing."""
+    if not piece.sound or piece.can is not None or piece.message is None:
+        return b""
+    return piece.data[: -len(piece.message.frame.dialect.link.checks(piece.data)[-1].expected)]
+
+
+def _answers(reply: bytes, request: bytes) -> bool:
+    """Say whether a reply of Modbus is that to a request, both without their CRC."""
+    asked = request[:_ASKED]
+    if len(asked) < _ASKED or reply[:2] != asked[:2]:
+        return False
+    if asked[1] in READS:
+        return request == asked and reply[2] == len(reply) - 3 == read_bytes(asked[1], int.from_bytes(asked[4:], "big"))
+    return reply == asked and (asked == request or asked[1] in WRITE_MANY)
+
+
+#: The shortest request of Modbus that carries something; what all of them have before a CRC or values.
+_CARRIES, _ASKED = 8, 6
 #: No frame of any dialect is longer, and more stretches show nothing new.
 _LONG = 300
 _MOST_DAMAGED = 1000

@@ -67,9 +67,7 @@ class Log:
             return "Nothing wrong was found"
         if found.verdict == "none":
             return "No diagnosis was made"
-        if not found.troubles:
-            return "No frame of a known dialect came"
-        return f"{_counted(found.troubles, 'thing')} went wrong, and no cause shows in the bytes"
+        return found.unexplained[:1].upper() + found.unexplained[1:]
 
 
 @dataclass

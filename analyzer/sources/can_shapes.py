@@ -115,6 +115,10 @@ SHAPES: tuple[Shape, ...] = (
         rf"{_DATA}[\]}}\s]*(?:\((?P<port>[a-z]+\d+)\)\s*)?",
         near=r"\s*(?:\S+\s+)?id\s*[:=]",
     ),
+    # With what the frame is, in words behind it: no row of a dump has that.
+    _shape(
+        "id-words", r"0x(?P<id>[1-7][0-9A-F]{2}):?\s+(?P<data>[0-9A-F]{2}(?:\s[0-9A-F]{2}){0,7})\s{2,}[A-Z]{2,}\s[A-Z]{2,}.*"
+    ),
     _shape("id-length", r"(?P<id>[0-9A-F]{1,8})\s+(?P<length>[0-8])(?P<data>(?:\s+[0-9A-F]{1,2}){0,8})\s*", sure=False),
     _shape(
         "id",

@@ -35,9 +35,10 @@ from analyzer.values import counted
 _NAMES: dict[str, tuple[str, ...]] = {
     "time": ("timestamp", "time", "times", "timesec", "ts", "t", "datetime", "timems", "timeus", "timens", "tms", "tus", "tns",
              "timestampms", "timestampus", "timestampns", "ms", "us", "millis", "micros", "seconds", "elapsed",
-             "系统时间", "时间"),
-    "mark": ("dir", "direction", "txrx", "rxtx", "topic", "传输方向", "方向", "sender", "type", "event"),
-    "data": ("data", "databytes", "datahex", "bytes", "hex", "payload", "frame", "raw", "buffer", "message", "msg", "数据"),
+             "zeit", "系统时间", "时间"),
+    "mark": ("dir", "direction", "txrx", "rxtx", "topic", "传输方向", "方向", "sender", "type", "event", "richtung"),
+    "data": ("data", "databytes", "datahex", "bytes", "hex", "payload", "frame", "raw", "buffer", "message", "msg", "daten",
+             "数据"),
     "id": ("id", "canid", "arbitrationid", "identifier", "idhex", "id号", "帧id"),
     "extended": ("extended", "isextended", "ext", "ide", "isextendedid", "帧格式"),
     "remote": ("remote", "rtr", "isremoteframe", "帧类型"),

@@ -47,7 +47,7 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
             "(",
             rf"\s*(?:[$>\s]*)(?:[A-Za-z_]\w*\.)*(?P<call>{WORDS_PATTERN})(?!\w*{_VALUES})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"']))?",
         ),
-        (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{WORDS_PATTERN})(?:_?{CONTENT})?{_END}{DECORATION}"),
+        (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{WORDS_PATTERN})(?:_?{CONTENT})?(?:\(\):)?{_END}{DECORATION}"),
         # What the bytes are called, how many they are, a counter as Modbus Poll prints it.
         (When.MARKED, "", rf"(?:hex|{CONTENT}){_END}[\s:=>]*"),
         (When.MARKED, "", r"len(?:gth)?\s*[=:]?\s*\d{1,5}\s*(?:bytes?)?(?:[\s:=>,-]+(?:(?:from|to)=\d+\s*)*|$)"),
@@ -60,7 +60,7 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         (
             When.UNMARKED,
             "",
-            rf"\s*(?P<label>hex|data|bytes|frame|packet|buffer|payload|msg|message|raw)\s*\d*\s*[:=]\s*{_BYTES}",
+            rf"\s*(?P<label>hex|data|bytes|frame|packet|buffer|payload|msg|message|raw)\s*\d*\s*(?:[:=]|(?=<Buffer\b))\s*{_BYTES}",
         ),
         # One byte behind a bullet is what a list explains.
         (When.UNMARKED, "", rf"(?P<bullet>[-•]|\d{{1,3}}[.)])\s+{_BYTES}(?!{PAIR}\s*$)"),

@@ -123,6 +123,8 @@ _TWICE = re.compile(
 _INDEXED = re.compile(
     r"(?P<before>.*?)\bbyte\s*[\[#(]?\s*\d{1,3}\s*[\])]?\s*[:=]\s*0[xX](?P<hex>[0-9A-Fa-f]{1,2})", re.IGNORECASE
 )
+#: One byte of a log before the name of who sent it: `0.000260 TAB 0x01 TAB HOST`.
+_SIDED = re.compile(r"(?P<before>[^\t]*)\t(?:0[xX])?(?P<hex>[0-9A-Fa-f]{2})\t(?P<side>[A-Za-z]+)")
 _NUMBER = re.compile(r"\d+\s*")
 _AROUND_NOTE = " \t,;|"
 #: A sentence before a mark: no header of bytes.
@@ -161,6 +163,8 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
         return _of_one(twice)
     if "0x" in text[-4:].lower() and (indexed := _INDEXED.fullmatch(text)) is not None:
         return _of_one(indexed)
+    if "\t" in text and (sided := _SIDED.fullmatch(text)) is not None and sided["side"].lower() in (*SPEAKERS, *WORDS):
+        return _of_one(sided)
     if decimal:
         numbers = _numbers(text)
         return (
@@ -246,7 +250,8 @@ def _of_one(byte: re.Match[str]) -> HexLine:
     before = _Peeler(byte["before"])
     while before._item():
         pass
-    words = [word for word in re.findall(r"[^\W\d_]+", byte["before"].lower()) if word in WORDS]
+    side = byte.groupdict().get("side")
+    words = [side.lower()] if side else [word for word in re.findall(r"[^\W\d_]+", byte["before"].lower()) if word in WORDS]
     data = bytes((int(byte["hex"], 16),))
     sign = "binary" if (byte.groupdict().get("binary")) else ""
     return HexLine(Shape.TRAFFIC, data, before.stamp, role_of(words), sign=sign, worded=bool(words), number=len(data))

@@ -11,6 +11,7 @@ from analyzer.catalogue import Role
 from analyzer.link import modbus_crc
 from analyzer.sources.hexfields import has_cells, has_fields
 from analyzer.sources.hexline import HexLine, Shape, take_apart
+from analyzer.sources.marks import WORDS, role_of
 from analyzer.sources.prose import quotations
 from analyzer.sources.written import Radix, decimal
 
@@ -28,7 +29,7 @@ _ODD_DIGITS, _UNPADDED_LINES = re.compile(r"\s*[0-9A-F](?:[0-9A-F]{2}){2,}\s*"),
 _SHORT = re.compile(r"\s*(?:[0-9A-Fa-f]{1,2}\s+){2,}[0-9A-Fa-f]{1,2}\s*")
 _BOTH = re.compile(r"(?=.*\b[0-9A-Fa-f]\b).*\b[0-9A-Fa-f]{2}\b")
 SINGLE = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,2}|\d{3})\s*")
-_DIGIT = re.compile(r"\s*[0-9A-Fa-f]\s*")
+_DIGIT = re.compile(r"(?:(?P<call>.*\w)\(\):)?\s*(?P<digit>[0-9A-Fa-f])\s*")
 _QUOTED = re.compile(r"\s*>\s?")
 _ARROW = "->"
 
@@ -84,8 +85,17 @@ def is_table(parts: list[HexLine]) -> bool:
 
 
 def _is_digit(line: HexLine) -> bool:
-    """Say whether a line has one digit alone: a byte without its leading zero, where each line is a byte."""
-    return line.shape in (Shape.BROKEN, Shape.COMMENT) and _DIGIT.fullmatch(line.text) is not None
+    """Say whether a line has one digit alone: a byte without its leading zero, where each line is a byte.
+
+    A function may print it: `receive(): 1`.
+    """
+    found = _DIGIT.fullmatch(line.text) if line.shape in (Shape.BROKEN, Shape.COMMENT) else None
+    return found is not None and (found["call"] is None or bool(_words(found["call"])))
+
+
+def _words(call: str) -> list[str]:
+    """Return the words of a line that say who sent."""
+    return [word for word in re.findall(r"[^\W\d_]+", call.lower()) if word in WORDS]
 
 
 def _is_quoted(lines: Sequence[str]) -> bool:
@@ -165,7 +175,11 @@ class Manner(NamedTuple):
         """Take a line apart as this text is written."""
         line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal, self.led)
         if self.lone and _is_digit(line):
-            line = line._replace(shape=Shape.TRAFFIC, data=bytes((int(line.text.strip(), 16),)), radix=Radix.HEX)
+            found = _DIGIT.fullmatch(line.text)
+            assert found is not None  # asked just before
+            role = role_of(_words(found["call"])) if found["call"] is not None else line.role
+            data = bytes((int(found["digit"], 16),))
+            line = line._replace(shape=Shape.TRAFFIC, data=data, role=role, radix=Radix.HEX)
         if self.short and line.shape is Shape.BROKEN and _SHORT.fullmatch(text) is not None:
             data = bytes(int(digit, 16) for digit in text.split())
             line = line._replace(shape=Shape.TRAFFIC, data=data, radix=Radix.EITHER)

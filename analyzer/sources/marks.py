@@ -70,9 +70,13 @@ def role_of(words: Iterable[str], sign: str = "") -> Role:
 
 
 def role_of_name(name: str) -> Role:
-    """Return who sends on a line that is called so (`TX`, `uart rx`, `Host`)."""
-    cleaned = "".join(c if c.isalnum() else " " for c in name.lower())
-    return role_of(cleaned.split())
+    """Return who sends on a line that is called so (`TX`, `uart rx`, `Host`), or as an arrow shows (`PC->`, `->PC`)."""
+    words = "".join(c if c.isalnum() else " " for c in name.lower()).split()
+    role = role_of(words)
+    towards = name.strip().startswith(("->", "→")) or name.strip().endswith(("<-", "←"))
+    if not towards or len(words) != 1 or words[0] not in SPEAKERS:
+        return role
+    return Role.REPLY if role is Role.REQUEST else Role.REQUEST
 
 
 class ReceivedMarks:

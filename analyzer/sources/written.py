@@ -65,7 +65,23 @@ def plain(line: str) -> str:
         line = _EMPHASIS.sub("", line)
     if "</" in line:
         line = _TAG.sub("", line)
+    if '"Buffer"' in line:
+        line = _JSON_BUFFER.sub(_as_buffer, line)
     return _CAST.sub("", line) if ")0x" in line or ") 0x" in line else line
+
+
+#: A Buffer of Node as it stands in JSON, or in an object of JSON with nothing else.
+_JSON_BUFFER = re.compile(
+    r'(\{\s*"\w+"\s*:\s*)?\{\s*"type"\s*:\s*"Buffer"\s*,\s*"data"\s*:\s*\[(?P<numbers>(?:\s*\d{1,3}\s*,)*\s*\d{1,3}\s*)\]\s*\}(?(1)\s*\})'
+)
+
+
+def _as_buffer(found: re.Match[str]) -> str:
+    """Return a Buffer of Node as its console prints it; with a number that is no byte it stays as it is."""
+    values = [int(number) for number in _NUMBER.findall(found["numbers"])]
+    if max(values) > _LARGEST:
+        return found[0]
+    return f"<Buffer {bytes(values).hex(' ')}>"
 
 
 def _bare(text: str) -> Written | None:

@@ -58,6 +58,10 @@ HEALTHY = {
     "RX: FB 02 F4 01 F2\nRX: FB 02 F4 02 F3",
     "one number of three bytes that would be short the other way": "can0  002   [8]  F5 06 46 57 ED FC FF 82\n"
     "can0  002   [3]  F5 01 F8\ncan0  002   [3]  F5 02 F9\n",
+    "a library that joins the parts of a reply": "send: 0x7 0x3 0x0 0x10 0x0 0x2 0xc5 0xa8\n"
+    "recv: 0x7 0x3 0x4 0x1 0x2c\nProcessing: 0x7 0x3 0x4 0x1 0x2c\nFrame - not ready\nrecv: 0x3 0x8 0x5d 0x30\n"
+    "Processing: 0x3 0x8 0x5d 0x30\nFrame - not ready\nGetting Frame - 0x3 0x4 0x1 0x2c 0x3 0x8\n"
+    "Factory Response[ReadHoldingRegistersResponse: 3]",
     "exchanges of another maker": "TX: A0 A0 00 01 21 01\nRX: A0 A0 00 02 21 02 03\n" * 4,
 }
 
@@ -135,3 +139,43 @@ def test_one_byte_a_read_is_a_split_where_words_ask_about_it(ask, causes, tmp_pa
 def test_frames_of_another_maker_are_named_and_are_no_echo_of_each_other(tmp_path, capsys):
     log = "send A5 40 90 08 00 00 00 00 00 00 00 00 7D\nrecv A5 01 90 08 02 0A 00 00 75 30 02 F4 E5\n"
     assert verdict(log, tmp_path, capsys)[1] == ["unsupported_dialect"]
+
+
+TCP = "SEND: 0x0 0x5 0x0 0x0 0x0 0x6 0x2 0x3 0x1 0x8 0x0 0x1\nRECV: 0x0 0x5 0x0 0x0 0x0 0x5 0x2 0x3 0x2 0x0 0x7\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('AT+CREG?\n+CREG: 2,1,"00FA","02C6B3D2",7\n\nOK\n', "no frame of a known dialect came: 1 stretch of bytes"),
+        (TCP * 2, "no frame of a known dialect came: 4 stretches of bytes"),
+        (
+            "// an example\nuint8_t a[] = {0xFA, 0x02, 0x31, 0x2D};\nuint8_t b[] = {0xFA, 0x02, 0xF3, 0x00, 0x00};\n",
+            "stand in a text",
+        ),
+        (
+            "recv: 0x7 0x3 0x2 0x0 0x13 0x71 0x89\n"
+            "send: 0x7 0x3 0x0 0x6b 0x0 0x1 0xf5 0xb0\nrecv: 0x7 0x3 0x2 0x0 0x13 0x71 0x89\n",
+            "of no command of these drives; 1 thing among them",
+        ),
+        # The drives' own frames.
+        ("> FA 01 30 2B\n< FB 01 30 00 00 00 00 20 00 4C\n< FB 01 77\n", "1 thing went wrong"),
+    ],
+)
+def test_what_is_not_of_the_drives_is_not_told_as_wrong(text, said, tmp_path, capsys):
+    path = tmp_path / "paste.txt"
+    path.write_text(text, "utf-8")
+    assert main(["diagnose", str(path)]) == 0
+    assert said in capsys.readouterr().out
+
+
+LEFT_OUT = (
+    "[D] Sent packet: @3FFB3944/6:\n  | 0000: 02 04 00 06 00 02\n[D] Raw buffer received: @3FFB39A0/9:\n"
+    "  | 0000: 02 04 04 3F DE B8 52 {}\n"
+)
+
+
+def test_a_unit_that_answers_has_seen_the_crc_that_a_log_leaves_out(tmp_path, capsys):
+    assert verdict(LEFT_OUT.format("57 57") * 3, tmp_path, capsys) == ("ok", [])
+    unanswered = "".join(line for line in LEFT_OUT.splitlines(keepends=True) if "0000: 02 04 04" not in line)
+    assert "missing_checksum" in verdict(unanswered * 3, tmp_path, capsys)[1]

@@ -125,7 +125,12 @@ def test_replies_that_repeat_and_are_no_frames():
     rows = [row for frame in asked for row in ((">", frame), ("<", received(on_the_line(frame), 3.3)))]
     found = told(*rows)
     assert [each.cause for each in found] == ["wrong_baud"]
-    # A protocol that is not known has checks of its own.
+    # A protocol that is not known sends frames that begin alike and do not repeat, or repeat with a field that counts.
+    heads = [bytes((0x9C, 0x11, n, 0x07, 0x02, 0xE1, 0x40, n * 37 & 0xFF)) for n in range(6)]
+    assert told(*heads) == []
+    assert told(*heads * 2) == []
+    assert told(b"".join(bytes((0xFC, 0x0B, n, 2, 2, 0, 0, 0, 0, 0, n * 91 & 0xFF, n * 53 & 0xFF)) for n in range(20))) == []
+    # Or has checks of its own.
     bodies = (b"\x9c\x01\x20\x85", b"\x9c\x02\x33\x99", b"\x9c\x05\x41\xc4")
     assert told(*(body + captures.sum8(body) for body in bodies)) == []
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from analyzer.catalogue import Role
+from analyzer.records import Chunk
+from analyzer.sources import open_source
 from tests.diagnosis.test_pastes import checked
 
 ASKED, REPLIED = checked("11 03 00 10 00 02"), checked("11 03 04 3C A6 43 6A")
@@ -15,6 +18,18 @@ LAYERS = "".join(
 
 IDF = "E (7221) TWAI1 Master: TWAI Error Detected (0x10):\nE (7221) TWAI1 Master:  - ACK Error\n"
 ASKED_TWICE = "10:00:18.940 Serial Send: {}\n10:00:{} Serial Send: {}\n10:00:19.{} Serial Received: {}\n"
+
+
+#: An exception between two bytes of a glitch; a reply that comes in four reads.
+GLITCHED = bytes.fromhex(f"00 {checked('02 81 01')} 00")
+REPLY = bytes.fromhex(checked("02 06 C3 60 00 21"))
+GIVEN_UP = "ERROR : Request timed out after 3 sec\n"
+PARTS = REPLY[:2], REPLY[2:4], REPLY[4:7], REPLY[7:]
+
+
+def buffer(data):
+    """Return bytes as JSON has a Buffer of Node."""
+    return f'{{"type":"Buffer","data":{list(data)}}}'.replace(", ", ",")
 
 
 def bracketed(text):
@@ -93,6 +108,14 @@ def bracketed(text):
             "can2  636   [8]  40 00 18 01 00 00 00 00`\n",
             "unsupported_dialect",
         ),
+        # A program prints each byte it receives, without zeros, by the name of its function.
+        ("".join(f"[ {n}][D][utils.cpp:274] receive(): {byte:x}\n" for n, byte in enumerate(GLITCHED)), "leading_glitch"),
+        ("".join(f"receive(): {byte:x}\n" for byte in GLITCHED), "leading_glitch"),
+        # A library gives up on the parts of a reply, which Node prints as JSON.
+        ("".join(f"DEBUG : received data {buffer(part)}\n" for part in PARTS) + GIVEN_UP, "split_frame"),
+        # Frames of CAN in a sentence, each with what it is.
+        ("The ID is changed:\n0x143  20 05 00 00 02 00 00 00    request to the old one\n"
+         "0x242  20 05 00 00 02 00 00 00    answer of the new one\n", "unsupported_dialect"),
     ],
 )  # fmt: skip
 def test_a_post(text, cause, causes_of):
@@ -110,10 +133,42 @@ def test_a_post(text, cause, causes_of):
         f"{checked('01 06 00 0A 01 31')} {checked('01 06 00 0A 01 31')}\n" * 3,
         # A program that speaks of errors has none.
         "if (alerts & TWAI_ALERT_BUS_ERROR) Serial.println(\"TWAI: ACK error, error_passive\");\ncan0  123   [2]  01 02\n",
+        # Parts that a library joins; numbers that are no bytes; a function that counts.
+        "".join(f"DEBUG : received data {buffer(part)}\n" for part in PARTS) + "DEBUG : Request done\n",
+        f"> {ASKED}\n< {REPLIED}\nDEBUG : received data {buffer([300, 6])}\nERROR : Request timed out after 3 sec\n",
+        f"> {ASKED}\nreceive(): 9\n< {REPLIED}\n" * 2,
     ],
 )  # fmt: skip
 def test_a_post_without_it(text, causes_of):
-    assert {"echo", "too_fast", "can_no_ack"}.isdisjoint(causes_of(text))
+    assert {"echo", "too_fast", "can_no_ack", "split_frame", "leading_glitch", "trailing_glitch"}.isdisjoint(causes_of(text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # A byte a line, between its time and who sent it.
+        "".join(
+            f"{(n * 40 + at) / 10000:.6f}\t0x{byte:02X}\t{who}\n"
+            for n, (who, data) in enumerate((("HOST", ASKED), ("MOTOR", REPLIED)) * 3)
+            for at, byte in enumerate(bytes.fromhex(data))
+        ),
+        # A table in German, with an arrow for the direction.
+        '"No.";"Zeit";"Richtung";"Daten"\n'
+        + "".join(
+            f'"{n}";"14:02:0{n},100";"{side}";"{data.replace(" ", "-")}"\n'
+            for n, (side, data) in enumerate((("PC->", ASKED), ("->PC", REPLIED)) * 3)
+        ),
+    ],
+)
+def test_who_sent_stands_behind_the_bytes_or_at_an_arrow(text, tmp_path):
+    path = tmp_path / "post.txt"
+    path.write_text(text)
+    with open_source(path) as source:
+        chunks = [item for item in source if isinstance(item, Chunk)]
+    sides = {role: b"".join(c.data for c in chunks if c.direction is role).hex(" ").upper() for role in Role}
+    assert sides == {Role.REQUEST: " ".join([ASKED] * 3), Role.REPLY: " ".join([REPLIED] * 3)} | {
+        role: "" for role in Role if role not in (Role.REQUEST, Role.REPLY)
+    }
 
 
 def test_the_head_of_bacnet_has_a_check(causes_of):

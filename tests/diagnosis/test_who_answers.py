@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from tests.diagnosis.test_pastes import checked
+
 
 def native(text):
     """Return a frame of the native dialect with its sum."""
@@ -42,6 +44,7 @@ def test_a_host_that_waits_for_a_group(text, causes_of):
         GROUPED + f"> {MOTION}\nto the group, no reply expected\n" * 3 + ANSWERED,
         # Each motion is another one, and a text tells of somebody else's timeout.
         GROUPED + f"> {MOTION}\n> {native('FA 60 F6 00 60 05')}\nSerial timeout: 50 ms\n" + ANSWERED,
+        "Serial timeout: 50 ms, timeout=0.05\n" + f"> {MOTION}\n" * 3 + ANSWERED,
         # The number of the group is a drive of its own.
         GROUPED + f"> {READ}\n< {native('FB 60 31 00 00 00 00 12 34')}\n" * 2,
     ],
@@ -100,3 +103,23 @@ def test_a_report_that_meets_a_reply(causes_of):
     assert "collision" not in causes_of(reports({3}, ends=True))
     assert "collision" not in causes_of(reports({1, 3}))
     assert "collision" not in causes_of(reports(set()))
+
+
+def test_one_wrong_count_among_damaged_replies_is_damage(causes_of):
+    """Two units of one address spoil all that they send; one of the replies looks as if it had a count."""
+    asked, good = checked("05 04 00 20 00 02"), checked("05 04 04 00 00 10 00")
+    doubled = checked("06 04 00 20 00 02")
+    rows = "".join(
+        f">> {asked}\n<< {good}\n>> {doubled}\n<< {came}\n"
+        for came in ("00 00 07 FE", "00 40 FD 11", "06 04 18 89 B1 E4", "00 00 10 05", "00 07 03 FC")
+    )
+    assert causes_of(rows) == ["duplicate_address"]
+
+
+def test_a_wrong_sum_in_a_document_is_no_noise(causes_of):
+    rows = (
+        "TX: FA 01 F3 01 EF\nRX: FB 01 F3 01 F0\nTX: FA 01 F6 00 64 05 5A\nRX: FB 01 F6 01 F9\n"
+        "TX: FA 01 30 2B\nRX: FB 01 30 00 00 00 00 20 00 4C\n"
+    )
+    assert causes_of("## Examples of commands\n" + rows) == []
+    assert causes_of("Why does it fail?\n" + rows) == ["noise"]
