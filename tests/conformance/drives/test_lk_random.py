@@ -93,7 +93,7 @@ def test_random_requests(given: tuple[str, list[Any]]) -> None:
 def check_exchange(bench: Bench, frame: bytes, command: Command, form: Form, spoiled: bool) -> None:
     sent = bench.send(frame)
     to_it = frame[2] == ADDRESS
-    must = to_it and bench.drive.powered and not spoiled and not _unlisted(command, form, frame)
+    must = to_it and bench.drive.listening and not spoiled and not _unlisted(command, form, frame)
     if not must:
         assert sent == []
         return
