@@ -379,7 +379,12 @@ _SETTINGS = (
         "addressing/package/own_slot",
         "addressing/package/last_of_five",
     ),
-    said("5.7/slots", "Each of the five slots is executed.", *(f"addressing/package/slot_{n}" for n in range(1, 6))),
+    said(
+        "5.7/slots",
+        "Each of the five slots is executed.",
+        "addressing/package/*/every-slot",
+        *(f"addressing/package/slot_{n}" for n in range(1, 6)),
+    ),
     said(
         "5.7/settings",
         "A slot holds any ordinary command, without head and checksum.",

@@ -7,6 +7,7 @@ What a slot makes the drive do is a small move, whose length tells which slot wa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -34,6 +35,8 @@ _STEPS_NS = 160_000_000
 _NO_CHOICE = 2
 #: How long a motion and a stop are listened to: their ramps take 104 ms, and a shaft that stopped settles.
 _TURNS_NS, _STANDS_NS = 130_000_000, 200_000_000
+#: How long a shaft rises until its way is looked at: by the ramp to 150 rpm. How far a motion would go (degrees).
+_RISES_NS, _FAR = 60_000_000, 10 * 360
 #: A speed of two bytes, whose low byte alone is slow.
 _RPM = 260
 
@@ -312,7 +315,7 @@ def _rpm(run: Command, way: int) -> float:
 def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, before: int, way: int) -> float:
     """Run and stop by packages; return the speed in between."""
     start = motion.place(probe, run)
-    values = motion.values_of(probe.dialect, run, way * 10 * 360, rpm=_rpm(run, way), start=start)
+    values = motion.values_of(probe.dialect, run, way * _FAR, rpm=_rpm(run, way), start=start)
     seen = []
     ending = {"acceleration": motion.QUICK} if motion.of(stop).acceleration else {}
     for order, data, time_ns in ((run, values, _TURNS_NS), (stop, ending, _STANDS_NS)):
@@ -328,6 +331,37 @@ def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, b
     text = f"{stop.name} in a slot of a package does not stop the shaft"
     probe.expect(left, at_most=1, unit="rpm", refutes=text, exchange=ended)
     return rpm
+
+
+def _in_every_slot(dialect: Dialect) -> Iterator[Case]:
+    for case in _motions(dialect):
+        yield Case(dialect, case.command, {"run": case["run"]}, case.facts)
+
+
+@_of_packages("a shaft that stays, turns the other way, or is slow", name="{run}/every-slot", each=_in_every_slot)
+def _in_each_slot(probe: Probe, command: Command, run: Command) -> None:
+    """{run} in each slot of a package turns the shaft either way as when it is sent alone, beside slots of other drives."""
+    assert command.slots is not None
+    motion.prepare(probe, run)
+    motion.begin(probe, run, _FAR, rpm=_rpm(run, 1))
+    probe.wait(_RISES_NS)
+    alone = math.copysign(1, motion.turning(probe).value)
+    others = _others(probe.dialect, probe.address, command.slots.count - 1)
+    for number, way in ((n, way) for n in range(command.slots.count) for way in (1, -1)):
+        motion.stand_still(probe)
+        start = motion.place(probe, run)
+        own, other = (motion.values_of(probe.dialect, run, w * _FAR, rpm=_rpm(run, w), start=start) for w in (way, -way))
+        slots = [{"address": address, "command": run.name, **other} for address in others]
+        slots.insert(number, {"address": probe.address, "command": run.name, **own})
+        sent = probe.send(_frame(probe, command, slots), timeout_ns=_RISES_NS)
+        probe.expect(
+            motion.turning(probe).value * alone * way,
+            at_least=motion.CALM / 2,
+            unit="rpm that way",
+            refutes=f"{run.name} in slot {number + 1} of a package does not turn the shaft as when it is sent alone",
+            exchange=sent,
+            key=f"{run.name} in a slot of a package does not turn the shaft as when it is sent alone",
+        )
 
 
 # --- what is answered -------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 from msgspec.structs import replace
 
@@ -626,15 +626,15 @@ def _stored_as(name: str, change: Callable[[int], int]) -> Change:
     return storing(lambda drive, setting, value: (setting, change(value) if setting == name else value), name)
 
 
-def _in_packages(change: Callable[[Values], Values], of: Verb) -> Change:
-    """Change requests that come in packages."""
+def _in_packages(change: Callable[[Values], Values], of: Verb, slots: Collection[int] = range(1, 6)) -> Change:
+    """Change requests that come in some slots of packages."""
 
     def install(drive: MksCore) -> None:
         packed = False
 
         def note(_: Drive, every: list, chosen: list) -> list:  # type: ignore[type-arg]
             nonlocal packed
-            packed = True
+            packed = any(every[number - 1] is slot for slot in chosen for number in slots)
             return chosen
 
         def apply(_: Drive, command: Command, values: Values) -> Values:
@@ -1097,6 +1097,26 @@ DOING: Rows = {
             "package-never-disables",
             "F3 in a package always enables",
             _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE),
+        ),
+        Row(
+            "package-late-slots-one-way",
+            "FD behind the first slot of a package turns the shaft CW alone",
+            _in_packages(lambda values: values | {"direction": 1}, Verb.MOVE_RELATIVE_PULSES, range(2, 6)),
+        ),
+        Row(
+            "package-third-slot-turned",
+            "F6 in the third slot of a package turns the shaft the other way",
+            _in_packages(lambda values: values | {"direction": 1 - values["direction"]}, Verb.RUN_SPEED, (3,)),
+        ),
+        Row(
+            "package-last-slot-speed-byte",
+            "F6 in the last slot of a package has the low byte of its speed",
+            _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.RUN_SPEED, (5,)),
+        ),
+        Row(
+            "package-fourth-slot-unsigned",
+            "F4 in the fourth slot of a package has no sign",
+            _in_packages(lambda values: values | {"position": abs(values["position"])}, Verb.MOVE_RELATIVE_AXIS, (4,)),
         ),
     ),
     "limit": (
