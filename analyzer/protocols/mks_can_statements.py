@@ -710,8 +710,19 @@ STATEMENTS: tuple[Statement, ...] = (
         "shape/read_parameter/code",
     ),
     said("3.9/layout", "The reply has the layout that sets the parameter.", "shape/read_parameter/of/*"),
-    said("3.9/value", "The value reads as it was set.", "read-back/set_*/read", "read-back/set_*/ends"),
-    said("3.9/unreadable", "A parameter that cannot be read is answered FF FF.", "shape/read_parameter/unreadable"),
+    said(
+        "3.9/value",
+        "The value reads as it was set.",
+        "read-back/set_*/read",
+        "read-back/set_*/ends",
+        "addressing/set_address/told",
+    ),
+    said(
+        "3.9/unreadable",
+        "A parameter that cannot be read is answered FF FF.",
+        "shape/read_parameter/unreadable",
+        "resilience/reads/of-what-is-done",
+    ),
     # Part 4: motion
     said("4/bus-modes-only", "Motion by the bus needs a bus mode.", "motion/*/pulse-mode"),
     said(
@@ -883,6 +894,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "ranges/move_relative_pulses/pulses/*",
         "motion/move_relative_pulses/crossed-replies",
         "motion/move_relative_pulses/far",
+        "motion/move_relative_pulses/low-word",
     ),
     said("4.5.1/examples", "The frames of the manual turn the shaft 20 times, either way.", "examples/move_relative_pulses/*"),
     said(
@@ -942,6 +954,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "The target is -8388607 to 8388607.",
         "ranges/move_absolute_pulses/position/*",
         "motion/move_absolute_pulses/far",
+        "motion/move_absolute_pulses/low-word",
     ),
     said("4.6.1/examples", "The frames of the manual move to 4000h and to -4000h.", "examples/move_absolute_pulses/*"),
     said(
@@ -1003,6 +1016,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "ranges/move_relative_axis/position/*",
         "motion/move_relative_axis/crossed-replies",
         "motion/move_relative_axis/far",
+        "motion/move_relative_axis/low-word",
     ),
     said("4.7.1/examples", "The frames of the manual move by 4000h and by -4000h.", "examples/move_relative_axis/*"),
     said(
@@ -1066,6 +1080,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "The target is -8388607 to 8388607.",
         "ranges/move_absolute_axis/position/*",
         "motion/move_absolute_axis/far",
+        "motion/move_absolute_axis/low-word",
     ),
     said("4.8.1/examples", "The frames of the manual move to 4000h and to -4000h.", "examples/move_absolute_axis/*"),
     said(

@@ -76,7 +76,13 @@ _READS = (
     said(
         "8/high-byte-first", "Registers and values have their high byte first.", "shape/*/register", "motion/read_position/turn"
     ),
-    said("8.1/reads", "Registers are read by function 04.", "modbus/function/other_reads", "examples/read_*/1"),
+    said(
+        "8.1/reads",
+        "Registers are read by function 04.",
+        "modbus/function/other_reads",
+        "examples/read_*/1",
+        "resilience/reads/of-what-is-done",
+    ),
     said(
         "8.1/quantity", "Each is read with its own number of registers.", "modbus/quantity/others", "modbus/quantity/too_many"
     ),
@@ -436,6 +442,7 @@ _MOTION = (
             "motion/move_relative_pulses/distance",
             "motion/move_relative_pulses/behind-ended",
             "motion/move_relative_pulses/far",
+            "motion/move_relative_pulses/low-word",
             "motion/*/crossed-ends",
         ),
     ),
@@ -449,6 +456,7 @@ _MOTION = (
             "It goes to a place in pulses, 32 signed bits.",
             "motion/move_absolute_pulses/distance",
             "motion/move_absolute_pulses/far",
+            "motion/move_absolute_pulses/low-word",
         ),
         said("8.3.5.1/read", "Then the pulses read what was sent.", "motion/move_absolute_pulses/reads-as-asked"),
     ),
@@ -463,6 +471,7 @@ _MOTION = (
             "motion/move_relative_axis/distance",
             "motion/move_relative_axis/behind-ended",
             "motion/move_relative_axis/far",
+            "motion/move_relative_axis/low-word",
             "motion/*_axis/crossed-ends",
         ),
         said("8.3.6.1/axis", "The axis is the value that 31h reads.", "motion/move_relative_axis/sign"),
@@ -477,6 +486,7 @@ _MOTION = (
             "It goes to a place in encoder counts, 32 signed bits.",
             "motion/move_absolute_axis/distance",
             "motion/move_absolute_axis/far",
+            "motion/move_absolute_axis/low-word",
         ),
         said(
             "8.3.7.1/axis",

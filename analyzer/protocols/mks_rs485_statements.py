@@ -618,6 +618,7 @@ _MOTION = (
             "motion/move_relative_pulses/distance",
             "motion/move_relative_pulses/behind-ended",
             "motion/move_relative_pulses/far",
+            "motion/move_relative_pulses/low-word",
             "motion/*/crossed-ends",
             "motion/*/crossed-replies",
         ),
@@ -640,6 +641,7 @@ _MOTION = (
             "It goes to a place in pulses, 32 signed bits.",
             "motion/move_absolute_pulses/distance",
             "motion/move_absolute_pulses/far",
+            "motion/move_absolute_pulses/low-word",
         ),
         said("6.7.1/read", "Then the pulses read what was sent.", "motion/move_absolute_pulses/reads-as-asked"),
         said(
@@ -666,6 +668,7 @@ _MOTION = (
             "motion/move_relative_axis/distance",
             "motion/move_relative_axis/behind-ended",
             "motion/move_relative_axis/far",
+            "motion/move_relative_axis/low-word",
             "motion/*_axis/crossed-ends",
         ),
         said("6.8.1/axis", "The axis is the value that 31 reads.", "motion/move_relative_axis/sign"),
@@ -692,6 +695,7 @@ _MOTION = (
             "It goes to a place in encoder counts, 32 signed bits.",
             "motion/move_absolute_axis/distance",
             "motion/move_absolute_axis/far",
+            "motion/move_absolute_axis/low-word",
         ),
         said(
             "6.9.1/axis",

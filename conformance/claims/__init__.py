@@ -60,6 +60,7 @@ MODULES = (
     "motion.durations",
     # motion
     "motion.moves",
+    "motion.far_moves",
     "motion.sums",
     "motion.runs",
     "motion.newer_motion",
@@ -99,6 +100,7 @@ MODULES = (
     # resilience
     "resilience.requests",
     "resilience.reads",
+    "resilience.inert_reads",
     "resilience.settings",
     "resilience.busy",
 )

@@ -290,6 +290,46 @@ def _each_bit(probe: Probe, command: Command) -> None:
         _expect_heard(probe, old, back)
 
 
+#: Addresses that need both of their bytes.
+_WIDE = (0x155, 0x6AA)
+
+
+def _readable_address(dialect: Dialect) -> Iterator[Case]:
+    """Yield the command that sets an address wider than a byte, where the address can be read."""
+    wide = Verb.READ_PARAMETER in dialect.by_verb and dialect.addresses[1] > _BYTE
+    return (case for case in commands(Verb.SET_ADDRESS)(dialect) if wide and case.command and case.command.readable)
+
+
+@claim(
+    Theme.ADDRESSING,
+    each=_readable_address,
+    name="{command}/told",
+    refuted_by="another address",
+    alone=True,
+    risks=lambda case: case.dialect.by_verb[Verb.SET_ADDRESS].all_risks,
+    settings=("new_address",),
+    fields=("new_address",),
+    parameters={},
+)
+def _told(probe: Probe, command: Command) -> None:
+    """The address reads as it was set, with both of its bytes."""
+    ask_first(probe)
+    old = probe.address
+    for new in (a for a in _WIDE if a != old):
+        told = probe.ask(command, {"new_address": new})
+        if told.silent or probe.refused(told):
+            raise Inconclusive(f"{command.name} was answered {received_text(told)}")
+        try:
+            exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": command.code}, address=new)
+        finally:
+            probe.ask(command, {"new_address": old}, address=new)
+        seen = [a.message.values.get("new_address") for a in exchange.answers if a.message.frame.checksum_ok]
+        if not seen:
+            raise Inconclusive(f"the read of an address was answered {received_text(exchange)}")
+        text = f"a drive with the address {new:X}h tells another one"
+        probe.expect(seen[-1], equal=new, refutes=text, exchange=exchange, key="another address is told")
+
+
 def _expect_heard(probe: Probe, here: int, told: Exchange) -> None:
     """Refute a drive that is not heard at an address, or answers from another one."""
     tries = [probe.ask(plain_read(probe.dialect), address=here, timeout_ns=probe.rig.late_ns) for _ in range(2)]

@@ -13,10 +13,9 @@ Rules kept here:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind
 from conformance.claims.declare import Case, motions, with_values
 from conformance.claims.known_quirks import SETTLING, may_meet
 from conformance.claims.motion.motion_claim import (
@@ -25,7 +24,6 @@ from conformance.claims.motion.motion_claim import (
     expect_speed,
     expect_stays,
     expect_taken,
-    has_direction,
     has_sign,
     of_motion,
     that_tell_their_end,
@@ -33,7 +31,7 @@ from conformance.claims.motion.motion_claim import (
 from conformance.claims.motion.stops import endless
 from conformance.motion import arriving, motion
 from conformance.motion.arriving import Move
-from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, takes_pulses
+from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS, takes_pulses
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -181,23 +179,6 @@ def _far(probe: Probe, command: Command) -> None:
     for way in (degrees, -degrees):
         move = arriving.follow(probe, command, way, rpm=240, acceleration=QUICK, subdivision=subdivision)
         _expect_way(probe, move, False, f"{command.name} does not go by {_FAR} units")
-
-
-@of_motion(each=_counted, refuted_by="a shaft that turns the other way, or ends at once", risks={Risk.UNBOUNDED})
-def _widest(probe: Probe, command: Command) -> None:
-    """{command} as far as its field can say begins the way that it was told, and does not end soon."""
-    motion.prepare(probe, command)
-    field = motion.field_of(command, motion.of(command).distance)
-    short = arriving.follow(probe, command, 36)
-    ends = {0: field.high} if has_direction(command) else {0: field.high, 1: field.low}
-    for side, value in ends.items():
-        before = motion.position(probe)
-        exchange = motion.ask(probe, command, 36, rpm=2 * CALM, acceleration=QUICK, more={field.name: value})
-        expect_taken(probe, exchange, f"{command.name} by {value} is refused")
-        probe.wait(400 * MS)
-        went = (motion.stand_still(probe).value - before.value) * math.copysign(1, short.degrees) * (-1) ** side
-        text = f"{command.name} with {field.name} {value} does not begin that way"
-        probe.expect(went, at_least=180, unit="degrees", refutes=text, exchange=exchange)
 
 
 def _where_a_position_can_be_set(dialect: Dialect) -> Iterable[Case]:

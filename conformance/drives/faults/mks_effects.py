@@ -12,13 +12,58 @@ from fractions import Fraction
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
+from analyzer.link import READS
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import homing_by, mks, tuned
-from conformance.drives.faults.places import CAN, NATIVE, Change, Row, Rows, faults, having, result, storing, taken
+from conformance.drives.faults.places import CAN, MODBUS, NATIVE, Change, Row, Rows, faults, having, result, storing, taken
 from conformance.drives.mks.core import MOTIONS, Activity, Behaviour, MksCore
+from conformance.drives.mks.motion import begin_run, set_zero
 from conformance.drives.mks.paths import Number
+from conformance.drives.mks.settings import restart
+
+# --- reads that act ---------------------------------------------------------------------------------------------------
+
+
+def _reading(verb: Verb, act: Callable[[MksCore], None]) -> Change:
+    """Do something when what a command does is read: 00 with its code on CAN, 04h of its register by Modbus."""
+
+    def install(drive: MksCore) -> None:
+        code = drive.dialect.by_verb[verb].code
+
+        def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+            if wanted and _read_code(frame) == code:
+                act(drive)
+            return wanted
+
+        drive.hooks.accept.append(accept)
+
+    return Change(tuned(install).install, tuple(name for name in having(verb) if name in (*CAN, *MODBUS)))
+
+
+def _read_code(frame: Frame) -> int | None:
+    """Return the code of what is read."""
+    if frame.can is not None:
+        return frame.data[1] if frame.data[0] == 0 else None
+    _, function, *register = frame.data[:4]
+    return int.from_bytes(bytes(register), "big") if function in READS else None
+
+
+def _told_by_nine_bits(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    return values | {name: value & 0x1FF for name, value in values.items() if name == "new_address"}
+
+
+def _halt(drive: MksCore) -> None:
+    drive.drop()
+    drive.memory.run = None
+    drive.motor.halt(drive.now_ns)
+
+
+def _turn_home(drive: MksCore) -> None:
+    if drive.ready and drive.memory.run is None:
+        begin_run(drive, drive.settings["home_direction"], drive.settings["home_speed"], 0)
+
 
 # --- a shaft that is let go -------------------------------------------------------------------------------------------
 
@@ -212,6 +257,18 @@ def _turning_back(drive: MksCore) -> None:
 
 
 EFFECTS: Rows = {
+    "reads": (
+        Row("read-of-restart-restarts", "a read of 41 restarts the drive", _reading(Verb.RESTART, restart)),
+        Row("read-of-zero-sets-zero", "a read of 92 sets the zero", _reading(Verb.SET_ZERO, set_zero)),
+        Row("read-of-stop-stops", "a read of F7 stops the motor", _reading(Verb.EMERGENCY_STOP, _halt)),
+        Row("read-of-home-turns", "a read of 91 turns the shaft", _reading(Verb.HOME, _turn_home)),
+        Row(
+            "address-told-by-9-bits",
+            "00 8B tells the low 9 bits of the address",
+            result(_told_by_nine_bits, Verb.READ_PARAMETER),
+            CAN,
+        ),
+    ),
     "completion": (
         Row(
             "completion-cut",

@@ -39,6 +39,7 @@ from conformance.drives.mks.state import SUBDIVISION
 
 #: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
+_LOW_WORD = 0xFFFF
 _SCALED, _SAFE_RPM, _FASTEST_BACK = 32, 1200, 4
 #: The highest subdivision at which the speed is what is sent.
 _PLAIN_MOST = max(SUBDIVISION.plain)
@@ -48,6 +49,12 @@ _MOTION_CODES = frozenset(command.code for command in mks_rs485.DIALECT.commands
 def _short(drive: Drive, command: Command, values: Values) -> Values:
     name = "pulses" if "pulses" in values else "position"
     return values | {name: 0} if abs(values[name]) < _SHORTEST else values
+
+
+def _stopped_by_low_word(drive: Drive, command: Command, values: Values) -> Values:
+    """Take a target for 0, and the motion for a stop, whose low bits are 0."""
+    number = values["pulses" if "pulses" in values else "position"]
+    return values | {"speed": 0} if number and not number & _LOW_WORD else values
 
 
 def _loses_pulses(drive: MksCore, request: Request) -> None:
@@ -505,6 +512,19 @@ SEQUENCES: Rows = {
             "short-moves-undone",
             f"moves by fewer than {_SHORTEST} units turn nothing",
             request(_short, (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_RELATIVE_AXIS)),
+        ),
+        *(
+            Row(
+                f"low-word-stops-{name}",
+                f"{name.upper()} by a number whose low word is 0 stops",
+                request(_stopped_by_low_word, verb),
+            )
+            for name, verb in (
+                ("fd", Verb.MOVE_RELATIVE_PULSES),
+                ("fe", Verb.MOVE_ABSOLUTE_PULSES),
+                ("f4", Verb.MOVE_RELATIVE_AXIS),
+                ("f5", Verb.MOVE_ABSOLUTE_AXIS),
+            )
         ),
         Row(
             "as-sent-at-odd",
