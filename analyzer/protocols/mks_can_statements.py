@@ -671,7 +671,7 @@ STATEMENTS: tuple[Statement, ...] = (
     unseen("3.6.1/status-0", "Status 0 says that it is not done.", "the manual names nothing that prevents it"),
     said("3.6.1/reboots", "The drive starts again then.", "read-back/restore/reboots"),
     *_tables("3.6.2", "restart", "41 without data", "a status of one byte"),
-    said("3.6.2/restarts", "The drive starts again.", "motion/restart/ends-motion", "timing/restart/answers-again"),
+    said("3.6.2/restarts", "The drive starts again.", "motion/restart/ends-motion*", "timing/restart/answers-again"),
     said("3.6.2/keeps", "No parameter changes.", "read-back/*/restart"),
     said("3.6.2/status", "Status 1 says that it is done.", "examples/restart/1"),
     unseen("3.6.2/status-0", "Status 0 says that it is not done.", "the manual names nothing that prevents it"),

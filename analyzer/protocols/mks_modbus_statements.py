@@ -172,7 +172,11 @@ _WRITES = (
         "restart",
         "41h with 1 starts the drive again.",
         said(
-            "8.2.3/restarts", "The drive starts again.", "motion/restart/ends-motion", "timing/restart/*", "read-back/restart/*"
+            "8.2.3/restarts",
+            "The drive starts again.",
+            "motion/restart/ends-motion*",
+            "timing/restart/*",
+            "read-back/restart/*",
         ),
     ),
     *_write(

@@ -368,7 +368,9 @@ _SETTINGS = (
     said("5.5/reboots", "Then the drive starts again.", "read-back/restore/reboots"),
     unseen("5.5/uncalibrated", "Then the motor needs a calibration.", "no command tells whether the motor is calibrated"),
     unseen("5.5/key", "A key held at power-on restores the defaults.", KEYS),
-    said("5.6/restarts", "41 starts the drive again.", "motion/restart/ends-motion", "timing/restart/*", "read-back/restart/*"),
+    said(
+        "5.6/restarts", "41 starts the drive again.", "motion/restart/ends-motion*", "timing/restart/*", "read-back/restart/*"
+    ),
     said("5.6/status", "It is answered by 1, or by 0 when that fails.", "shape/restart/status"),
     # 5.7 Packages
     said(

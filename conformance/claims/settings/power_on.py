@@ -256,12 +256,25 @@ def _locked(probe: Probe, command: Command, value: int) -> None:
     bench.expect_hold(probe, bool(value), f"with axis_lock {value} at power-on")
 
 
+def _restarts(dialect: Dialect) -> Iterator[Case]:
+    """Yield the restart in the work mode of the suite, which is the last one by the bus, and in each of the others."""
+    for case in commands(Verb.RESTART)(dialect):
+        yield Case(dialect, case.command, {"mode": "", "where": "", "in_mode": ""})
+        for mode in motion.bus_modes(dialect)[:-1]:
+            yield Case(dialect, case.command, {"mode": mode, "where": f"-{mode}", "in_mode": f" in {mode}"})
+
+
 @of_motion(
-    each=commands(Verb.RESTART), refuted_by="a shaft that still turns", risks=risks_by(Verb.RUN_SPEED), at_best=Certainty.LIKELY
+    each=_restarts,
+    name="{command}/ends-motion{where}",
+    statement="A restart ends a motion{in_mode}, and it is not taken up again.",
+    refuted_by="a shaft that still turns",
+    risks=risks_by(Verb.RUN_SPEED),
+    parameters={},
+    at_best=Certainty.LIKELY,
 )
-def _ends_motion(probe: Probe, command: Command) -> None:
-    """A restart ends a motion, and it is not taken up again."""
-    motion.ready_to_move(probe)
+def _ends_motion(probe: Probe, command: Command, mode: str) -> None:
+    motion.ready_to_move(probe, mode)
     motion.run_at(probe, 60, QUICK)
     probe.wait(500 * MS)
     exchange = probe.ask(command)

@@ -17,7 +17,20 @@ from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import homing_by, mks, tuned
-from conformance.drives.faults.places import CAN, MODBUS, NATIVE, Change, Row, Rows, faults, having, result, storing, taken
+from conformance.drives.faults.places import (
+    CAN,
+    MODBUS,
+    NATIVE,
+    SERIAL,
+    Change,
+    Row,
+    Rows,
+    faults,
+    having,
+    result,
+    storing,
+    taken,
+)
 from conformance.drives.mks.core import MOTIONS, Activity, Behaviour, MksCore
 from conformance.drives.mks.motion import begin_run, set_zero
 from conformance.drives.mks.paths import Number
@@ -63,6 +76,29 @@ def _halt(drive: MksCore) -> None:
 def _turn_home(drive: MksCore) -> None:
     if drive.ready and drive.memory.run is None:
         begin_run(drive, drive.settings["home_direction"], drive.settings["home_speed"], 0)
+
+
+# --- a run that a restart does not end --------------------------------------------------------------------------------
+
+
+def _taking_up_run(drive: MksCore) -> None:
+    """Begin the run again behind a restart that was under way in the closed mode."""
+    power_on, restarting, run = drive.power_on, drive.behaviours[Verb.RESTART], None
+
+    def restarted(core: MksCore, request: Request) -> Values | None:
+        nonlocal run
+        run = core.memory.run if "close" in core.mode else None
+        return restarting(core, request)
+
+    def started(core: MksCore) -> None:
+        nonlocal run
+        power_on(core)
+        again, run = run, None
+        if again is not None and core.ready:
+            begin_run(core, *again)
+
+    drive.behaviours[Verb.RESTART] = restarted
+    drive.power_on = started
 
 
 # --- a shaft that is let go -------------------------------------------------------------------------------------------
@@ -268,6 +304,9 @@ EFFECTS: Rows = {
             result(_told_by_nine_bits, Verb.READ_PARAMETER),
             CAN,
         ),
+    ),
+    "restart": (
+        Row("closed-run-taken-up", "a run in the closed mode begins again behind a restart", tuned(_taking_up_run, SERIAL)),
     ),
     "completion": (
         Row(
