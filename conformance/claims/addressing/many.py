@@ -133,7 +133,7 @@ _PACKAGES = Many(
     "a slot of a package",
     lambda probe: probe.address,
     lambda case: package.of(case.dialect)[0].section,
-    frame=lambda probe, command, values, to: package.in_second_slot(probe, command, values),
+    frame=lambda probe, command, values, to: package.in_own_slot(probe, command, values),
 )
 
 

@@ -276,10 +276,16 @@ def _executed(probe: Probe, command: Command, slots: Slots, steps: int) -> None:
     _expect_move(probe, frame, steps, probe.claim.statement)
 
 
-def in_second_slot(probe: Probe, command: Command, values: Mapping[str, int]) -> bytes:
-    """Return a package with a command to the drive in its second slot."""
+def in_own_slot(probe: Probe, command: Command, values: Mapping[str, int]) -> bytes:
+    """Return a package with a command to the drive, behind reads of other drives.
+
+    The code of the command chooses the slot, so that settings stand in each of them.
+    """
     (package,) = of(probe.dialect)
-    return _frame(probe, package, [EMPTY, {"address": probe.address, "command": command.name, **values}])
+    assert package.slots is not None
+    others = _others(probe.dialect, probe.address, command.code % package.slots.count)
+    slots = [{**_read(probe), "address": address} for address in others]
+    return _frame(probe, package, [*slots, {"address": probe.address, "command": command.name, **values}])
 
 
 def _motions(dialect: Dialect) -> Iterator[Case]:

@@ -77,7 +77,7 @@ def _to(probe: Probe, address: int, command: Command, values: Mapping[str, int])
 
 
 def _in_slot(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
-    return probe.send(package.in_second_slot(probe, command, values), timeout_ns=_SILENT_NS)
+    return probe.send(package.in_own_slot(probe, command, values), timeout_ns=_SILENT_NS)
 
 
 #: What shows by a move, a run and homing; what shows where it can be read.

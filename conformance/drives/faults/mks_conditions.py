@@ -627,7 +627,7 @@ def _stored_as(name: str, change: Callable[[int], int]) -> Change:
 
 
 def _in_packages(change: Callable[[Values], Values], of: Verb, slots: Collection[int] = range(1, 6)) -> Change:
-    """Change requests that come in some slots of packages."""
+    """Change requests that come in some slots of packages, counted among those that are used."""
 
     def install(drive: MksCore) -> None:
         packed = False

@@ -57,6 +57,10 @@ def _stopped_by_low_word(drive: Drive, command: Command, values: Values) -> Valu
     return values | {"speed": 0} if number and not number & _LOW_WORD else values
 
 
+def _sets(slot: Slot) -> bool:
+    return slot.command is not None and slot.command.verb.value.startswith("set_")
+
+
 def _loses_pulses(drive: MksCore, request: Request) -> None:
     if drive.motor.speed(drive.now_ns):
         drive.memory.pulse_zero += _LOST * drive.pulse_counts
@@ -461,6 +465,11 @@ SEQUENCES: Rows = {
     "one of many": (
         Row("third-target-lost", "of targets that follow one another the third is lost", _few_updates(Verb.MOVE_ABSOLUTE_AXIS)),
         Row("package-first-motion", "of the own slots of a package the first motion is executed", slots(_first_motion)),
+        Row(
+            "package-late-slots-unset",
+            "a setting in the last two slots of a package is not stored",
+            slots(lambda own, every, wanted: [slot for slot in wanted if slot in every[:3] or not _sets(slot)]),
+        ),
         Row("package-of-two-codes", "of the own slots of a package the first of each code is executed", slots(_by_code)),
     ),
     "undone": (

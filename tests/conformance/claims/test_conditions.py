@@ -138,6 +138,7 @@ REFUTED_BY = {
     "low-word-stops-f5": "motion/move_absolute_axis/low-word",
     "address-told-by-9-bits": "addressing/set_address/told",
     "closed-run-taken-up": "motion/restart/ends-motion-sr_close",
+    "package-late-slots-unset": "read-back/settings/restart-package",
     "package-late-slots-one-way": "addressing/package/move_relative_pulses/every-slot",
     "package-third-slot-turned": "addressing/package/run_speed/every-slot",
     "package-last-slot-speed-byte": "addressing/package/run_speed/every-slot",
