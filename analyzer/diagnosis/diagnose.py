@@ -60,6 +60,8 @@ HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
     senders.look,
     told.look,
 )
+#: What is asked of the text of a program: whether it sends digits for bytes, whose motor it is for, and what its words tell.
+_OF_PROGRAMS = (wrapped.look, other_makers.look, told.look)
 
 
 class Diagnosis(msgspec.Struct, frozen=True):
@@ -94,6 +96,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
         ]
 
 
+_NOT_SENT = "requests stand in a text, without replies: nothing shows that they were sent"
 _MOST_FRAMES = 20
 #: Silent addresses that are a search.
 _SEARCHED = 3
@@ -101,7 +104,8 @@ _SEARCHED = 3
 
 def suspected(scene: Scene) -> Iterator[Suspicion]:
     """Yield what all hypotheses suspect; each is told what those before it explain."""
-    for hypothesis in HYPOTHESES:
+    # The bytes of a program were not sent as they stand there.
+    for hypothesis in _OF_PROGRAMS if scene.program else HYPOTHESES:
         # Of a dialect that is left out nothing is suspected.
         with contextlib.suppress(PluginError):
             for each in hypothesis(scene):
@@ -128,6 +132,8 @@ def weighed(scenes: Sequence[Scene]) -> Diagnosis:
 
 def _unexplained(scenes: Sequence[Scene], troubles: int) -> str:
     """Return what can be said where no cause is named: bytes of others, or of a text, are no trouble of these drives."""
+    if scenes and all(scene.program for scene in scenes):
+        return _NOT_SENT
     sound = [(p, p.message) for scene in scenes for p in scene.pieces if p.sound and p.message is not None]
     if not troubles:
         return "no frame of a known dialect came, so nothing can be said of it"
@@ -135,7 +141,7 @@ def _unexplained(scenes: Sequence[Scene], troubles: int) -> str:
         others = counted(troubles, "stretch of bytes", "stretches of bytes")
         return f"no frame of a known dialect came: {others} of something else, and no cause"
     if not any(piece.is_reply for piece, _ in sound) and all(scene.words and not scene.timed for scene in scenes):
-        return "requests stand in a text, without replies: nothing shows that they were sent"
+        return _NOT_SENT
     what = counted(troubles, "thing")
     if all(message.command in (None, *message.frame.dialect.fallbacks.values()) for _, message in sound):
         return f"the frames are of no command of these drives; {what} among them cannot be explained"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left, bisect_right
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -369,6 +371,19 @@ class Scene:
         heard = any(read.direction is Role.REPLY for read in self.reads)
         return self.noted and not self.timed and not heard and len(set(sent)) == len(sent)
 
+    @cached_property
+    def program(self) -> bool:
+        """Whether the bytes stand in the text of a program: nothing shows that they were sent, or that they are whole."""
+        if not self.noted or self.timed or any(p.can is not None or (p.is_reply and p.sound) for p in self.pieces):
+            return False
+        # The name of an array may say "read"; what is no request came back.
+        if any(b.direction is Role.REPLY and not (b.pieces[0].is_request or self.reader.bare(b.data)) for b in self.bursts):
+            return False
+        if max(Counter(burst.data for burst in self.bursts).values(), default=0) >= _SENT_AGAIN:
+            return False
+        lines = [line for text in self.words for line in text.splitlines() if not _REMARK.search(line)]
+        return 2 * sum(_CODE.search(line) is not None for line in lines) >= len(lines) > 0
+
     def often(self, count: int, role: Role) -> bool:
         """Say whether what happened to so many frames of a sender is no chance: often, or to the only one."""
         roles = (role,) if role in (Role.REQUEST, Role.REPLY) else tuple(Role)
@@ -408,6 +423,15 @@ def _answers(reply: bytes, request: bytes) -> bool:
     return reply == asked and (asked == request or asked[1] in WRITE_MANY)
 
 
+#: Lines of programs, in C, Python, JavaScript and their like: how they begin, what they call, and how they end; and remarks.
+_CODE = re.compile(
+    r"^\s*(?:line \d+, column \d+: *)?(?:#include\b|#define\b|def \w+\(|class \w+|import \w+$|from \w+ import\b|assert\b"
+    r"|return\b|print\(|(?:const|let|var|static|void|u?int\d*(?:_t)?|byte|char)\s+\w+[\s\[(=]|\w+\s*=\s*\(*[A-Za-z_][\w.]*[.(])"
+    r"|\w\([^()]*\)\s*[;{]|[;{}]\s*$"
+)
+_REMARK = re.compile(r"^\s*(?:line \d+, column \d+: *)?(?://|/\*|#(?!include|define)|\"\"\"|$)")
+#: A program has no array three times.
+_SENT_AGAIN = 3
 #: The shortest request of Modbus that carries something; what all of them have before a CRC or values.
 _CARRIES, _ASKED = 8, 6
 #: No frame of any dialect is longer, and more stretches show nothing new.

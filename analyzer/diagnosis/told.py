@@ -33,7 +33,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     ours = any(p.sound and p.message is not None and p.message.command is not None for p in scene.pieces)
     if not ours and (other := _OTHERS.search(words)) is not None and (troubles or scene.pieces):
         # A dialect on CAN has no look of its own: what else is suspected of it is by chance.
-        sure = Confidence.CERTAIN if scene.pieces and scene.pieces[0].can is not None else Confidence.LIKELY
+        on_can = scene.pieces and scene.pieces[0].can is not None
+        sure = Confidence.POSSIBLE if scene.program else Confidence.CERTAIN if on_can else Confidence.LIKELY
         yield Suspicion(
             "unsupported_dialect", sure, troubles,
             f"The text speaks of {other[0]}, and no frame is of a dialect that is known here.",

@@ -62,6 +62,16 @@ HEALTHY = {
     "recv: 0x7 0x3 0x4 0x1 0x2c\nProcessing: 0x7 0x3 0x4 0x1 0x2c\nFrame - not ready\nrecv: 0x3 0x8 0x5d 0x30\n"
     "Processing: 0x3 0x8 0x5d 0x30\nFrame - not ready\nGetting Frame - 0x3 0x4 0x1 0x2c 0x3 0x8\n"
     "Factory Response[ReadHoldingRegistersResponse: 3]",
+    "an array of C whose sum comes later": "#include <SoftwareSerial.h>\nuint8_t tx[] = {0xFA, 0x04, 0xF3, 0x00, 0x00};\n"
+    "void go(){ tx[4]=sum8(tx,4); Serial2.write(tx,5); }\nuint8_t ask[3] = {0xFA, 0x04, 0x32};\n",
+    "constants of Python by the name of what they do": "import serial\nREAD = bytes([0xFA, 0x05, 0x30])\n"
+    "def put(p, b): p.write(b + bytes([sum(b) & 0xFF]))\nput(serial.Serial('COM4'), READ)\n",
+    "a test of a program": 'def test_sum_of_a_stop():\n    """Manual: FA 03 F7 CRC"""\n'
+    '    assert low(bytes.fromhex("FA 03 F7")) == 0xF4\n',
+    "the head of a frame, to which a function adds": 'def speed(value):\n    head = bytes.fromhex("3E A2 05 04 E9")\n'
+    "    data = int(value).to_bytes(4, 'little')\n    return head + data + bytes([sum(data) & 0xFF])\n",
+    "a line of JavaScript": "const ask = Buffer.from('fa02f300','hex'); port.write(Buffer.concat([ask, sum(ask)]));\n",
+    "a line of C": "void f(){ uint8_t a[] = {0x02,0x06,0x00,0xF3,0x00,0x00}; uint16_t c = crc(a,6); put(a,c); }\n",
     "exchanges of another maker": "TX: A0 A0 00 01 21 01\nRX: A0 A0 00 02 21 02 03\n" * 4,
 }
 
@@ -86,6 +96,9 @@ def test_what_is_well_is_not_accused(text, tmp_path, capsys):
         ("TX: 01 03 00 00 00 05 85 C9", "no_reply"),
         ("TX: 01 03 00 00 00 01 84 0A\nError: No response received (timeout)", "no_reply"),
         ("> 01 03 00 00 00 0A\n> 01 03 00 00 00 0A", "missing_checksum"),
+        # A program, with a log of it, or with a question.
+        ("port.write(ask);\n" + "TX: FA 05 30\n" * 3, "missing_checksum"),
+        ("uint8_t tx[] = {0xFA, 0x05, 0x30};\nSerial.write(tx, 3);\nWhy does nothing come back?", "missing_checksum"),
     ],
 )
 def test_what_is_missed_is_told(text, cause, tmp_path, capsys):
