@@ -46,8 +46,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             "What was received is a request, cut to the length of its reply: the host gets its own bytes back.", _DROP,
         )  # fmt: skip
         return
-    # An adapter that echoes does so each time.
-    if len(found) < exchanges / 2 if exchanges else not scene.often(len(found), Role.REQUEST):
+    # An adapter that echoes does so each time: one of two answered by other bytes is none.
+    if len(found) <= exchanges / 2 if exchanges else not scene.often(len(found), Role.REQUEST):
         return
     first, data = found[0]
     told = {trouble for trouble, _ in found}
