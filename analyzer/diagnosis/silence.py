@@ -19,6 +19,8 @@ from analyzer.values import counted, identifier
 #: Requests without a reply, and their share, from which on a drive that answers others has fallen silent.
 _AGAIN = 2
 _OFTEN = 0.2
+#: Silent addresses that are a search, and those that are named.
+_SEARCHED, _SHOWN = 3, 8
 #: Findings of a reply that refuses.
 _FAILED = frozenset(("failed_status", "refused_write", "modbus_exception"))
 
@@ -37,8 +39,11 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     for piece in scene.pieces:
         if piece.message is not None and piece.message.role is Role.REPLY and "bad_checksum" not in piece.rules:
             answering.setdefault(piece.message.address, piece.message.frame.dialect.name)
-    for asked in _unanswered(scene):
+    every = list(_unanswered(scene))
+    for asked in every:
         yield from _unanswered_by_all(scene, asked, answering)
+    if not answering:
+        yield from _searched(scene, every)
     for part in (_reported, addressed, _respond, _switched_off, _refused):
         yield from part(scene)
 
@@ -128,6 +133,26 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -
             _order(dialect, ours=any(t.piece is not None and _is_listed(t.piece) for t in asked.troubles)),
             frames,
         )  # fmt: skip
+
+
+def _searched(scene: Scene, every: list[_Asked]) -> Iterator[Suspicion]:
+    """Suspect what keeps all drives silent where several addresses are asked once each, and words say that none answers."""
+    if len(every) < _SEARCHED or any(len(asked.troubles) > 1 for asked in every) or len({a.dialect.name for a in every}) > 1:
+        return
+    damaged = any(s.direction is not Role.REQUEST for s in scene.stretches)
+    if damaged or scene.explained or not (scene.shows_sent and scene.words and _missed(scene)):
+        return
+    dialect = every[0].dialect
+    troubles = [trouble for asked in every for trouble in asked.troubles]
+    addresses = ", ".join(identifier(a.address) if dialect.bus == "can" else str(a.address) for a in every[:_SHOWN])
+    yield Suspicion(
+        "no_reply", Confidence.LIKELY, troubles,
+        f"{counted(len(every), 'address', 'addresses')} are asked, and no drive answers at any.",
+        f"{whole(troubles[0].piece)} at byte {troubles[0].offset}; addresses {addresses}"
+        + (" and more" if len(every) > _SHOWN else ""),
+        _order(dialect, ours=any(t.piece is not None and _is_listed(t.piece) for t in troubles)),
+        tuple(Shown(t.offset, whole(t.piece)) for t in troubles),
+    )  # fmt: skip
 
 
 def _is_quoted(scene: Scene) -> bool:

@@ -8,6 +8,7 @@ import pytest
 
 from analyzer.cli import main
 from analyzer.sources.prose import quotations
+from tests.diagnosis.test_pastes import checked
 
 #: By what they are: posts, logs of programs, frames of other makers.
 HEALTHY = {
@@ -62,6 +63,8 @@ HEALTHY = {
     "recv: 0x7 0x3 0x4 0x1 0x2c\nProcessing: 0x7 0x3 0x4 0x1 0x2c\nFrame - not ready\nrecv: 0x3 0x8 0x5d 0x30\n"
     "Processing: 0x3 0x8 0x5d 0x30\nFrame - not ready\nGetting Frame - 0x3 0x4 0x1 0x2c 0x3 0x8\n"
     "Factory Response[ReadHoldingRegistersResponse: 3]",
+    "a maker that confirms by the same bytes": "[10:00:01.000]TX: 86 FF FF BE\n[10:00:01.008]RX: 06 C3 00 D5\n"
+    "[10:00:02.000]TX: 06 C3 00 D5\n[10:00:02.012]RX: 06 C3 00 D5\n",
     "an array of C whose sum comes later": "#include <SoftwareSerial.h>\nuint8_t tx[] = {0xFA, 0x04, 0xF3, 0x00, 0x00};\n"
     "void go(){ tx[4]=sum8(tx,4); Serial2.write(tx,5); }\nuint8_t ask[3] = {0xFA, 0x04, 0x32};\n",
     "constants of Python by the name of what they do": "import serial\nREAD = bytes([0xFA, 0x05, 0x30])\n"
@@ -96,6 +99,12 @@ def test_what_is_well_is_not_accused(text, tmp_path, capsys):
         ("TX: 01 03 00 00 00 05 85 C9", "no_reply"),
         ("TX: 01 03 00 00 00 01 84 0A\nError: No response received (timeout)", "no_reply"),
         ("> 01 03 00 00 00 0A\n> 01 03 00 00 00 0A", "missing_checksum"),
+        # A search that no drive answers.
+        ("id 2: -> fa 02 30 2c ... timeout\nid 3: -> fa 03 30 2d ... timeout\nid 4: -> fa 04 30 2e ... timeout\n", "no_reply"),
+        (
+            "".join(f"{n}.0 TX {checked(f'{a:02X} 04 00 32 00 01')}\n{n}.4 no answer\n" for n, a in enumerate((3, 4, 5, 6))),
+            "no_reply",
+        ),
         # A program, with a log of it, or with a question.
         ("port.write(ask);\n" + "TX: FA 05 30\n" * 3, "missing_checksum"),
         ("uint8_t tx[] = {0xFA, 0x05, 0x30};\nSerial.write(tx, 3);\nWhy does nothing come back?", "missing_checksum"),
