@@ -147,8 +147,10 @@ def _two_drives(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion
     troubles, frames = _of(own)
     first = own[0]
     assert first.asked is not None  # kept with its request
+    # A second drive answers each request: one that is answered well as often as not may collide with something else.
+    sure = _sure(min(len(own), others)) if alone and good < len(own) else Confidence.POSSIBLE
     yield Suspicion(
-        "duplicate_address", _sure(min(len(own), others)) if alone else Confidence.POSSIBLE, troubles,
+        "duplicate_address", sure, troubles,
         f"Two drives have the address {address} and answer at once.",
         f"{shown(first.stretch.data)} at byte {first.stretch.offset} answers {shown(first.asked.data)}; "
         f"{len(own)} of {len(own) + good} replies of address {address} damaged"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.diagnosis.test_pastes import checked
+from tests.diagnosis.test_pastes import checked, diagnosed
 
 
 def native(text):
@@ -123,3 +123,16 @@ def test_a_wrong_sum_in_a_document_is_no_noise(causes_of):
     )
     assert causes_of("## Examples of commands\n" + rows) == []
     assert causes_of("Why does it fail?\n" + rows) == ["noise"]
+
+
+@pytest.mark.parametrize(("again", "sure"), [(1, "possible"), (0, "certain")])
+def test_two_drives_are_not_certain_where_the_same_request_is_answered_well_as_often(again, sure):
+    log = "".join(
+        f"TX: {native('FA 03 F3 01')}\nRX: {native('FB 03 F3 01')}\n"
+        f"TX: {native('FA 04 32')}\nRX: FB 04 22 {n:02X} {0x31 + n:02X}\n"
+        + f"TX: {native('FA 04 32')}\nRX: {native(f'FB 04 32 00 {n:02X}')}\n"
+        * again
+        for n in range(1, 7)
+    )
+    causes = {each.suspicion.cause: each.suspicion.confidence.value for each in diagnosed(log).causes}
+    assert causes["duplicate_address"] == sure
