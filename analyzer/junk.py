@@ -2,7 +2,7 @@
 
     7F 3A 00 | FA 01 F6 01      noise | truncated: a frame begins here that the junk does not end
 
-It follows from the bytes alone, whoever found that they are no frame.
+It follows from the bytes alone. So the framer and the columns tell the same.
 """
 
 from __future__ import annotations

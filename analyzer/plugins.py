@@ -94,7 +94,7 @@ def attempt(what: str, call: Callable[[], T]) -> T | None:
     except BaseException as error:
         if not is_failure(error):
             if isinstance(error, KeyboardInterrupt):
-                # What waits for ever is ended so, and whoever ended it wants to know what it was.
+                # The user has ended something that waited: tell what it was.
                 print(f"servotap: interrupted in {printable(what)}", file=sys.stderr)
             raise
         leave_out(what, error)

@@ -307,7 +307,7 @@ def _other_count(scene: Scene, burst: Stretch) -> str:
         return ""
     if modbus_crc(data) == 0 and function in READS and burst.direction is Role.REQUEST and len(data) < _ANSWER:
         if data[2] == len(data) - _SHORTEST:
-            # It is a whole reply, whoever sent it.
+            # It is a whole reply, also if the host sent it.
             return ""
         return f"a request to read has {_ANSWER} bytes, and this {len(data)}"
     if modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0 and data[0] <= _LAST_UNIT:

@@ -376,7 +376,7 @@ class Scene:
         """Whether the bytes stand in the text of a program: nothing shows that they were sent, or that they are whole."""
         if not self.noted or self.timed or any(p.can is not None or (p.is_reply and p.sound) for p in self.pieces):
             return False
-        # The name of an array may say "read"; what is no request came back.
+        # The name of an array may say "read". Bytes that are no request came back.
         if any(b.direction is Role.REPLY and not (b.pieces[0].is_request or self.reader.bare(b.data)) for b in self.bursts):
             return False
         if max(Counter(burst.data for burst in self.bursts).values(), default=0) >= _SENT_AGAIN:

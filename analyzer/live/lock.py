@@ -47,7 +47,7 @@ class Lock:
                 raise UsageError(taken or f"{self._path} is held by another process") from None
             if not removed or self._stands():
                 return
-            # The one before removed it between opening and locking: whoever comes next would lock another file.
+            # The one before removed it between opening and locking. The next one would lock another file.
             self._let_go()
 
     def _stands(self) -> bool:

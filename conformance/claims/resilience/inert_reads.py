@@ -1,4 +1,4 @@
-"""Reads of what cannot be read: whatever they are answered, nothing is done.
+"""Reads of what cannot be read: a drive does nothing on them.
 
     CAN      00 91 -> 91 FF FF                    goes not home
     Modbus   01 04 00 91 00 01 -> 01 84 02        goes not home

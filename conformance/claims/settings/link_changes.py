@@ -19,7 +19,7 @@ from conformance.talk.probe import Probe, Until
 #: A drive that changes its link gets so long for it.
 SETTLE_NS = 200 * MS
 NEW_ADDRESS_ANSWERS = "new-address-answers"
-#: An address that a claim can give a drive for a while, and what is added to it where an address has more than a byte.
+#: The address that a claim gives a drive for a while. The second number is added where addresses have more than a byte.
 _OTHER_ADDRESS, _SECOND_BYTE = 0x5A, 0x100
 #: Head, address and check are no reply yet.
 _SHORTEST = 4
