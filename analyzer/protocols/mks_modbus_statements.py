@@ -11,17 +11,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Statement
-from analyzer.protocols.mks_shared_statements import CURRENT_UNSEEN, DISPLAY, KEYS, RAMPS, SHARED, read, said, unseen
+from analyzer.protocols.mks_shared_statements import CURRENT_UNSEEN, DISPLAY, RAMPS, SHARED, effects, read, said, unseen
 
 
-def _write(section: str, name: str, what: str, *effects: Statement) -> Iterator[Statement]:
+def _write(section: str, name: str, what: str, *more: Statement) -> Iterator[Statement]:
     """Yield what each section about a write of one register says: its value, its echo; then what it does."""
     yield said(f"{section}/value", what, f"ranges/{name}/*", f"shape/{name}/answered")
     yield said(f"{section}/echo", "The reply has the register and the value.", f"shape/{name}/echo", f"shape/{name}/register")
-    yield from effects
+    yield from effects(section, name)
+    yield from more
 
 
-def _write_many(section: str, name: str, what: str, *effects: Statement) -> Iterator[Statement]:
+def _write_many(section: str, name: str, what: str, *more: Statement) -> Iterator[Statement]:
     """Yield what each section about a write of several registers says: its values, its reply; then what it does."""
     yield said(f"{section}/values", what, f"ranges/{name}/*", f"shape/{name}/answered")
     yield said(
@@ -30,7 +31,8 @@ def _write_many(section: str, name: str, what: str, *effects: Statement) -> Iter
         f"shape/{name}/register",
         f"shape/{name}/quantity",
     )
-    yield from effects
+    yield from effects(section, name)
+    yield from more
 
 
 def _stop(section: str, name: str, code: str) -> Iterator[Statement]:
@@ -87,40 +89,23 @@ _READS = (
         "8.1/quantity", "Each is read with its own number of registers.", "modbus/quantity/others", "modbus/quantity/too_many"
     ),
     said("8.1/other-registers", "There are no registers but those.", "modbus/register/between", "modbus/register/high_byte"),
-    read(
+    *read(
         "8.1.1",
         "read_encoder_carry",
         "30h reads the carry in four bytes and the value in two.",
         "motion/read_encoder_carry/standing",
     ),
-    said(
-        "8.1.1/range", "The value is 0 to 3FFFh.", "shape/read_encoder_carry/values", "motion/read_encoder_carry/at-the-carry"
-    ),
     said("8.1.1/carries", "Above 3FFFh the carry is one more, below 0 one less.", "motion/read_encoder_carry/*"),
-    said("8.1.1/turn", "A turn changes the carry by one and leaves the value.", "motion/read_encoder_carry/standing"),
-    said("8.1.1/disabled", "The encoder is read whether the motor is enabled or not.", "motion/read_position/while-disabled"),
-    read("8.1.2", "read_position", "31h reads the encoder as one signed count of six bytes.", "motion/read_position/wide"),
-    said("8.1.2/turn", "A turn changes it by 4000h.", "motion/read_position/turn"),
-    said("8.1.2/way", "Counter-clockwise raises it (in print both ways).", "motion/run_speed/raises"),
-    read("8.1.3", "read_speed", "32h reads the speed in rpm, in two signed bytes.", "motion/read_speed/crossed"),
-    said("8.1.3/sign", "The speed is positive counter-clockwise and negative clockwise.", "motion/read_speed/crossed"),
-    read("8.1.4", "read_pulses", "33h reads how many pulses came, in four bytes.", "motion/read_pulses/counts-*"),
-    read("8.1.5", "read_io", "34h reads the ports, one bit each.", "read-back/set_limit_remap/effect", "motion/read_io/*"),
+    *read("8.1.2", "read_position", "31h reads the encoder as one signed count of six bytes.", "motion/read_position/wide"),
+    *read("8.1.3", "read_speed", "32h reads the speed in rpm, in two signed bytes.", "motion/read_speed/crossed"),
+    *read("8.1.4", "read_pulses", "33h reads how many pulses came, in four bytes.", "motion/read_pulses/counts-*"),
+    *read("8.1.5", "read_io", "34h reads the ports, one bit each.", "read-back/set_limit_remap/effect", "motion/read_io/*"),
     said("8.1.5/reserved", "The high byte and bits 7 to 4 are reserved.", "shape/read_io/reserved"),
-    said("8.1.5/remapped", "With the limits remapped, IN_1 is En and IN_2 is Dir.", "read-back/set_limit_remap/effect"),
-    read("8.1.6", "read_angle_error", "39h reads the angle error in four signed bytes.", "motion/read_angle_error/*"),
-    said(
-        "8.1.6/sign",
-        "The error is the wanted angle minus the real one.",
-        "motion/read_angle_error/held-*",
-        "motion/read_angle_error/limp",
-    ),
-    said("8.1.6/unit", "51200 units are 360 degrees.", "motion/read_angle_error/held-*", "motion/read_angle_error/limp"),
-    read("8.1.7", "read_enabled", "3Ah reads 1 when the motor is enabled and 0 when not.", "motion/enable/is-read"),
-    read("8.1.8", "read_zero_status", "3Bh reads how the way back to zero goes.", "motion/read_zero_status/*"),
+    *read("8.1.6", "read_angle_error", "39h reads the angle error in four signed bytes.", "motion/read_angle_error/*"),
+    *read("8.1.7", "read_enabled", "3Ah reads 1 when the motor is enabled and 0 when not.", "motion/enable/is-read"),
+    *read("8.1.8", "read_zero_status", "3Bh reads how the way back to zero goes.", "motion/read_zero_status/*"),
     said("8.1.8/going", "0: on its way to zero; 1: back at zero.", "motion/read_zero_status/tells"),
-    unseen("8.1.8/fail", "2: the way back failed.", "the manual does not say when it fails"),
-    read(
+    *read(
         "8.1.9",
         "read_protection",
         "3Eh reads 1 while protected, else 0.",
@@ -128,26 +113,14 @@ _READS = (
         "motion/read_protection/at-first",
     ),
     said("8.1.9/reserved", "The high byte of a value of one byte is 0.", "shape/read_*/reserved"),
-    read(
+    *read(
         "8.1.10",
         "read_status",
         "F1h reads what the motor does.",
         "motion/read_status/follows",
         "motion/read_status/behind-emergency",
     ),
-    said(
-        "8.1.10/stopped",
-        "1: it stands.",
-        "motion/read_status/standing",
-        "motion/read_status/slow-*",
-        "motion/read_status/after-a-move",
-    ),
-    said("8.1.10/up", "2: it speeds up.", "motion/read_status/crossed"),
-    said("8.1.10/down", "3: it slows down.", "motion/read_status/slowing-down"),
-    said("8.1.10/full", "4: it turns at full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
-    said("8.1.10/homing", "5: it is homing.", "motion/home/status", "motion/home/status-*"),
     said("8.1.10/calibrating", "6: it is calibrating.", "motion/calibrate/status"),
-    said("8.1.10/fail", "0: the query failed.", "shape/read_status/status"),
 )
 
 _WRITES = (
@@ -196,113 +169,33 @@ _WRITES = (
             "motion/*/pulse-mode",
         ),
     ),
-    *_write(
-        "8.2.6",
-        "set_current",
-        "83h sets the working current in mA.",
-        said(
-            "8.2.6/maximum",
-            "At most 3000 mA, on a 57D 5200 mA.",
-            "ranges/set_current/current/highest",
-            "ranges/set_current/current/above",
-        ),
-        unseen("8.2.6/flows", "This current flows.", CURRENT_UNSEEN),
-        unseen("8.2.6/shown", "The display shows the new current.", DISPLAY),
-    ),
+    *_write("8.2.6", "set_current", "83h sets the working current in mA."),
     *_write(
         "8.2.7",
         "set_holding_current",
         "9Bh sets the holding current, 0 to 8.",
         unseen("8.2.7/percent", "0 is 10 percent, each step 10 more, but in vFOC.", CURRENT_UNSEEN),
     ),
-    *_write(
-        "8.2.8",
-        "set_subdivision",
-        "84h sets the subdivision in two bytes.",
-        said(
-            "8.2.8/pulses",
-            "A turn has 200 times the subdivision in pulses.",
-            "motion/set_subdivision/pulses-at-*",
-            "motion/move_*/crossed-speed",
-        ),
-    ),
-    *_write(
-        "8.2.9",
-        "set_enable_level",
-        "85h sets the level of En: low, high, always.",
-        said(
-            "8.2.9/effect",
-            "At that level the motor holds; with 2 it holds always.",
-            "read-back/set_enable_level/effect",
-            "read-back/set_enable_level/pin",
-        ),
-    ),
-    *_write(
-        "8.2.10",
-        "set_direction",
-        "86h sets the direction: 0 CW, 1 CCW.",
-        said("8.2.10/not-the-bus", "The direction of the bus's motion is that of its commands.", "motion/set_direction/and-*"),
-    ),
+    *_write("8.2.8", "set_subdivision", "84h sets the subdivision in two bytes."),
+    *_write("8.2.9", "set_enable_level", "85h sets the level of En: low, high, always."),
+    *_write("8.2.10", "set_direction", "86h sets the direction: 0 CW, 1 CCW."),
     *_write(
         "8.2.11",
         "set_screen_off",
         "87h switches the display's going dark off (0) or on (1).",
         unseen("8.2.11/dark", "The display goes dark after 15 seconds; a key wakes it up.", DISPLAY),
     ),
-    *_write(
-        "8.2.12",
-        "set_protection",
-        "88h switches the rotor's protection off (0) or on (1).",
-        said(
-            "8.2.12/on", "With 1 a locked rotor is let go.", "motion/set_protection/lets-go*", "motion/release_protection/limp*"
-        ),
-        said("8.2.12/off", "With 0 a locked rotor is not let go.", "motion/set_protection/off-holds-on"),
-        said("8.2.12/released", "A command ends the protection.", "motion/release_protection/*"),
-        unseen("8.2.12/key", "A key ends the protection.", KEYS),
-    ),
-    *_write(
-        "8.2.13",
-        "set_interpolation",
-        "89h switches interpolation off (0) or on (1).",
-        unseen("8.2.13/smooth", "Steps are interpolated to 256.", "finer than the encoder tells"),
-    ),
-    *_write(
-        "8.2.14",
-        "set_baud_rate",
-        "8Ah sets the baud rate, 1 to 7.",
-        said(
-            "8.2.14/rates",
-            "1 to 7 are 9600, 19200, 25000, 38400, 57600, 115200, 256000.",
-            "ranges/set_baud_rate/baud_rate/?*00",
-        ),
-    ),
-    *_write(
-        "8.2.15",
-        "set_address",
-        "8Bh sets the address.",
-        said("8.2.15/heard", "The drive is heard at its new address.", "addressing/set_address/moves"),
-        said(
-            "8.2.15/broadcast",
-            "0 is the address of all drives.",
-            "addressing/broadcast/*",
-            "read-back/settings/restart-broadcast",
-            "read-back/*/restart-broadcast-*",
-            "ranges/set_address/new_address/below",
-        ),
-        unseen("8.2.15/shown", "The display shows the new address.", DISPLAY),
-    ),
+    *_write("8.2.12", "set_protection", "88h switches the rotor's protection off (0) or on (1)."),
+    *_write("8.2.13", "set_interpolation", "89h switches interpolation off (0) or on (1)."),
+    *_write("8.2.14", "set_baud_rate", "8Ah sets the baud rate, 1 to 7."),
+    *_write("8.2.15", "set_address", "8Bh sets the address."),
     *_write(
         "8.2.16",
         "set_modbus",
         "8Eh switches Modbus-RTU off (0) or on (1).",
         said("8.2.16/speaks", "With 0 the drive speaks its native frames again.", "ranges/set_modbus/modbus/listed"),
     ),
-    *_write(
-        "8.2.17",
-        "set_key_lock",
-        "8Fh unlocks (0) or locks (1) the keys.",
-        unseen("8.2.17/locked", "Locked keys do nothing.", KEYS),
-    ),
+    *_write("8.2.17", "set_key_lock", "8Fh unlocks (0) or locks (1) the keys."),
     *_write(
         "8.2.18",
         "set_zero",
@@ -331,62 +224,9 @@ _WRITES = (
         "set_home",
         "90h sets trigger level, direction, speed and end limit.",
         said("8.2.20/five-bytes", "It is written as three registers in five bytes.", "modbus/byte_count/odd"),
-        said(
-            "8.2.20/level",
-            "The trigger level is 0 low or 1 high.",
-            "motion/home/trigger",
-            "motion/set_home/end-limit-*",
-            "read-back/set_home/home_trigger",
-        ),
-        said(
-            "8.2.20/way",
-            "Homing turns clockwise with 0, the other way with 1.",
-            "motion/home/finds-switch-*",
-            "read-back/set_home/home_direction",
-        ),
-        said(
-            "8.2.20/speed",
-            "Homing turns at the set speed, 0 to 3000 rpm.",
-            "motion/home/speed-*",
-            "read-back/set_home/home_speed",
-        ),
-        said(
-            "8.2.20/limit",
-            "The end limit is off with 0 and on with 1.",
-            "motion/set_home/end-limit-off",
-            "motion/set_home/end-limit-stops-*",
-        ),
-        unseen(
-            "8.2.20/home-first",
-            "A changed end limit holds after homing.",
-            "the manual does not say what a limit does before homing",
-        ),
-        said("8.2.20/lets-go", "With the end limit on, homing lets the shaft go at the switch.", "motion/home/end-limit"),
-        said("8.2.20/holds", "With it off, the shaft is held after homing.", "motion/home/holds"),
     ),
-    *_write(
-        "8.2.21",
-        "set_limit_remap",
-        "9Eh switches the remapped ports off (0) or on (1).",
-        said("8.2.21/serial", "It works in serial modes alone.", "motion/set_limit_remap/pulse-mode"),
-        said("8.2.21/right", "A 42D then has a right limit, at Dir.", "motion/set_limit_remap/right-on"),
-        unseen("8.2.21/left", "The left limit is then at En.", "no command tells at which port a switch is read"),
-        said("8.2.21/off", "Without it a small drive has no right limit.", "motion/set_limit_remap/right-off"),
-    ),
-    *_write_many(
-        "8.2.22",
-        "set_zero_mode",
-        "9Ah sets mode, zero, speed and direction of the way back.",
-        said("8.2.22/off", "Mode 0: nothing turns at power-on.", "motion/set_zero_mode/off"),
-        said("8.2.22/direction", "Mode 1: the shaft goes back by the direction.", "motion/set_zero_mode/direction-*"),
-        said("8.2.22/near", "Mode 2: the shaft goes back by the smaller angle.", "motion/set_zero_mode/near"),
-        said("8.2.22/one-turn", "The way back is 359 degrees at most.", "motion/set_zero_mode/*"),
-        said(
-            "8.2.22/set", "Zero 1: the present place is kept.", "motion/set_zero_mode/near", "read-back/set_zero_mode/restart"
-        ),
-        said("8.2.22/clean", "Zero 0: the kept place is forgotten.", "motion/set_zero_mode/clean"),
-        said("8.2.22/speed", "Speed 0 is the slowest, 4 the fastest.", "motion/set_zero_mode/faster"),
-    ),
+    *_write("8.2.21", "set_limit_remap", "9Eh switches the remapped ports off (0) or on (1)."),
+    *_write_many("8.2.22", "set_zero_mode", "9Ah sets mode, zero, speed and direction of the way back."),
 )
 
 _MOTION = (
@@ -401,7 +241,6 @@ _MOTION = (
         "home",
         "91h with 1 looks for home.",
         said("8.3.2/homes", "Where homing ends is zero.", "motion/home/finds-switch-*", "motion/home/zero"),
-        said("8.3.2/closed", "From a closed switch the shaft turns away first, then comes back.", "motion/home/from-closed-*"),
     ),
     *_write_many(
         "8.3.3.1",
@@ -440,44 +279,14 @@ _MOTION = (
             "motion/move_relative_pulses/opposite",
             "motion/run_speed/same-sense",
         ),
-        said(
-            "8.3.4.1/pulses",
-            "It goes on by the pulses, 32 bits of them.",
-            "motion/move_relative_pulses/distance",
-            "motion/move_relative_pulses/behind-ended",
-            "motion/move_relative_pulses/far",
-            "motion/move_relative_pulses/low-word",
-            "motion/*/crossed-ends",
-        ),
     ),
     *_stop("8.3.4.2", "stop_relative_pulses", "FDh"),
-    *_move(
-        "8.3.5.1",
-        "move_absolute_pulses",
-        "FEh",
-        said(
-            "8.3.5.1/place",
-            "It goes to a place in pulses, 32 signed bits.",
-            "motion/move_absolute_pulses/distance",
-            "motion/move_absolute_pulses/far",
-            "motion/move_absolute_pulses/low-word",
-        ),
-        said("8.3.5.1/read", "Then the pulses read what was sent.", "motion/move_absolute_pulses/reads-as-asked"),
-    ),
+    *_move("8.3.5.1", "move_absolute_pulses", "FEh"),
     *_stop("8.3.5.2", "stop_absolute_pulses", "FEh"),
     *_move(
         "8.3.6.1",
         "move_relative_axis",
         "F4h",
-        said(
-            "8.3.6.1/distance",
-            "It goes on by a distance in encoder counts, 32 signed bits.",
-            "motion/move_relative_axis/distance",
-            "motion/move_relative_axis/behind-ended",
-            "motion/move_relative_axis/far",
-            "motion/move_relative_axis/low-word",
-            "motion/*_axis/crossed-ends",
-        ),
         said("8.3.6.1/axis", "The axis is the value that 31h reads.", "motion/move_relative_axis/sign"),
     ),
     *_stop("8.3.6.2", "stop_relative_axis", "F4h"),
@@ -486,23 +295,10 @@ _MOTION = (
         "move_absolute_axis",
         "F5h",
         said(
-            "8.3.7.1/place",
-            "It goes to a place in encoder counts, 32 signed bits.",
-            "motion/move_absolute_axis/distance",
-            "motion/move_absolute_axis/far",
-            "motion/move_absolute_axis/low-word",
-        ),
-        said(
             "8.3.7.1/axis",
             "The axis is the value that 31h reads.",
             "motion/move_absolute_axis/sign",
             "motion/move_absolute_axis/reads-as-asked",
-        ),
-        said(
-            "8.3.7.1/updates",
-            "A newer target and speed are taken up under way.",
-            "motion/move_absolute_axis/update-*",
-            "motion/move_absolute_axis/newer-*",
         ),
     ),
     *_stop("8.3.7.2", "stop_absolute_axis", "F5h"),

@@ -19,6 +19,7 @@ from analyzer.protocols.mks_shared_statements import (
     RUNS,
     SHARED,
     each,
+    effects,
     read,
     said,
     unseen,
@@ -27,63 +28,47 @@ from analyzer.protocols.mks_shared_statements import (
 _STOPS = ("stop_speed", "stop_relative_pulses", "stop_absolute_pulses", "stop_relative_axis", "stop_absolute_axis")
 
 
-def setting(section: str, name: str, what: str, *effects: Statement) -> Iterator[Statement]:
+def setting(section: str, name: str, what: str, *more: Statement) -> Iterator[Statement]:
     """Yield what each setting's section says: its values, its two answers; then what it does."""
     yield said(f"{section}/values", what, f"ranges/{name}/*")
     yield said(
         f"{section}/done", "Status 1: it was set.", f"shape/{name}/status", f"shape/{name}/answered", f"shape/{name}/once"
     )
     yield said(f"{section}/refused", "Status 0: it was not set, and nothing changed.", f"ranges/{name}/*")
-    yield from effects
+    yield from effects(section, name)
+    yield from more
 
 
 _LONG_READS = (
-    read(
+    *read(
         "5.1.1",
         "read_encoder_carry",
         "30 reads the carry in four bytes and the value in two.",
         "motion/read_encoder_carry/standing",
     ),
-    said(
-        "5.1.1/range", "The value is 0 to 3FFFh.", "shape/read_encoder_carry/values", "motion/read_encoder_carry/at-the-carry"
-    ),
     said("5.1.1/carries-up", "Above 3FFFh the carry is one more.", "motion/read_encoder_carry/*"),
     said("5.1.1/carries-down", "Below 0 the carry is one less.", "motion/read_encoder_carry/*"),
-    said("5.1.1/turn", "A turn changes the carry by one and leaves the value.", "motion/read_encoder_carry/standing"),
-    said("5.1.1/disabled", "The encoder is read whether the motor is enabled or not.", "motion/read_position/while-disabled"),
-    read("5.1.2", "read_position", "31 reads the encoder as one signed count of six bytes.", "motion/read_position/wide"),
-    said("5.1.2/turn", "A turn changes it by 4000h.", "motion/read_position/turn"),
-    said("5.1.2/way", "Counter-clockwise raises it (in print both ways).", "motion/run_speed/raises"),
+    *read("5.1.2", "read_position", "31 reads the encoder as one signed count of six bytes.", "motion/read_position/wide"),
     said(
         "5.1.2/below-zero",
         "It goes on below zero.",
         "motion/read_encoder_carry/standing",
         "motion/move_absolute_axis/reads-as-asked",
     ),
-    read("5.1.3", "read_speed", "32 reads the speed in rpm, in two signed bytes.", "motion/read_speed/crossed"),
+    *read("5.1.3", "read_speed", "32 reads the speed in rpm, in two signed bytes.", "motion/read_speed/crossed"),
     said("5.1.3/code", "Its reply carries code 32.", "shape/read_speed/code"),
-    said("5.1.3/sign", "The speed is positive counter-clockwise and negative clockwise.", "motion/read_speed/crossed"),
-    read("5.1.4", "read_pulses", "33 reads how many pulses came, in four signed bytes.", "motion/read_pulses/counts-*"),
-    read("5.1.5", "read_io", "34 reads the ports, one bit each.", "read-back/set_limit_remap/effect", "motion/read_io/*"),
+    *read("5.1.4", "read_pulses", "33 reads how many pulses came, in four signed bytes.", "motion/read_pulses/counts-*"),
+    *read("5.1.5", "read_io", "34 reads the ports, one bit each.", "read-back/set_limit_remap/effect", "motion/read_io/*"),
     said("5.1.5/reserved", "Bits 7 to 4 are reserved.", "shape/read_io/reserved"),
     said("5.1.5/in-1", "Bit 0 is the level of IN_1.", "motion/read_io/in_1"),
-    said("5.1.5/remapped", "With the limits remapped, IN_1 is En and IN_2 is Dir.", "read-back/set_limit_remap/effect"),
-    read("5.1.6", "read_angle_error", "39 reads the angle error in four signed bytes.", "motion/read_angle_error/*"),
-    said(
-        "5.1.6/sign",
-        "The error is the wanted angle minus the real one.",
-        "motion/read_angle_error/held-*",
-        "motion/read_angle_error/limp",
-    ),
-    said("5.1.6/unit", "51200 units are 360 degrees.", "motion/read_angle_error/held-*", "motion/read_angle_error/limp"),
-    read("5.1.7", "read_enabled", "3A reads 1 when the motor is enabled and 0 when not.", "motion/enable/is-read"),
-    read("5.1.8", "read_zero_status", "3B reads how the way back to zero goes.", "motion/read_zero_status/*"),
+    *read("5.1.6", "read_angle_error", "39 reads the angle error in four signed bytes.", "motion/read_angle_error/*"),
+    *read("5.1.7", "read_enabled", "3A reads 1 when the motor is enabled and 0 when not.", "motion/enable/is-read"),
+    *read("5.1.8", "read_zero_status", "3B reads how the way back to zero goes.", "motion/read_zero_status/*"),
     said("5.1.8/going", "0: on its way to zero.", "motion/read_zero_status/tells"),
     said("5.1.8/success", "1: back at zero.", "motion/read_zero_status/tells"),
-    unseen("5.1.8/fail", "2: the way back failed.", "the manual does not say when it fails"),
     said("5.1.9/releases", "3D ends the protection of a locked rotor.", "motion/release_protection/*"),
     said("5.1.9/status", "It is answered by 1, or by 0 when that fails.", "shape/release_protection/status"),
-    read(
+    *read(
         "5.1.10",
         "read_protection",
         "3E reads 1 while protected, else 0.",
@@ -106,19 +91,7 @@ _SETTINGS = (
         said("5.2.2/maximum", "A mode has its own highest speed.", "motion/run_speed/highest-sr_*", "motion/*/mode-limit"),
         unseen("5.2.2/current", "A mode sets whether the current is fixed or adapts.", CURRENT_UNSEEN),
     ),
-    *setting(
-        "5.2.3",
-        "set_current",
-        "83 sets the working current in mA, in two bytes.",
-        said(
-            "5.2.3/maximum",
-            "At most 3000 mA, on a 57D 5200 mA.",
-            "ranges/set_current/current/highest",
-            "ranges/set_current/current/above",
-        ),
-        unseen("5.2.3/flows", "This current flows.", CURRENT_UNSEEN),
-        unseen("5.2.3/shown", "The display shows the new current.", DISPLAY),
-    ),
+    *setting("5.2.3", "set_current", "83 sets the working current in mA, in two bytes."),
     *setting(
         "5.2.4",
         "set_holding_current",
@@ -130,78 +103,21 @@ _SETTINGS = (
         "5.2.5",
         "set_subdivision",
         "84 sets the subdivision in one byte, 0 being 256.",
-        said(
-            "5.2.5/pulses",
-            "A turn has 200 times the subdivision in pulses.",
-            "motion/set_subdivision/pulses-at-*",
-            "motion/move_*/crossed-speed",
-        ),
         said("5.2.5/256", "Value 0 means 256 subdivisions.", "motion/set_subdivision/pulses-at-256"),
         unseen("5.2.5/shown", "The display shows the new subdivision.", DISPLAY),
     ),
-    *setting(
-        "5.2.6",
-        "set_enable_level",
-        "85 sets the level of En: low, high, always.",
-        said(
-            "5.2.6/effect",
-            "At that level the motor holds; with 2 it holds always.",
-            "read-back/set_enable_level/effect",
-            "read-back/set_enable_level/pin",
-        ),
-    ),
-    *setting(
-        "5.2.7",
-        "set_direction",
-        "86 sets the direction: 0 CW, 1 CCW.",
-        said("5.2.7/not-the-bus", "The direction of the bus's motion is that of its commands.", "motion/set_direction/and-*"),
-    ),
+    *setting("5.2.6", "set_enable_level", "85 sets the level of En: low, high, always."),
+    *setting("5.2.7", "set_direction", "86 sets the direction: 0 CW, 1 CCW."),
     *setting(
         "5.2.8",
         "set_screen_off",
         "87 switches the display's going dark off (0) or on (1).",
         unseen("5.2.8/dark", "The display goes dark after 15 seconds.", DISPLAY),
     ),
-    *setting(
-        "5.2.9",
-        "set_protection",
-        "88 switches the rotor's protection off (0) or on (1).",
-        said(
-            "5.2.9/on", "With 1 a locked rotor is let go.", "motion/set_protection/lets-go*", "motion/release_protection/limp*"
-        ),
-        said("5.2.9/off", "With 0 a locked rotor is not let go.", "motion/set_protection/off-holds-on"),
-        said("5.2.9/released", "A command ends the protection.", "motion/release_protection/*"),
-        unseen("5.2.9/key", "A key ends the protection.", KEYS),
-    ),
-    *setting(
-        "5.2.10",
-        "set_interpolation",
-        "89 switches interpolation off (0) or on (1).",
-        unseen("5.2.10/smooth", "Steps are interpolated to 256.", "finer than the encoder tells"),
-    ),
-    *setting(
-        "5.2.11",
-        "set_baud_rate",
-        "8A sets the baud rate, 1 to 7.",
-        said(
-            "5.2.11/rates",
-            "1 to 7 are 9600, 19200, 25000, 38400, 57600, 115200, 256000.",
-            "ranges/set_baud_rate/baud_rate/?*00",
-        ),
-    ),
-    *setting(
-        "5.2.12",
-        "set_address",
-        "8B sets the address, up to FFh.",
-        said("5.2.12/heard", "The drive is heard at its new address.", "addressing/set_address/moves"),
-        said(
-            "5.2.12/broadcast",
-            "0 is the address of all drives.",
-            "addressing/broadcast/*",
-            "ranges/set_address/new_address/below",
-        ),
-        unseen("5.2.12/shown", "The display shows the new address.", DISPLAY),
-    ),
+    *setting("5.2.9", "set_protection", "88 switches the rotor's protection off (0) or on (1)."),
+    *setting("5.2.10", "set_interpolation", "89 switches interpolation off (0) or on (1)."),
+    *setting("5.2.11", "set_baud_rate", "8A sets the baud rate, 1 to 7."),
+    *setting("5.2.12", "set_address", "8B sets the address, up to FFh."),
     *setting(
         "5.2.13",
         "set_respond",
@@ -231,12 +147,7 @@ _SETTINGS = (
         "8E switches Modbus-RTU off (0) or on (1).",
         said("5.2.14/speaks", "With 1 the drive speaks Modbus-RTU instead.", "ranges/set_modbus/modbus/listed"),
     ),
-    *setting(
-        "5.2.15",
-        "set_key_lock",
-        "8F unlocks (0) or locks (1) the keys.",
-        unseen("5.2.15/locked", "Locked keys do nothing.", KEYS),
-    ),
+    *setting("5.2.15", "set_key_lock", "8F unlocks (0) or locks (1) the keys."),
     *setting(
         "5.2.16",
         "set_group_address",
@@ -279,46 +190,9 @@ _SETTINGS = (
         ),
     ),
     # 5.3 Home
-    *setting(
-        "5.3.1",
-        "set_home",
-        "90 sets trigger level, direction, speed and end limit.",
-        said(
-            "5.3.1/level",
-            "The trigger level is 0 low or 1 high.",
-            "motion/home/trigger",
-            "motion/set_home/end-limit-*",
-            "read-back/set_home/home_trigger",
-        ),
-        said(
-            "5.3.1/way",
-            "Homing turns clockwise with 0, the other way with 1.",
-            "motion/home/finds-switch-*",
-            "read-back/set_home/home_direction",
-        ),
-        said(
-            "5.3.1/speed",
-            "Homing turns at the set speed, 0 to 3000 rpm.",
-            "motion/home/speed-*",
-            "read-back/set_home/home_speed",
-            "motion/home/within-mode",
-        ),
-        said(
-            "5.3.1/limit",
-            "The end limit is off with 0 and on with 1.",
-            "motion/set_home/end-limit-off",
-            "motion/set_home/end-limit-stops-*",
-        ),
-        unseen(
-            "5.3.1/home-first",
-            "A changed end limit holds after homing.",
-            "the manual does not say what a limit does before homing",
-        ),
-        said("5.3.1/lets-go", "With the end limit on, homing lets the shaft go at the switch.", "motion/home/end-limit"),
-        said("5.3.1/holds", "With it off, the shaft is held after homing.", "motion/home/holds"),
-    ),
+    *setting("5.3.1", "set_home", "90 sets trigger level, direction, speed and end limit."),
     said("5.3.2/homes", "91 looks for home.", "motion/home/finds-switch-*", "motion/home/zero"),
-    said("5.3.2/closed", "From a closed switch the shaft turns away first, then comes back.", "motion/home/from-closed-*"),
+    *effects("5.3.2", "home"),
     said("5.3.2/fails", "Status 0: homing failed.", "motion/home/disabled", "motion/home/stopped"),
     said("5.3.2/starts", "Status 1: homing starts.", "motion/home/replies"),
     said("5.3.2/done", "Status 2: home is found.", "motion/home/replies", "motion/home/told-though"),
@@ -339,28 +213,9 @@ _SETTINGS = (
         unseen("5.3.4/current", "The shaft pushes with this current and no more.", CURRENT_UNSEEN),
         unseen("5.3.4/defaults", "Default currents: 42D 800, 57D 400, others 200 mA.", CURRENT_UNSEEN),
     ),
-    *setting(
-        "5.3.5",
-        "set_limit_remap",
-        "9E switches the remapped ports off (0) or on (1).",
-        said("5.3.5/serial", "It works in serial modes alone.", "motion/set_limit_remap/pulse-mode"),
-        said("5.3.5/right", "A 42D then has a right limit, at Dir.", "motion/set_limit_remap/right-on"),
-        unseen("5.3.5/left", "The left limit is then at En.", "no command tells at which port a switch is read"),
-        said("5.3.5/off", "Without it a small drive has no right limit.", "motion/set_limit_remap/right-off"),
-    ),
+    *setting("5.3.5", "set_limit_remap", "9E switches the remapped ports off (0) or on (1)."),
     # 5.4 to 5.6
-    *setting(
-        "5.4.1",
-        "set_zero_mode",
-        "9A sets mode, zero, speed and direction of the way back.",
-        said("5.4.1/off", "Mode 0: nothing turns at power-on.", "motion/set_zero_mode/off"),
-        said("5.4.1/direction", "Mode 1: the shaft goes back by the direction.", "motion/set_zero_mode/direction-*"),
-        said("5.4.1/near", "Mode 2: the shaft goes back by the smaller angle.", "motion/set_zero_mode/near"),
-        said("5.4.1/one-turn", "The way back is 359 degrees at most.", "motion/set_zero_mode/*"),
-        said("5.4.1/set", "Zero 1: the present place is kept.", "motion/set_zero_mode/near", "read-back/set_zero_mode/restart"),
-        said("5.4.1/clean", "Zero 0: the kept place is forgotten.", "motion/set_zero_mode/clean"),
-        said("5.4.1/speed", "Speed 0 is the slowest, 4 the fastest.", "motion/set_zero_mode/faster"),
-    ),
+    *setting("5.4.1", "set_zero_mode", "9A sets mode, zero, speed and direction of the way back."),
     said(
         "5.5/defaults", "3F puts every parameter back to its default.", "read-back/restore/settings", "read-back/restore/link"
     ),
@@ -489,6 +344,7 @@ def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Stat
         f"motion/{name}/crossed-course",
         f"motion/{name}/within",
     )
+    yield from effects(section, name)
     yield from more
     yield said(
         f"{section}/fails",
@@ -498,7 +354,7 @@ def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Stat
         "motion/release_protection/limp",
     )
     yield said(f"{section}/starts", "Status 1: it begins.", f"motion/{name}/replies")
-    yield said(f"{section}/complete", "Status 2: it is complete.", f"motion/{name}/replies", f"motion/{name}/told-when-there")
+    yield said(f"{section}/complete", "Status 2: it is complete.", f"motion/{name}/*replies", f"motion/{name}/told-when-there")
     yield said(f"{section}/limit", "Status 3: an end limit stopped it.", f"motion/set_home/end-limit-told-{name}")
     yield said(f"{section}/silent", "Its answers can be switched off by 8C.", f"motion/set_respond/0-silences-{name}")
 
@@ -507,20 +363,8 @@ _MOTION = (
     said("6/serial", "Motion commands need a serial work mode.", "motion/*/crossed-taken", "motion/*/pulse-mode"),
     *RAMPS,
     said("6.2.1/answered", "F1 reads what the motor does.", "shape/read_status/answered", "motion/read_status/follows"),
-    said(
-        "6.2.1/stopped",
-        "1: it stands.",
-        "motion/read_status/standing",
-        "motion/read_status/behind-emergency",
-        "motion/read_status/slow-*",
-        "motion/read_status/after-a-move",
-    ),
-    said("6.2.1/up", "2: it speeds up.", "motion/read_status/crossed"),
-    said("6.2.1/down", "3: it slows down.", "motion/read_status/slowing-down"),
-    said("6.2.1/full", "4: it turns at full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
-    said("6.2.1/homing", "5: it is homing.", "motion/home/status", "motion/home/status-*"),
+    *effects("6.2.1", "read_status"),
     said("6.2.1/calibrating", "6 (printed 5): it is calibrating.", "motion/calibrate/status"),
-    said("6.2.1/fail", "0: the query failed.", "shape/read_status/status"),
     said("6.2.2/off", "F3 with 0 lets the motor go.", "motion/enable/off-ends-motion", "motion/enable/is-read"),
     said(
         "6.2.2/on",
@@ -615,16 +459,6 @@ _MOTION = (
         ),
         said("6.6.1/reserved", "Bits 6 to 4 of byte 4 are reserved.", "ranges/move_relative_pulses/reserved"),
         said(
-            "6.6.1/pulses",
-            "It goes on by the pulses, 32 bits of them.",
-            "motion/move_relative_pulses/distance",
-            "motion/move_relative_pulses/behind-ended",
-            "motion/move_relative_pulses/far",
-            "motion/move_relative_pulses/low-word",
-            "motion/*/crossed-ends",
-            "motion/*/crossed-replies",
-        ),
-        said(
             "6.6.1/20-turns",
             "FA00h pulses are 20 turns at 16 subdivisions.",
             "examples/move_relative_pulses/*",
@@ -638,14 +472,6 @@ _MOTION = (
         "6.7.1",
         "move_absolute_pulses",
         "FE",
-        said(
-            "6.7.1/place",
-            "It goes to a place in pulses, 32 signed bits.",
-            "motion/move_absolute_pulses/distance",
-            "motion/move_absolute_pulses/far",
-            "motion/move_absolute_pulses/low-word",
-        ),
-        said("6.7.1/read", "Then the pulses read what was sent.", "motion/move_absolute_pulses/reads-as-asked"),
         said(
             "6.7.1/anywhere",
             "It goes there from any place.",
@@ -664,15 +490,6 @@ _MOTION = (
         "6.8.1",
         "move_relative_axis",
         "F4",
-        said(
-            "6.8.1/distance",
-            "It goes on by a distance in encoder counts, 32 signed bits.",
-            "motion/move_relative_axis/distance",
-            "motion/move_relative_axis/behind-ended",
-            "motion/move_relative_axis/far",
-            "motion/move_relative_axis/low-word",
-            "motion/*_axis/crossed-ends",
-        ),
         said("6.8.1/axis", "The axis is the value that 31 reads.", "motion/move_relative_axis/sign"),
         said(
             "6.8.1/forward",
@@ -693,23 +510,10 @@ _MOTION = (
         "move_absolute_axis",
         "F5",
         said(
-            "6.9.1/place",
-            "It goes to a place in encoder counts, 32 signed bits.",
-            "motion/move_absolute_axis/distance",
-            "motion/move_absolute_axis/far",
-            "motion/move_absolute_axis/low-word",
-        ),
-        said(
             "6.9.1/axis",
             "The axis is the value that 31 reads.",
             "motion/move_absolute_axis/sign",
             "motion/move_absolute_axis/reads-as-asked",
-        ),
-        said(
-            "6.9.1/updates",
-            "A newer target and speed are taken up under way.",
-            "motion/move_absolute_axis/update-*",
-            "motion/move_absolute_axis/newer-*",
         ),
         said(
             "6.9.1/anywhere",

@@ -1,9 +1,13 @@
 """What the manuals of the MKS drives say in both links of RS485: Parts 1 to 3 and section 6.1 of the RS485 manual V1.0.5.
 
-In the manual's order, in our words. Here is also how statements of these manuals are declared.
+In the manual's order, in our words. `EFFECTS` is what Parts 5, 6 and 8 say of a command in the same words.
+Here is also how statements of these manuals are declared.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
 
 from analyzer.catalogue import Statement
 
@@ -29,9 +33,16 @@ def each(names: tuple[str, ...], pattern: str) -> tuple[str, ...]:
     return tuple(pattern.format(name) for name in names)
 
 
-def read(section: str, name: str, what: str, *claims: str) -> Statement:
-    """Declare what a read tells and the length and order of its bytes."""
-    return said(f"{section}/told", what, f"shape/{name}/answered", f"shape/{name}/length", f"shape/{name}/code", *claims)
+def effects(section: str, name: str) -> Iterator[Statement]:
+    """Yield what a section says of its command that the other link's section says, too."""
+    for each in EFFECTS.get(name, ()):
+        yield replace(each, id=f"{section}/{each.id}")
+
+
+def read(section: str, name: str, what: str, *claims: str) -> Iterator[Statement]:
+    """Yield what a read tells, the length and order of its bytes, then what its values mean."""
+    yield said(f"{section}/told", what, f"shape/{name}/answered", f"shape/{name}/length", f"shape/{name}/code", *claims)
+    yield from effects(section, name)
 
 
 #: Parts 1 to 3: modes, ports, end limits, options. What an option does, the command of the same name does.
@@ -227,3 +238,193 @@ RAMPS = (
     ),
     said("6.1/down-to-speed", "The way down ends at the lower speed that was asked for.", "timing/run_speed/ramp-240-to-60"),
 )
+
+#: What is said of a command in both links, by its name; an id is without the section.
+EFFECTS: dict[str, tuple[Statement, ...]] = {
+    "read_encoder_carry": (
+        said("range", "The value is 0 to 3FFFh.", "shape/read_encoder_carry/values", "motion/read_encoder_carry/at-the-carry"),
+        said("turn", "A turn changes the carry by one and leaves the value.", "motion/read_encoder_carry/standing"),
+        said("disabled", "The encoder is read whether the motor is enabled or not.", "motion/read_position/while-disabled"),
+    ),
+    "read_position": (
+        said("turn", "A turn changes it by 4000h.", "motion/read_position/turn"),
+        said("way", "Counter-clockwise raises it (in print both ways).", "motion/run_speed/raises"),
+    ),
+    "read_speed": (
+        said("sign", "The speed is positive counter-clockwise and negative clockwise.", "motion/read_speed/crossed"),
+    ),
+    "read_io": (said("remapped", "With the limits remapped, IN_1 is En and IN_2 is Dir.", "read-back/set_limit_remap/effect"),),
+    "read_angle_error": (
+        said(
+            "sign",
+            "The error is the wanted angle minus the real one.",
+            "motion/read_angle_error/held-*",
+            "motion/read_angle_error/limp",
+        ),
+        said("unit", "51200 units are 360 degrees.", "motion/read_angle_error/held-*", "motion/read_angle_error/limp"),
+    ),
+    "read_zero_status": (unseen("fail", "2: the way back failed.", "the manual does not say when it fails"),),
+    "set_current": (
+        said(
+            "maximum",
+            "At most 3000 mA, on a 57D 5200 mA.",
+            "ranges/set_current/current/highest",
+            "ranges/set_current/current/above",
+        ),
+        unseen("flows", "This current flows.", CURRENT_UNSEEN),
+        unseen("shown", "The display shows the new current.", DISPLAY),
+    ),
+    "set_subdivision": (
+        said(
+            "pulses",
+            "A turn has 200 times the subdivision in pulses.",
+            "motion/set_subdivision/pulses-at-*",
+            "motion/move_*/crossed-speed",
+        ),
+    ),
+    "set_enable_level": (
+        said(
+            "effect",
+            "At that level the motor holds; with 2 it holds always.",
+            "read-back/set_enable_level/effect",
+            "read-back/set_enable_level/pin",
+        ),
+    ),
+    "set_direction": (
+        said("not-the-bus", "The direction of the bus's motion is that of its commands.", "motion/set_direction/and-*"),
+    ),
+    "set_protection": (
+        said("on", "With 1 a locked rotor is let go.", "motion/set_protection/lets-go*", "motion/release_protection/limp*"),
+        said("off", "With 0 a locked rotor is not let go.", "motion/set_protection/off-holds-on"),
+        said("released", "A command ends the protection.", "motion/release_protection/*"),
+        unseen("key", "A key ends the protection.", KEYS),
+    ),
+    "set_interpolation": (unseen("smooth", "Steps are interpolated to 256.", "finer than the encoder tells"),),
+    "set_baud_rate": (
+        said("rates", "1 to 7 are 9600, 19200, 25000, 38400, 57600, 115200, 256000.", "ranges/set_baud_rate/baud_rate/?*00"),
+    ),
+    "set_address": (
+        said("heard", "The drive is heard at its new address.", "addressing/set_address/moves"),
+        said(
+            "broadcast",
+            "0 is the address of all drives.",
+            "addressing/broadcast/*",
+            "read-back/settings/restart-broadcast",
+            "read-back/*/restart-broadcast-*",
+            "ranges/set_address/new_address/below",
+        ),
+        unseen("shown", "The display shows the new address.", DISPLAY),
+    ),
+    "set_key_lock": (unseen("locked", "Locked keys do nothing.", KEYS),),
+    "set_home": (
+        said(
+            "level",
+            "The trigger level is 0 low or 1 high.",
+            "motion/home/trigger",
+            "motion/set_home/end-limit-*",
+            "read-back/set_home/home_trigger",
+        ),
+        said(
+            "way",
+            "Homing turns clockwise with 0, the other way with 1.",
+            "motion/home/finds-switch-*",
+            "read-back/set_home/home_direction",
+        ),
+        said(
+            "speed",
+            "Homing turns at the set speed, 0 to 3000 rpm.",
+            "motion/home/speed-*",
+            "read-back/set_home/home_speed",
+            "motion/home/within-mode",
+        ),
+        said(
+            "limit",
+            "The end limit is off with 0 and on with 1.",
+            "motion/set_home/end-limit-off",
+            "motion/set_home/end-limit-stops-*",
+        ),
+        unseen(
+            "home-first", "A changed end limit holds after homing.", "the manual does not say what a limit does before homing"
+        ),
+        said("lets-go", "With the end limit on, homing lets the shaft go at the switch.", "motion/home/end-limit"),
+        said("holds", "With it off, the shaft is held after homing.", "motion/home/holds"),
+    ),
+    "home": (said("closed", "From a closed switch the shaft turns away first, then comes back.", "motion/home/from-closed-*"),),
+    "set_limit_remap": (
+        said("serial", "It works in serial modes alone.", "motion/set_limit_remap/pulse-mode"),
+        said("right", "A 42D then has a right limit, at Dir.", "motion/set_limit_remap/right-on"),
+        unseen("left", "The left limit is then at En.", "no command tells at which port a switch is read"),
+        said("off", "Without it a small drive has no right limit.", "motion/set_limit_remap/right-off"),
+    ),
+    "set_zero_mode": (
+        said("off", "Mode 0: nothing turns at power-on.", "motion/set_zero_mode/off"),
+        said("direction", "Mode 1: the shaft goes back by the direction.", "motion/set_zero_mode/direction-*"),
+        said("near", "Mode 2: the shaft goes back by the smaller angle.", "motion/set_zero_mode/near"),
+        said("one-turn", "The way back is 359 degrees at most.", "motion/set_zero_mode/*"),
+        said("set", "Zero 1: the present place is kept.", "motion/set_zero_mode/near", "read-back/set_zero_mode/restart"),
+        said("clean", "Zero 0: the kept place is forgotten.", "motion/set_zero_mode/clean"),
+        said("speed", "Speed 0 is the slowest, 4 the fastest.", "motion/set_zero_mode/faster"),
+    ),
+    "read_status": (
+        said(
+            "stopped",
+            "1: it stands.",
+            "motion/read_status/standing",
+            "motion/read_status/behind-emergency",
+            "motion/read_status/slow-*",
+            "motion/read_status/after-a-move",
+        ),
+        said("up", "2: it speeds up.", "motion/read_status/crossed"),
+        said("down", "3: it slows down.", "motion/read_status/slowing-down"),
+        said("full", "4: it turns at full speed.", "motion/read_status/crossed", "motion/read_status/slow-*"),
+        said("homing", "5: it is homing.", "motion/home/status", "motion/home/status-*"),
+        said("fail", "0: the query failed.", "shape/read_status/status"),
+    ),
+    "move_relative_pulses": (
+        said(
+            "pulses",
+            "It goes on by the pulses, 32 bits of them.",
+            "motion/move_relative_pulses/distance",
+            "motion/move_relative_pulses/behind-ended",
+            "motion/move_relative_pulses/far",
+            "motion/move_relative_pulses/low-word",
+            "motion/*/crossed-ends",
+        ),
+    ),
+    "move_absolute_pulses": (
+        said(
+            "place",
+            "It goes to a place in pulses, 32 signed bits.",
+            "motion/move_absolute_pulses/distance",
+            "motion/move_absolute_pulses/far",
+            "motion/move_absolute_pulses/low-word",
+        ),
+        said("read", "Then the pulses read what was sent.", "motion/move_absolute_pulses/reads-as-asked"),
+    ),
+    "move_relative_axis": (
+        said(
+            "distance",
+            "It goes on by a distance in encoder counts, 32 signed bits.",
+            "motion/move_relative_axis/distance",
+            "motion/move_relative_axis/behind-ended",
+            "motion/move_relative_axis/far",
+            "motion/move_relative_axis/low-word",
+            "motion/*_axis/crossed-ends",
+        ),
+    ),
+    "move_absolute_axis": (
+        said(
+            "place",
+            "It goes to a place in encoder counts, 32 signed bits.",
+            "motion/move_absolute_axis/distance",
+            "motion/move_absolute_axis/far",
+            "motion/move_absolute_axis/low-word",
+        ),
+        said(
+            "updates",
+            "A newer target and speed are taken up under way.",
+            "motion/move_absolute_axis/update-*",
+            "motion/move_absolute_axis/newer-*",
+        ),
+    ),
+}
