@@ -8,18 +8,17 @@ A rule is a row here, and a small condition in the module that has the fact:
     a CAN frame of another type   analyzer.pipeline
     one message by itself         `of_message` below
 
-`is_plain` and `Pipeline._plain` know what these rules look at. A message that is in order there never reaches them.
+`Pipeline._plain` knows what these rules look at. A message that is in order there never reaches them.
 
 All use the ids of this table, so that reports, filters and the conformance suite have one list.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from analyzer.context import Context
-from analyzer.records import Finding, Junk, JunkReason, Message, Severity
+from analyzer.records import Finding, Frame, Junk, JunkReason, Message, Severity
 from analyzer.values import counted
 
 
@@ -83,53 +82,30 @@ RULES: dict[str, Rule] = {
 JUNK_RULES = {reason: f"junk_{reason.value}" for reason in JunkReason} | {JunkReason.LEFT_OUT: "decoder_fault"}
 
 
-def _checksum(message: Message, context: Context) -> Iterator[Issue]:
-    frame = message.frame
-    if frame.checksum_ok:
-        return
-    can_id = frame.can.id if frame.can is not None else None
-    for check in frame.dialect.link.checks(frame.data, can_id):
-        if not check.ok:
-            expected, got = check.expected.hex(" ").upper(), check.got.hex(" ").upper() or "none"
-            yield Issue("bad_checksum", f"{check.name}: expected {expected}, got {got}")
-
-
-def _violations(message: Message, context: Context) -> Iterator[Issue]:
-    for violation in message.violations:
-        yield Issue(violation.rule, violation.text)
-
-
-def _exception(message: Message, context: Context) -> Iterator[Issue]:
-    form = message.form
-    if form is not None and form is message.frame.dialect.exception:
-        code = message.values.get("exception", 0)
-        known = form.layout.named["exception"].choice_names.get(code, "not a standard code")
-        yield Issue("modbus_exception", f"exception 0x{code:02X}, {known}")
-
-
-def _dialect(message: Message, context: Context) -> Iterator[Issue]:
-    spoken = context.speaks.get(message.address)
-    if spoken is not None and spoken != message.frame.dialect.name and message.role == "request":
-        yield Issue("other_dialect", f"address {message.who} speaks {spoken}, got a {message.frame.dialect.name} request")
-
-
-#: What is looked at in every message, each a small generator.
-MESSAGE_RULES: tuple[Callable[[Message, Context], Iterator[Issue]], ...] = (_checksum, _violations, _exception, _dialect)
-
-
 def of_message(message: Message, context: Context) -> list[Issue]:
     """Return what is wrong with a message by itself."""
-    return [issue for rule in MESSAGE_RULES for issue in rule(message, context)]
+    frame, form, spoken = message.frame, message.form, context.speaks.get(message.address)
+    issues = [] if frame.checksum_ok else _checksum(frame)
+    issues += [Issue(violation.rule, violation.text) for violation in message.violations]
+    if form is not None and form is frame.dialect.exception:
+        code = message.values.get("exception", 0)
+        known = form.layout.named["exception"].choice_names.get(code, "not a standard code")
+        issues.append(Issue("modbus_exception", f"exception 0x{code:02X}, {known}"))
+    if spoken is not None and spoken != frame.dialect.name and message.role == "request":
+        issues.append(Issue("other_dialect", f"address {message.who} speaks {spoken}, got a {frame.dialect.name} request"))
+    return issues
 
 
-def is_plain(message: Message, context: Context) -> bool:
-    """Say whether no rule of `of_message` can have anything to say: the usual case, asked first."""
-    return (
-        message.frame.checksum_ok
-        and not message.violations
-        and (message.form is None or message.form is not message.frame.dialect.exception)
-        and context.speaks.get(message.address, message.frame.dialect.name) == message.frame.dialect.name
-    )
+def _checksum(frame: Frame) -> list[Issue]:
+    checks = frame.dialect.link.checks(frame.data, None if frame.can is None else frame.can.id)
+    return [
+        Issue(
+            "bad_checksum",
+            f"{check.name}: expected {check.expected.hex(' ').upper()}, got {check.got.hex(' ').upper() or 'none'}",
+        )
+        for check in checks
+        if not check.ok
+    ]
 
 
 def of_junk(junk: Junk) -> Issue:

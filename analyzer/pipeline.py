@@ -23,7 +23,7 @@ from analyzer.catalogue import Dialect, Role
 from analyzer.columns.block import ByteBlock, CanBlock, FrameBlock
 from analyzer.context import Request
 from analyzer.errors import UsageError
-from analyzer.findings import Issue, finding, is_plain, of_junk, of_message
+from analyzer.findings import Issue, finding, of_junk, of_message
 from analyzer.foreign import CAN_ID_LIMIT, is_unlisted
 from analyzer.framer import Framer
 from analyzer.port import Options, Port, PortSetup, topic_name, usual_setup
@@ -452,13 +452,7 @@ class Pipeline:
             else:
                 self._unlisted(port, withheld)
         asked_by = None if request is None else request.sequence
-        if not paired.issues and is_plain(message, context):
-            self.sequence += 1
-            entry = Entry(message, self.sequence, topic, (), paired.latency_ns, asked_by, paired.first)
-            for sink in self.sinks:
-                sink.entry(entry)
-            return
-        issues = of_message(message, context) + list(paired.issues)
+        issues = [*of_message(message, context), *paired.issues]
         if unlisted:
             first = not heard and message.role is Role.REQUEST and message.address != frame.dialect.broadcast
             if first and message.address not in port.nodes.slaves:

@@ -8,7 +8,7 @@ import pytest
 
 from analyzer.catalogue import Role
 from analyzer.context import Context
-from analyzer.findings import JUNK_RULES, RULES, Issue, finding, is_plain, of_junk, of_message
+from analyzer.findings import JUNK_RULES, RULES, Issue, finding, of_junk, of_message
 from analyzer.records import Junk, JunkReason, Severity
 from tests.collect import crc, serial, sum8
 
@@ -34,10 +34,7 @@ def test_every_rule_has_an_id_of_its_own_and_a_meaning():
 def test_what_is_wrong_with_a_message_by_itself(name, text, rules):
     sink = serial(name, (0, text))
     message = sink.entries[0].message
-    context = Context()
-    assert [issue.rule for issue in of_message(message, context)] == rules
-    # The short cut of the usual case agrees with the rules.
-    assert is_plain(message, context) == (not rules)
+    assert [issue.rule for issue in of_message(message, Context())] == rules
 
 
 def test_a_request_in_another_dialect_than_the_drive_speaks():
@@ -46,7 +43,6 @@ def test_a_request_in_another_dialect_than_the_drive_speaks():
     context.speaks[1] = "mks-modbus"
     assert message.role is Role.REQUEST
     assert [issue.rule for issue in of_message(message, context)] == ["other_dialect"]
-    assert not is_plain(message, context)
 
 
 @pytest.mark.parametrize("reason", [reason for reason in JunkReason if reason is not JunkReason.LEFT_OUT])
