@@ -15,7 +15,7 @@ import msgspec
 
 from analyzer.findings import Issue
 from analyzer.records import Event, Severity
-from analyzer.values import counted, identifier
+from analyzer.values import SECOND_NS, counted, identifier
 
 #: Topic of the events in a log.
 TOPIC = "/recording"
@@ -27,7 +27,6 @@ SPEED = "speed"
 #: Of a log that is read from the midst on: where a bus goes on.
 RESUMED = "resumed"
 SETUPS = frozenset((PORT, DIALECT, SPEED, RESUMED))
-SECOND = 1_000_000_000
 #: Identifiers of drives that a text names.
 _IDS_SHOWN = 8
 
@@ -281,4 +280,4 @@ def issue_of(event: Event) -> Issue | None:
 def span_ns(event: Event) -> tuple[int, int]:
     """Return the times that an event is about."""
     gap = event.values.get("gap", 0.0)
-    return event.t_ns - (int(gap * SECOND) if isinstance(gap, (int, float)) and gap > 0 else 0), event.t_ns
+    return event.t_ns - (int(gap * SECOND_NS) if isinstance(gap, (int, float)) and gap > 0 else 0), event.t_ns

@@ -25,6 +25,8 @@ _OFF = frozenset({"off", "false", "no", "disabled"})
 #: Names of the value 1 that `on` may stand for; a direction is never on.
 _SWITCH_NAMES = frozenset({"enabled", "on", "high"})
 _DECIMALS = 6
+#: Nanoseconds of a second.
+SECOND_NS = 1_000_000_000
 #: The highest CAN identifier of 11 bits, and of 29 bits.
 _STANDARD = 0x7FF
 _EXTENDED = 0x1FFF_FFFF

@@ -23,6 +23,7 @@ from analyzer.dialects import find_command
 from analyzer.encoder import Built, assemble
 from analyzer.errors import ServotapError, UsageError
 from analyzer.records import Finding
+from analyzer.values import SECOND_NS
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.line import Line
 from conformance.claim import Inconclusive, NotStopped
@@ -43,11 +44,10 @@ from conformance.talk.request import Request
 from servotap import arguments
 from servotap.captures import Frame, frame_of
 
-_SECOND_NS = 1000 * MS
 #: How long is listened behind the reply to a command for one more, and where none is due.
 _QUIET_NS = 20 * MS
 #: How long a command may take to its last reply.
-_DONE_NS = 120 * _SECOND_NS
+_DONE_NS = 120 * SECOND_NS
 #: Between two settings: real drives were seen to drop hasty ones.
 _SETTING_GAP_NS = 500 * MS
 

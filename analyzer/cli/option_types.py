@@ -14,18 +14,17 @@ from fractions import Fraction
 from typing import Any, NamedTuple, TypeVar
 
 from analyzer.errors import UsageError
-from analyzer.values import addresses, quote, storable
+from analyzer.values import SECOND_NS, addresses, quote, storable
 
 Number = TypeVar("Number", int, float)
 
-_SECOND = 1_000_000_000
 DURATIONS = {
-    "ms": _SECOND // 1000,
-    "s": _SECOND,
-    "min": 60 * _SECOND,
-    "m": 60 * _SECOND,
-    "h": 3600 * _SECOND,
-    "d": 86400 * _SECOND,
+    "ms": SECOND_NS // 1000,
+    "s": SECOND_NS,
+    "min": 60 * SECOND_NS,
+    "m": 60 * SECOND_NS,
+    "h": 3600 * SECOND_NS,
+    "d": 86400 * SECOND_NS,
 }
 SIZES = {
     "B": 1,

@@ -23,9 +23,9 @@ from analyzer.errors import UsageError
 from analyzer.report.kept import extremes
 from analyzer.report.picture import Panel, draw, size
 from analyzer.report.series import Series, series
-from analyzer.sources.times import SECOND, ShownTime, is_dated, is_estimated
+from analyzer.sources.times import ShownTime, is_dated, is_estimated
 from analyzer.table.extras import needed
-from analyzer.values import printable, quote
+from analyzer.values import SECOND_NS, printable, quote
 
 EXAMPLES = """\
 examples:
@@ -132,7 +132,7 @@ class _Plots:
     def _thinned(self, each: Series) -> tuple[Sequence[float], list[float]]:
         kept = self._kept(each)
         at: Sequence[float]
-        at = [(each.t_ns[n] - self._first_ns) / SECOND for n in kept] if self._timed else [each.sequence[n] for n in kept]
+        at = [(each.t_ns[n] - self._first_ns) / SECOND_NS for n in kept] if self._timed else [each.sequence[n] for n in kept]
         return at, [each.values[n] for n in kept]
 
     def _kept(self, each: Series) -> list[int]:
@@ -147,13 +147,13 @@ class _Plots:
 
         inner = max(_LEAST, width) - SCALE_WIDTH - 2
         every = [(name, each) for name, some in self._found.items() for each in some]
-        places = [each.t_ns if self._timed else [n * SECOND for n in each.sequence] for _, each in every]
+        places = [each.t_ns if self._timed else [n * SECOND_NS for n in each.sequence] for _, each in every]
         span = min(at[0] for at in places), max(at[-1] for at in places)
         for (name, each), at in zip(every, places, strict=True):
             ends = f"{number_text(min(each.values))} to {number_text(max(each.values))} {each.unit}".rstrip()
             print(f"{each.unit[:SCALE_WIDTH]:>{SCALE_WIDTH}} {printable(f'{name}  {each.label}')}  {ends}")
             for scale, row in scaled([(at[n], each.values[n]) for n in self._kept(each)], span, inner, _ROWS):
                 print((scale + row).rstrip())
-        seconds = (span[1] - span[0]) / SECOND
+        seconds = (span[1] - span[0]) / SECOND_NS
         zone, length = (self._shown.zone or "s", f"{seconds:.4g} s") if self._timed else ("frame", f"{seconds:.0f}")
         print("\n".join(line.rstrip() for line in time_axis(span, inner, self._shown, zone, length).splitlines()))

@@ -22,9 +22,9 @@ import msgspec
 from analyzer.errors import UsageError
 from analyzer.pipeline import CAN_OVERHEAD_BITS
 from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.values import SECOND_NS
 
 BITS_PER_BYTE = 10
-SECOND_NS = 1_000_000_000
 CAN = "can"
 SERIAL = "serial"
 

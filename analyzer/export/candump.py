@@ -12,8 +12,9 @@ digits as a larger number. Only the host is marked, since a listener receives ev
 from __future__ import annotations
 
 from analyzer.catalogue import Role
-from analyzer.export import SECOND_NS, Writer
+from analyzer.export import Writer
 from analyzer.records import CanFrame, Chunk
+from analyzer.values import SECOND_NS
 
 _ERROR_FLAG = 0x2000_0000
 

@@ -15,8 +15,9 @@ import time
 from typing import IO
 
 from analyzer.catalogue import Role
-from analyzer.export import SECOND_NS, Choices, Writer
+from analyzer.export import Choices, Writer
 from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.values import SECOND_NS
 
 _MARKS = {Role.REQUEST: " >", Role.REPLY: " <", Role.UNKNOWN: ""}
 #: What the reader calls a line that has no name.

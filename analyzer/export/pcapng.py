@@ -16,8 +16,9 @@ from typing import IO
 
 from analyzer import __version__
 from analyzer.catalogue import Role
-from analyzer.export import SECOND_NS, Choices, Writer
+from analyzer.export import Choices, Writer
 from analyzer.records import CanFrame, Chunk, Comment
+from analyzer.values import SECOND_NS
 
 SOCKETCAN = 227
 SERIAL_LINKS = {"user": 147, "rtac": 250}

@@ -32,7 +32,8 @@ from analyzer.records import CanFrame
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.summary import Summary
 from analyzer.sources import open_source
-from analyzer.sources.source import SECOND_NS, clean_port
+from analyzer.sources.source import clean_port
+from analyzer.values import SECOND_NS
 
 FLUSH_S = 1.0
 

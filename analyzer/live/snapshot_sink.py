@@ -21,6 +21,7 @@ from analyzer.live.snapshot import EVENT, BusCounts, FrameLine, RowCounts, Snaps
 from analyzer.live.snapshot_lines import event_line, finding_line, frame_line, junk_line
 from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, plain_entry
 from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane, Message, Severity
+from analyzer.values import SECOND_NS
 
 #: Of the newest frames, of those with findings, and of rows that had something new: shown in one snapshot at most.
 NEWEST = 100
@@ -32,7 +33,6 @@ EVENTS = 50
 ROWS_SENT = 200
 ROWS_AGAIN = 20
 ROW_LIMIT = 2000
-SECOND = 1_000_000_000
 #: Events that come again and again, and say nothing that one would act on.
 _QUIET = frozenset(("clock_drift", "port"))
 
@@ -210,7 +210,7 @@ class SnapshotSink:
             self._before.clear()
             for row in rows:
                 row.counted = 0
-        if self._rated_ns is None or t_ns - self._rated_ns >= (1 if whole else SECOND):
+        if self._rated_ns is None or t_ns - self._rated_ns >= (1 if whole else SECOND_NS):
             self._rate(rows, t_ns)
         shown = self._shown(rows)
         things = sum(bus.frames + bus.junk for bus in self._buses.values())
@@ -282,12 +282,12 @@ class SnapshotSink:
         if before is not None:
             span = t_ns - before
             for row in rows:
-                row.rate = (row.count - row.counted) * SECOND / span
+                row.rate = (row.count - row.counted) * SECOND_NS / span
             for name, bus in self._buses.items():
                 frames, size, wire_ns = self._before.get(name, (0, 0, 0))
                 load = min(1.0, (bus.wire_ns - wire_ns) / span) if self._unit_ns(name, bus) else None
                 wire_bytes = bus.bytes + bus.junk_bytes
-                bus.rates = ((bus.frames - frames) * SECOND / span, (wire_bytes - size) * SECOND / span, load)
+                bus.rates = ((bus.frames - frames) * SECOND_NS / span, (wire_bytes - size) * SECOND_NS / span, load)
         for row in rows:
             row.counted = row.count
         self._before = {n: (b.frames, b.bytes + b.junk_bytes, b.wire_ns) for n, b in self._buses.items()}

@@ -31,6 +31,7 @@ from analyzer.live.reader_store import Store
 from analyzer.live.snapshot import Snapshot
 from analyzer.live.spool import SpoolWriter, spool_folder
 from analyzer.sources.recording_parts import parts_named
+from analyzer.values import SECOND_NS
 
 #: How long a port may take to open at the start (an Arduino behind slcan needs two seconds).
 OPEN_S = 15.0
@@ -42,7 +43,6 @@ LAST_DEATHS = 3
 SILENT_S = 120.0
 #: The longest sleep of the loop: how late the clock is looked at and what is due is started.
 _TURN_S = 0.25
-_SECOND_NS = 1_000_000_000
 
 
 #: Makes the readers of a recording from the folder of its spools and where they are heard: by one of the stems of each.
@@ -227,12 +227,12 @@ class Supervisor:
         looked_ns = time.monotonic_ns()
         try:
             while not self._stopping.is_set():
-                left_ns = self.began_ns + self._duration_ns - time.monotonic_ns() if self._duration_ns else _SECOND_NS
-                self._turn(min(_TURN_S, max(0, left_ns) / _SECOND_NS))
+                left_ns = self.began_ns + self._duration_ns - time.monotonic_ns() if self._duration_ns else SECOND_NS
+                self._turn(min(_TURN_S, max(0, left_ns) / SECOND_NS))
                 now_ns = time.monotonic_ns()
                 if self._duration_ns and now_ns - self.began_ns >= self._duration_ns:
                     self.stop("the duration is over")
-                if now_ns - looked_ns >= _SECOND_NS:
+                if now_ns - looked_ns >= SECOND_NS:
                     looked_ns = now_ns
                     self._keep_config()
                     for change in wall.look(clock.now()):

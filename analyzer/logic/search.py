@@ -20,6 +20,7 @@ from analyzer.columns.codec import Integers
 from analyzer.logic import can, uart
 from analyzer.logic.levels import Levels
 from analyzer.logic.uart import Format
+from analyzer.values import SECOND_NS
 
 #: Usual rates of a UART and of CAN, in bits a second.
 UART_RATES = (
@@ -27,7 +28,6 @@ UART_RATES = (
     153600, 230400, 250000, 256000, 460800, 500000, 576000, 921600, 1000000, 1500000, 2000000, 2500000, 3000000, 4000000,
 )  # fmt: skip
 CAN_RATES = (10000, 20000, 33333, 50000, 83333, 100000, 125000, 200000, 250000, 500000, 666667, 800000, 1000000)
-SECOND_NS = 1_000_000_000
 #: Edges that are looked at, in so many places of a long capture.
 _LOOKED, _PLACES = 12_000, 3
 #: Share of the runs, and how many, that a length must have to be that of a few bits; and how far it spreads.

@@ -18,7 +18,8 @@ from analyzer.page import Chart, packed
 from analyzer.records import Severity
 from analyzer.report.kept import Breaches, Bus, Drive, Integers, Marks, Numbers, Talk, busiest, extremes
 from analyzer.report.traffic import Traffic
-from analyzer.sources.times import SECOND, ShownTime, is_dated, is_estimated
+from analyzer.sources.times import ShownTime, is_dated, is_estimated
+from analyzer.values import SECOND_NS
 
 #: Bytes of a page, and by how much all is cut down until it keeps to them.
 LARGEST = 3_000_000
@@ -114,8 +115,8 @@ class _Axis:
             return sequence.astype(np.float64)
         if self.name == "clock":
             t_ns = t_ns + self._zone_ns
-            return t_ns // SECOND + t_ns % SECOND / SECOND
-        return (t_ns - self.start_ns) / SECOND
+            return t_ns // SECOND_NS + t_ns % SECOND_NS / SECOND_NS
+        return (t_ns - self.start_ns) / SECOND_NS
 
 
 class _Drawn(NamedTuple):
@@ -198,7 +199,7 @@ class _Section:
         drives = [drive for drive in self.drives if drive.answers]
         tiles = [("frames", f"{traffic.frames:,}", f"on {_counted(len(traffic.buses), 'bus', 'buses')}", "")]
         if self.axis.timed and traffic.frames:
-            span = (traffic.last_ns - traffic.first_ns) / SECOND
+            span = (traffic.last_ns - traffic.first_ns) / SECOND_NS
             tiles.append(("time", duration(span), f"{traffic.frames / span:,.0f} frames/s" if span >= 1 else "", ""))
         dialects = dict.fromkeys(name for drive in drives for name in drive.dialects)
         tiles.append(("drives that answer", f"{len(drives):,}", ", ".join(dialects), ""))
@@ -272,7 +273,7 @@ class _Section:
 
     def _seconds(self, t_ns: Integers, lines: Mapping[str, Numbers], y: str, unit: str, colour: str) -> Chart:
         """Return a chart of counts by second: what was not counted is 0."""
-        ends = t_ns + SECOND
+        ends = t_ns + SECOND_NS
         silent = np.flatnonzero(np.append(t_ns[1:] > ends[:-1], True)) + 1
         t_ns = np.insert(t_ns, silent, ends[silent - 1])
         lines = {name: np.insert(values, silent, 0.0) for name, values in lines.items()}
@@ -324,12 +325,12 @@ class _Section:
             return
         t_ns = np.unique(np.concatenate(tracks))
         span = self.traffic.last_ns - self.traffic.first_ns
-        pauses = np.flatnonzero(np.diff(t_ns) > max(_PARTING * span, 5 * SECOND)) + 1
+        pauses = np.flatnonzero(np.diff(t_ns) > max(_PARTING * span, 5 * SECOND_NS)) + 1
         if not len(pauses) or len(pauses) >= _STRETCHES:
             return
         for part in np.split(t_ns, pauses):
-            first, last = max(int(part[0]), self.traffic.first_ns), min(int(part[-1]) + SECOND, self.traffic.last_ns)
-            yield f"{self.time(first)[:8]}, {duration((last - first) / SECOND)}", self.place(first, 0), self.place(last, 0)
+            first, last = max(int(part[0]), self.traffic.first_ns), min(int(part[-1]) + SECOND_NS, self.traffic.last_ns)
+            yield f"{self.time(first)[:8]}, {duration((last - first) / SECOND_NS)}", self.place(first, 0), self.place(last, 0)
 
     # --- tables -------------------------------------------------------------------------------------------------------
 

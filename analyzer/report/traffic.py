@@ -23,9 +23,8 @@ from analyzer.records import Severity
 from analyzer.report.kept import Breaches, Bus, Drive, Example, Marks, Talk, Told, Track, number_of, own_fields, properties_of
 from analyzer.sources.mcap_scan import LogMessage, fields_of
 from analyzer.sources.source import Source, describe
-from analyzer.sources.times import SECOND
 from analyzer.system.decoding import UNDECODABLE
-from analyzer.values import fields_text, identifier
+from analyzer.values import SECOND_NS, fields_text, identifier
 
 if TYPE_CHECKING:
     from mcap.records import Channel
@@ -420,7 +419,7 @@ class Traffic:
         # The counts of a second are written with the first frame behind it, so they are of the second of the ones before.
         begins = [bus.second_ns if bus.second_ns is not None else self.first_ns, *topic.times[:-1]]
         bus.second_ns = topic.times[-1]
-        t_ns, none = np.array(begins, np.int64) // SECOND * SECOND, np.zeros(len(rows), np.int64)
+        t_ns, none = np.array(begins, np.int64) // SECOND_NS * SECOND_NS, np.zeros(len(rows), np.int64)
         for name in ("load", "frames", "errors", "warnings"):
             values = np.array([getattr(row, name) for row in rows], np.float64)
             getattr(bus, name).add(t_ns, none, values)

@@ -28,6 +28,7 @@ from analyzer.sinks import schemas
 from analyzer.sinks.mcap_file import LogFile, McapFile
 from analyzer.sources.recording_parts import CLOCK_METADATA
 from analyzer.sources.times import Clock
+from analyzer.values import SECOND_NS
 
 if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
 PROFILE = "servotap"
 LIBRARY = f"servotap {__version__}"
-SECOND = 1_000_000_000
 _LEVELS = {Severity.INFO: 2, Severity.WARNING: 3, Severity.ERROR: 4}
 _encode = msgspec.json.Encoder().encode
 _LATEST_NS = (1 << 63) - 1
@@ -130,7 +130,7 @@ class McapLog:
                 start, raw, frame.offset, request_sequence,
             )  # fmt: skip
         else:
-            seconds, rest = divmod(latency_ns, SECOND)
+            seconds, rest = divmod(latency_ns, SECOND_NS)
             text = b'%b"_raw":"%b","_checksum_ok":true,"_offset":%d,"_latency":%d.%09d,"_request_sequence":%d}' % (
                 start, raw, frame.offset, seconds, rest, request_sequence,
             )  # fmt: skip
@@ -229,7 +229,7 @@ class McapLog:
                     start, raw, ok, frame.offset, entry.request_sequence,
                 )  # fmt: skip
             else:
-                seconds, rest = divmod(entry.latency_ns, SECOND)
+                seconds, rest = divmod(entry.latency_ns, SECOND_NS)
                 data = b'%b"_raw":"%b","_checksum_ok":%b,"_offset":%d,"_latency":%d.%09d,"_request_sequence":%d}' % (
                     start, raw, ok, frame.offset, seconds, rest, entry.request_sequence,
                 )  # fmt: skip
@@ -317,7 +317,7 @@ class McapLog:
             second.errors += found.severity is Severity.ERROR
             second.warnings += found.severity is Severity.WARNING
         data: dict[str, Any] = {
-            "timestamp": {"sec": found.first_ns // SECOND, "nsec": found.first_ns % SECOND},
+            "timestamp": {"sec": found.first_ns // SECOND_NS, "nsec": found.first_ns % SECOND_NS},
             "level": _LEVELS[found.severity],
             "message": found.text,
             "name": found.rule,
@@ -335,7 +335,7 @@ class McapLog:
         """Write a comment of the capture."""
         t_ns = self._last_ns if comment.t_ns is None else comment.t_ns
         data = {
-            "timestamp": {"sec": max(0, t_ns) // SECOND, "nsec": max(0, t_ns) % SECOND},
+            "timestamp": {"sec": max(0, t_ns) // SECOND_NS, "nsec": max(0, t_ns) % SECOND_NS},
             "level": 2,
             "message": comment.text,
             "name": "comment",
@@ -359,7 +359,7 @@ class McapLog:
         values = event.values
         byte_ns, speed = values.get("byte_ns"), values.get("speed")
         if values.get("kind") == "can" and isinstance(speed, int) and speed > 0:
-            self._speeds[event.port] = Speed(0, SECOND // speed)
+            self._speeds[event.port] = Speed(0, SECOND_NS // speed)
         elif isinstance(byte_ns, int) and byte_ns > 0:
             self._speeds[event.port] = Speed(byte_ns, 0)
 
@@ -462,7 +462,7 @@ class McapLog:
             if second is not None:
                 self._write_second(port, second)
             speed = self._speeds.get(port, self._speed)
-            second = self._seconds[port] = Second((log_ns // SECOND + 1) * SECOND, speed)
+            second = self._seconds[port] = Second((log_ns // SECOND_NS + 1) * SECOND_NS, speed)
         return second
 
     def _write_second(self, port: str, second: Second) -> None:
@@ -470,7 +470,7 @@ class McapLog:
         lane = self._lanes.get(topic) or self._add_lane(topic, "servotap.stats", schemas.stats_schema, {})
         data: dict[str, Any] = {name: getattr(second, name) for name in ("frames", "bytes", "junk_bytes", "errors", "warnings")}
         if any(second.speed):
-            data["load"] = second.wire_ns / SECOND
+            data["load"] = second.wire_ns / SECOND_NS
         log_ns = self._clock(self._last_ns)
         self._file.add_message(lane.channel, 0, log_ns, log_ns, _encode(data))
 

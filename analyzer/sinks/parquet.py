@@ -35,6 +35,7 @@ from analyzer.sinks.schemas import forms_of
 from analyzer.sources.times import Clock
 from analyzer.system.own_process import without
 from analyzer.table.extras import needed
+from analyzer.values import SECOND_NS
 
 if TYPE_CHECKING:
     import pyarrow
@@ -44,7 +45,6 @@ HELD = 1 << 17
 _ALONE = 8
 #: Places at which rows that were taken one by one part those of blocks; with more of them, all rows are copied in their order.
 _MOST_CUTS = 64
-_SECOND = 1_000_000_000
 #: Bits beyond which a number needs a sign's place.
 _LONG = 64
 
@@ -236,7 +236,7 @@ class ParquetTables:
                 columns["_direction"] = names.take(pa.array(marks))
         if not lane.is_request:
             latencies = plain.latencies.take(rows)
-            columns["_latency"] = self._numbers(latencies / _SECOND, latencies <= 0)
+            columns["_latency"] = self._numbers(latencies / SECOND_NS, latencies <= 0)
             columns["_request_sequence"] = self._numbers(sequences - plain.behind.take(rows))
         layout = lane.form.layout
         wire = column_codec(layout, lane.start).wire(whole)
@@ -296,7 +296,7 @@ class ParquetTables:
             **self._place(frame.last_ns, frame.port, message.address, entry.sequence),
             "_raw": frame.data, "_checksum_ok": frame.checksum_ok, "_offset": frame.offset,
             "_findings": [found.rule for found in entry.findings] or None,
-            "_latency": None if entry.latency_ns is None else entry.latency_ns / _SECOND,
+            "_latency": None if entry.latency_ns is None else entry.latency_ns / SECOND_NS,
             "_request_sequence": entry.request_sequence,
         }  # fmt: skip
         if can is not None:

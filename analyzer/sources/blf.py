@@ -23,8 +23,8 @@ from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame
 from analyzer.sources import magic
 from analyzer.sources.budget import CONTAINER_LIMIT
-from analyzer.sources.source import SECOND_NS, TOGETHER, Source
-from analyzer.values import counted
+from analyzer.sources.source import TOGETHER, Source
+from analyzer.values import SECOND_NS, counted
 
 _SIGNATURE = b"LOBJ"
 _OBJECT = struct.Struct("<4sHHLL")  # signature, header size, header version, object size, object type

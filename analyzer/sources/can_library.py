@@ -15,8 +15,8 @@ from analyzer.catalogue import Role
 from analyzer.errors import ServotapError
 from analyzer.records import CanFrame
 from analyzer.sources.lines import Lines, cut_note
-from analyzer.sources.source import SECOND_NS, Source, describe, quote
-from analyzer.values import counted
+from analyzer.sources.source import Source, describe, quote
+from analyzer.values import SECOND_NS, counted
 
 if TYPE_CHECKING:
     from can import Message

@@ -22,8 +22,9 @@ from analyzer.catalogue import Role
 from analyzer.columns.block import CanBlock
 from analyzer.records import CanFrame, Comment
 from analyzer.sources.lines import Lines, cut_note, head_lines, share
-from analyzer.sources.source import SECOND_NS, Source, quote
+from analyzer.sources.source import Source, quote
 from analyzer.sources.times import Clock, Deltas, clock_ns, day_ns, falls, number_ns
+from analyzer.values import SECOND_NS
 
 LOG = re.compile(
     r"\s*\((\d{1,18})\.(\d{1,9})\) +(\S+) +([0-9A-Fa-f]{1,8})#([0-9A-Fa-f]*)([#RrXx_][0-9A-Fa-f]*|)(?: +([RTrt]))?\s*$"

@@ -28,8 +28,8 @@ from analyzer.sources.lines import Lines, fitting, head_lines, is_like
 from analyzer.sources.marks import role_of_name
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import Stamp, StampClock, stamp_of
-from analyzer.sources.times import SECOND, number_ns
-from analyzer.values import counted
+from analyzer.sources.times import number_ns
+from analyzer.values import SECOND_NS, counted
 
 #: What columns are called, in small letters and without anything but letters and digits.
 _NAMES: dict[str, tuple[str, ...]] = {
@@ -50,8 +50,8 @@ _SENT = ("tx", "request", "sent", "rx", "response", "reply", "received")
 #: Columns of one byte each.
 _CELL = re.compile(r"(?:d|data|byte|b)\d")
 _UNIT = re.compile(r"(?:time|timestamp|t)?(ms|us|ns|millis|micros|seconds)$")
-_UNITS = {"ms": SECOND // 1000, "us": SECOND // 1_000_000, "ns": 1}
-_UNITS |= {"millis": _UNITS["ms"], "micros": _UNITS["us"], "seconds": SECOND}
+_UNITS = {"ms": SECOND_NS // 1000, "us": SECOND_NS // 1_000_000, "ns": 1}
+_UNITS |= {"millis": _UNITS["ms"], "micros": _UNITS["us"], "seconds": SECOND_NS}
 _TRUE = ("true", "1", "yes", "x", "扩展帧", "远程帧")
 _CLEAN = re.compile(r"[\W_]+")
 _RULE = re.compile(r"[\s|:-]+")
@@ -69,7 +69,7 @@ _HEADING_LINES = 10
 _LEAST_SHARE = 0.5
 _LONGEST_LITERAL = 1 << 14
 #: Digits of a whole number of seconds since 1970, and of smaller units.
-_EPOCH_DIGITS = {10: SECOND, 13: _UNITS["ms"], 16: _UNITS["us"], 19: _UNITS["ns"]}
+_EPOCH_DIGITS = {10: SECOND_NS, 13: _UNITS["ms"], 16: _UNITS["us"], 19: _UNITS["ns"]}
 
 Row = dict[str, Any]
 
@@ -289,7 +289,7 @@ class _Times:
         if _WHOLE.fullmatch(text):
             return number_ns(text, _EPOCH_DIGITS.get(len(text), self._unit))
         if _NUMBER.fullmatch(text):
-            return number_ns(text, _EPOCH_DIGITS.get(len(text.partition(".")[0]), SECOND))
+            return number_ns(text, _EPOCH_DIGITS.get(len(text.partition(".")[0]), SECOND_NS))
         stamp = self._stamp(text)
         if not stamp.kind:
             raise ValueError(f"expected a time, got {quote(text)!r}")

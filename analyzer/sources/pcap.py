@@ -17,8 +17,8 @@ from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
 from analyzer.sources import magic
 from analyzer.sources.links import EXPECTED, LINKS, SOCKETCAN, Line, link_name
-from analyzer.sources.source import SECOND_NS, TOGETHER, Record, Source
-from analyzer.values import counted
+from analyzer.sources.source import TOGETHER, Record, Source
+from analyzer.values import SECOND_NS, counted
 
 _HEADER_SIZE = 24
 _RECORD_SIZE = 16

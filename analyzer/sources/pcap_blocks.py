@@ -16,7 +16,7 @@ from analyzer.columns.block import STANDARD_ID, CanBlock
 from analyzer.columns.codec import Bytes, Flags, Integers
 from analyzer.link.arrays import windows
 from analyzer.sources.found import Found, without_rest
-from analyzer.sources.source import SECOND_NS
+from analyzer.values import SECOND_NS
 
 _RECORD_SIZE = 16
 _CAN_HEADER = 8

@@ -19,9 +19,9 @@ from analyzer.errors import UnreadableError
 from analyzer.records import Comment
 from analyzer.sources import magic
 from analyzer.sources.links import EXPECTED, LINKS, SOCKETCAN, Line, link_name
-from analyzer.sources.source import SECOND_NS, TOGETHER, Record, Source
+from analyzer.sources.source import TOGETHER, Record, Source
 from analyzer.sources.stream import Stream
-from analyzer.values import counted
+from analyzer.values import SECOND_NS, counted
 
 _SECTION = 0x0A0D0D0A
 _INTERFACE = 1

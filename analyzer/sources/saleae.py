@@ -24,9 +24,9 @@ from analyzer.catalogue import Role
 from analyzer.records import Chunk, Comment
 from analyzer.sources.lines import Lines, head_lines
 from analyzer.sources.marks import ReceivedMarks, role_of_name
-from analyzer.sources.source import SECOND_NS, Source, quote
+from analyzer.sources.source import Source, quote
 from analyzer.sources.times import Clock, clock_ns, day_ns, number_ns, zone_ns
-from analyzer.values import counted
+from analyzer.values import SECOND_NS, counted
 
 #: Columns by what they mean, in lower case; the first name that a header has counts.
 _COLUMNS: dict[str, tuple[str, ...]] = {

@@ -19,7 +19,8 @@ from analyzer.catalogue import Role
 from analyzer.records import Chunk
 from analyzer.sources.lines import Lines, fitting, head_lines
 from analyzer.sources.marks import ReceivedMarks, role_of_name
-from analyzer.sources.source import SECOND_NS, Source, quote
+from analyzer.sources.source import Source, quote
+from analyzer.values import SECOND_NS
 
 _LINE = re.compile(
     r"\"?(?:(\d{1,18})-(\d{1,18})\"?\s+)?\"?([A-Za-z][\w .\[\]-]{0,40}?)\"?:\s(?:\"?([A-Za-z][\w -]{0,30})\"?:\s)?(.+)$"

@@ -29,7 +29,7 @@ from analyzer.records import CanFrame, Chunk, Comment, Event, Silence
 from analyzer.sources.stream import Stream
 from analyzer.sources.tail import Follow
 from analyzer.sources.times import Clock
-from analyzer.values import counted
+from analyzer.values import SECOND_NS, counted
 
 Record = Chunk | CanFrame | Comment | Silence | Event
 
@@ -47,7 +47,6 @@ PORT_LIMIT = 64
 #: Comments before the first traffic that are held back until its time is known.
 _HEAD_LIMIT = 1000
 
-SECOND_NS = 1_000_000_000
 #: Bytes that are read together where records become blocks.
 TOGETHER = 3 << 19
 #: Records that are joined to a block at most, their bytes, and the fewest bytes for which that is worth it.

@@ -22,10 +22,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from analyzer.errors import UsageError
-from analyzer.values import quote
+from analyzer.values import SECOND_NS, quote
 
-SECOND = 1_000_000_000
-DAY = 86_400 * SECOND
+DAY = 86_400 * SECOND_NS
 _EPOCH_DAY = date(1970, 1, 1).toordinal()
 #: Times between these are of the epoch; others count from a beginning of their own.
 DATED = 365 * DAY, 7 * 10**18
@@ -37,20 +36,20 @@ _POWERS: tuple[int, ...] = tuple(10**n for n in range(10))
 ESTIMATED = "timestamps estimated"
 
 #: Nanoseconds of a unit, by how it is printed.
-UNITS = {"s": SECOND, "sec": SECOND, "ms": 1_000_000, "us": 1_000, "µs": 1_000, "μs": 1_000, "ns": 1}
+UNITS = {"s": SECOND_NS, "sec": SECOND_NS, "ms": 1_000_000, "us": 1_000, "µs": 1_000, "μs": 1_000, "ns": 1}
 
 
-def number_ns(text: str, unit: int = SECOND) -> int:
+def number_ns(text: str, unit: int = SECOND_NS) -> int:
     """Return a printed number of units (nanoseconds each) as nanoseconds; what is finer than 1 ns is cut off.
 
     Raises ValueError for any other text.
     """
     whole, _, fraction = text.partition(".")
-    if unit == SECOND and len(fraction) <= 9 and len(whole) <= _DIGITS and whole.isdecimal():
+    if unit == SECOND_NS and len(fraction) <= 9 and len(whole) <= _DIGITS and whole.isdecimal():
         if not fraction:
-            return int(whole) * SECOND
+            return int(whole) * SECOND_NS
         if fraction.isdecimal():
-            return int(whole) * SECOND + int(fraction) * _POWERS[9 - len(fraction)]
+            return int(whole) * SECOND_NS + int(fraction) * _POWERS[9 - len(fraction)]
     if len(text) > 4 * _DIGITS:
         raise ValueError(f"expected a time, got {text[:_DIGITS]}...")
     try:
@@ -73,7 +72,7 @@ def clock_ns(hour: str, minute: str, second: str, fraction: str | None) -> int:
     h, m, s = int(hour), int(minute), int(second)
     if h > 24 or m > 59 or s > 60:
         raise ValueError(f"expected a time of day, got {hour}:{minute}:{second}")
-    whole = ((h * 60 + m) * 60 + s) * SECOND
+    whole = ((h * 60 + m) * 60 + s) * SECOND_NS
     return whole + int((fraction or "")[:9].ljust(9, "0"))
 
 
@@ -82,7 +81,7 @@ def zone_ns(zone: str | None) -> int:
     if not zone or zone in "Zz":
         return 0
     digits = zone[1:].replace(":", "").ljust(4, "0")
-    offset = (int(digits[:2]) * 60 + int(digits[2:4])) * 60 * SECOND
+    offset = (int(digits[:2]) * 60 + int(digits[2:4])) * 60 * SECOND_NS
     return -offset if zone[0] == "-" else offset
 
 
@@ -121,7 +120,7 @@ def falls(values: list[int]) -> bool:
 
 # --- options ------------------------------------------------------------------------------------------------------------
 
-_OPTION_UNITS = {"ms": 1_000_000, "s": SECOND, "sec": SECOND, "min": 60 * SECOND, "h": 3600 * SECOND, "d": 86_400 * SECOND}
+_OPTION_UNITS = UNITS | {"min": 60 * SECOND_NS, "h": 3600 * SECOND_NS, "d": DAY}
 _NUMBER = r"(?P<number>\d{1,12}(?:\.\d{1,9})?)"
 _RELATIVE = re.compile(rf"(?P<sign>[+-]?){_NUMBER}(?P<unit>ms|s|sec|min|h|d)?")
 _MINUTES = re.compile(r"(?P<sign>[+-])(?:(?P<hour>\d{1,4}):)?(?P<minute>\d{1,4}):(?P<second>\d\d)(?:\.(?P<fraction>\d{1,9}))?")
@@ -166,7 +165,7 @@ class ShownTime:
         """Return what is added to a time to show it."""
         if self._utc or self._clock is not Clock.UTC or not is_dated(t_ns):
             return 0
-        return time.localtime(t_ns // SECOND).tm_gmtoff * SECOND
+        return time.localtime(t_ns // SECOND_NS).tm_gmtoff * SECOND_NS
 
     def by_clock(self, t_ns: int) -> bool:
         """Say whether a time has a date, or is at least a time of day."""
@@ -182,8 +181,8 @@ class ShownTime:
     def text(self, t_ns: int) -> str:
         """Return a time in 15 characters: of day to the microsecond, or seconds since some beginning."""
         if not self.by_clock(t_ns):
-            return f"{t_ns / SECOND:15.6f}"
-        seconds, rest = divmod(t_ns + self.zone_ns(t_ns), SECOND)
+            return f"{t_ns / SECOND_NS:15.6f}"
+        seconds, rest = divmod(t_ns + self.zone_ns(t_ns), SECOND_NS)
         minutes, second = divmod(seconds, 60)
         return f"{minutes // 60 % 24:02d}:{minutes % 60:02d}:{second:02d}.{rest // 1000:06d}"
 
@@ -193,7 +192,7 @@ class ShownTime:
         text = iso(t_ns + zone_ns).removesuffix("Z")
         if self._clock is Clock.PRINTED:
             return text
-        minutes = abs(zone_ns) // (60 * SECOND)
+        minutes = abs(zone_ns) // (60 * SECOND_NS)
         return text + (f"{'-' if zone_ns < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}" if zone_ns else "Z")
 
     def new_date(self, t_ns: int) -> str:
@@ -214,8 +213,8 @@ class ShownTime:
             return ""
         if not zone_ns:
             return "UTC"
-        hours, minutes = divmod(abs(zone_ns) // (60 * SECOND), 60)
-        return f"{time.localtime(t_ns // SECOND).tm_zone} (UTC{'-' if zone_ns < 0 else '+'}{hours:02d}:{minutes:02d})"
+        hours, minutes = divmod(abs(zone_ns) // (60 * SECOND_NS), 60)
+        return f"{time.localtime(t_ns // SECOND_NS).tm_zone} (UTC{'-' if zone_ns < 0 else '+'}{hours:02d}:{minutes:02d})"
 
 
 class Anchor(StrEnum):
@@ -267,7 +266,7 @@ def _relative(text: str) -> tuple[Anchor, int] | None:
         ns = number_ns(match["number"], _OPTION_UNITS[match["unit"] or "s"])
     elif (match := _MINUTES.fullmatch(text)) is not None:
         seconds = (int(match["hour"] or 0) * 60 + int(match["minute"])) * 60
-        ns = seconds * SECOND + clock_ns("0", "0", match["second"], match["fraction"])
+        ns = seconds * SECOND_NS + clock_ns("0", "0", match["second"], match["fraction"])
     else:
         return None
     return (Anchor.END, -ns) if match["sign"] == "-" else (Anchor.START, ns)
@@ -287,7 +286,7 @@ def _absolute(text: str) -> tuple[Anchor, int] | None:
 
 def iso(t_ns: int) -> str:
     """Return a time since the epoch as text in UTC, exact to the nanosecond."""
-    seconds, rest = divmod(t_ns, SECOND)
+    seconds, rest = divmod(t_ns, SECOND_NS)
     try:
         day = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(seconds))
     except (OverflowError, ValueError, OSError):

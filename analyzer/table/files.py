@@ -18,11 +18,12 @@ from typing import IO, Any, NamedTuple
 
 from analyzer.codec import EXACT
 from analyzer.errors import UsageError
-from analyzer.sources.times import SECOND, Clock
+from analyzer.sources.times import Clock
 from analyzer.table.arrow import write_parquet
 from analyzer.table.columns import Kind
 from analyzer.table.extras import needed
 from analyzer.table.tables import Table
+from analyzer.values import SECOND_NS
 
 _EPOCH = datetime(1970, 1, 1)
 #: What Excel holds: rows of a sheet, the header aside; columns; characters of a cell.
@@ -45,7 +46,7 @@ def _time_text(table: Table) -> Callable[[int], str]:
 
 
 def _seconds(t_ns: int) -> str:
-    return f"{'-' if t_ns < 0 else ''}{abs(t_ns) // SECOND}.{abs(t_ns) % SECOND:09d}"
+    return f"{'-' if t_ns < 0 else ''}{abs(t_ns) // SECOND_NS}.{abs(t_ns) % SECOND_NS:09d}"
 
 
 def headings(table: Table) -> list[str]:
@@ -151,7 +152,7 @@ def _write_book(book: Any, table: Table, lines: Iterable[list[Any]]) -> None:
         if dated:
             sheet.write_datetime(row, 0, _EPOCH + timedelta(microseconds=(line[0] + zone_ns(line[0])) // 1000), moment)
         else:
-            sheet.write_number(row, 0, line[0] / SECOND)
+            sheet.write_number(row, 0, line[0] / SECOND_NS)
         for place, value in enumerate(line[1:], 1):
             if value is None:
                 continue

@@ -20,10 +20,9 @@ from typing import Any
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.layout import STATE_UNITS
-from analyzer.sources.times import SECOND
 from analyzer.table.columns import HEAD, TAIL, Column, Kind, merged, state_columns, suffix, told_apart, units_of_dialects
 from analyzer.table.rows import Recorded, Row, Shape
-from analyzer.values import counted, near, quote
+from analyzer.values import SECOND_NS, counted, near, quote
 
 #: A table at a rate has at most so many rows, and so many more for each message: one whose clock jumps by years has more.
 MOST_TICKS, TICKS_PER_MESSAGE = 1_000_000, 200
@@ -99,7 +98,7 @@ class Table(ABC):
         """Yield the lines: a value for each column, None where there is none; times in nanoseconds."""
 
     def _elapsed(self, t_ns: int) -> float:
-        return (t_ns - self.recorded.begin_ns) / SECOND
+        return (t_ns - self.recorded.begin_ns) / SECOND_NS
 
 
 class Long(Table):
@@ -209,11 +208,11 @@ class Wide(Table):
         chosen.check(recorded)
         span_ns = recorded.last_ns - recorded.begin_ns
         most = MOST_TICKS + TICKS_PER_MESSAGE * recorded.count
-        if rate is not None and span_ns * rate / SECOND > most:
-            ticks = int(span_ns * rate / SECOND)
+        ticks = 0 if rate is None else int(span_ns * rate / SECOND_NS)
+        if ticks > most:
             raise UsageError(
-                f"{ticks} rows in {span_ns / SECOND:.0f} s, expected {most} at most for {counted(recorded.count, 'message')}; "
-                "choose a lower rate, or a time range (--since, --until)"
+                f"{ticks} rows in {span_ns / SECOND_NS:.0f} s, expected {most} at most for "
+                f"{counted(recorded.count, 'message')}; choose a lower rate, or a time range (--since, --until)"
             )
 
     def _fed(self, shape: Shape) -> Iterator[tuple[str, Iterable[Column]]]:
@@ -257,7 +256,7 @@ class Wide(Table):
                 line[0], line[1] = at_ns, self._elapsed(at_ns)
                 yield line.copy()
                 step += 1
-                at_ns = begin_ns + int(step * SECOND / rate)
+                at_ns = begin_ns + int(step * SECOND_NS / rate)
             self._take(line, row)
         while at_ns is not None:
             line[0], line[1] = at_ns, self._elapsed(at_ns)
@@ -266,7 +265,7 @@ class Wide(Table):
             if at_ns >= self.recorded.last_ns:
                 return
             step += 1
-            at_ns = begin_ns + int(step * SECOND / rate)
+            at_ns = begin_ns + int(step * SECOND_NS / rate)
 
     def points(self, names: Iterable[str]) -> dict[str, tuple[list[float], list[Any]]]:
         """Return by column when its values came, in seconds from the first message, and what they were."""

@@ -12,11 +12,12 @@ from typing import Any
 from analyzer.cli.filter import OWN, Filter, Meaning
 from analyzer.findings import RULES
 from analyzer.live.snapshot import FOREIGN, FrameLine
-from analyzer.view.lines import MS, SECOND, bytes_text
+from analyzer.values import SECOND_NS
+from analyzer.view.lines import MS, bytes_text
 
 #: Name in a filter -> how it is made of a line; None: the line has no such thing.
 _NAMES: dict[str, Callable[[FrameLine], Any]] = {
-    "time": lambda line: line.t_ns / SECOND,
+    "time": lambda line: line.t_ns / SECOND_NS,
     "bus": lambda line: line.bus,
     "dialect": lambda line: line.dialect if line.role != FOREIGN else "",
     "address": lambda line: line.address,

@@ -17,9 +17,9 @@ from analyzer.reference.explanation import Explainer
 from analyzer.reference.explanation_text import explanation_lines
 from analyzer.reference.hex_frame import Given
 from analyzer.sources.times import ShownTime
-from analyzer.values import counted, fields_text, printable
+from analyzer.values import SECOND_NS, counted, fields_text, printable
 from analyzer.view.findings_panel import finding_text
-from analyzer.view.lines import SECOND, SEVERITIES, bytes_text
+from analyzer.view.lines import SEVERITIES, bytes_text
 
 _BYTES_A_ROW = 16
 _ROLES = {"request": Role.REQUEST, "reply": Role.REPLY}
@@ -61,7 +61,7 @@ class Details:
         if line.topic:
             words.append(printable(line.topic))
         if line.latency_ns is not None:
-            words.append(f"latency {line.latency_ns / SECOND * 1e3:.3f} ms")
+            words.append(f"latency {line.latency_ns / SECOND_NS * 1e3:.3f} ms")
         if line.request_sequence is not None:
             words.append(f"answers {line.request_sequence}")
         return "  ".join(words)

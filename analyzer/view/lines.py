@@ -10,7 +10,7 @@ from rich.text import Text
 
 from analyzer.live.snapshot import EVENT, FOREIGN, JUNK, FrameLine
 from analyzer.sources.times import ShownTime
-from analyzer.values import fields_text, printable
+from analyzer.values import SECOND_NS, fields_text, printable
 
 #: Role -> its sign and its colour.
 ROLES = {
@@ -29,7 +29,6 @@ CLOCK, ELAPSED, STEP = "clock", "elapsed", "step"
 TIMES = (CLOCK, ELAPSED, STEP)
 #: What a row shows of the frame: its fields, its bytes, or both side by side.
 FIELDS, BYTES, BOTH = "fields", "bytes", "both"
-SECOND = 1_000_000_000
 MS = 1_000_000
 _TIME_WIDTH = 15
 _COMMAND_WIDTHS = (18, 22)
@@ -100,9 +99,9 @@ class Columns:
     def _when(self, t_ns: int, before_ns: int | None) -> str:
         """Return a time: of day, or seconds since the first frame or the line above."""
         if self.time == ELAPSED:
-            return f"{(t_ns - self.first_ns) / SECOND:.6f}"
+            return f"{(t_ns - self.first_ns) / SECOND_NS:.6f}"
         if self.time == STEP:
-            return "" if before_ns is None else f"{(t_ns - before_ns) / SECOND:+.6f}"
+            return "" if before_ns is None else f"{(t_ns - before_ns) / SECOND_NS:+.6f}"
         return self._times.text(t_ns)
 
     def heading(self, width: int) -> Text:

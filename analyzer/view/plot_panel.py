@@ -15,7 +15,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.widgets import Static
 
-from analyzer.values import printable
+from analyzer.values import SECOND_NS, printable
 from analyzer.view import tree
 from analyzer.view.rows import Rows
 from analyzer.view.scale import SCALE_WIDTH, number_text, scaled, time_axis
@@ -27,7 +27,6 @@ from analyzer.view.watch import number_of
 CHARTS = 4
 #: Stretches of time that can be chosen, in seconds; None: all of it.
 WINDOWS = (None, 600, 60, 10, 1, 0.1)
-SECOND = 1_000_000_000
 _COLOURS = ("cyan", "green", "yellow", "magenta")
 _PREFERRED = ("state.position", "state.speed")
 
@@ -158,7 +157,7 @@ class PlotPanel(Horizontal):
         window = WINDOWS[self._window]
         if window is None:
             return first, last
-        width = int(window * SECOND)
+        width = int(window * SECOND_NS)
         middle = self.moment_ns if self._centre_ns is None else self._centre_ns
         end = last if middle is None else min(max(middle + width // 2, first + width), last)
         return max(first, end - width), end
@@ -282,7 +281,7 @@ class PlotPanel(Horizontal):
     def _time_axis(self, span: tuple[int, int], width: int, done: bool) -> str:
         """Return the axis below the charts: round times, what they are, and how much time it is."""
         zone = self._source.times.zone or "s"
-        length = f"{(span[1] - span[0]) / SECOND:.4g} s"
+        length = f"{(span[1] - span[0]) / SECOND_NS:.4g} s"
         return time_axis(span, width - SCALE_WIDTH - 1, self._source.times, zone if done else "looking", length)
 
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from math import ceil, floor, log10
 
 from analyzer.sources.times import ShownTime
+from analyzer.values import SECOND_NS
 from analyzer.view.braille import chart
 
-SECOND = 1_000_000_000
 #: Columns of the scale to the left, without its line.
 SCALE_WIDTH = 8
 #: Columns that a time takes on the axis, with the room beside it.
@@ -16,7 +16,7 @@ _TIME_ROOM = 9
 #: Steps of a time axis: decimal ones below ten seconds, those of a clock from there on.
 _STEPS_NS = (
     *(factor * 10**power for power in range(3, 10) for factor in (1, 2, 5)),
-    *(n * SECOND for n in (10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 21600, 43200, 86400)),
+    *(n * SECOND_NS for n in (10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 21600, 43200, 86400)),
 )
 
 
@@ -42,7 +42,7 @@ def time_ticks(first_ns: int, last_ns: int, times: ShownTime, most: int) -> list
     """Return about `most` round times of a stretch, as they are shown: with as many digits as their step needs."""
     span = max(1, last_ns - first_ns)
     step = next((s for s in _STEPS_NS if span // s <= most), _STEPS_NS[-1] * ceil(span / most / _STEPS_NS[-1]))
-    digits = next(n for n in range(7) if step % 10 ** (9 - n) == 0) if step < SECOND else 0
+    digits = next(n for n in range(7) if step % 10 ** (9 - n) == 0) if step < SECOND_NS else 0
     zone_ns = times.zone_ns(first_ns)
     start = -(-(first_ns + zone_ns) // step) * step - zone_ns
     ticks = range(start, last_ns + 1, step)

@@ -19,12 +19,13 @@ from analyzer.view.capture import CapturePlot, WantedNumbers, _Keeper
 from analyzer.view.condition import Condition
 from analyzer.view.kept import KeptLines, WantedKept
 from analyzer.view.lines import ELAPSED, STEP, Columns
-from analyzer.view.scale import SECOND, round_ticks, time_ticks
+from analyzer.view.scale import round_ticks, time_ticks
 from analyzer.view.search import Search
 from analyzer.view.series import POINTS, Series
 from analyzer.view.store import BLOCK, FrameStore
 from tests.collect import Collect, sum8
 
+SECOND = 1_000_000_000
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
 MKS = dialects.get("mks-rs485")

@@ -27,12 +27,12 @@ from analyzer.detect import weigh
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.logic import uart
 from analyzer.logic.levels import Levels
-from analyzer.logic.search import SECOND_NS, Spoken, as_told, sample, shortest_ns, spoken
+from analyzer.logic.search import Spoken, as_told, sample, shortest_ns, spoken
 from analyzer.logic.uart import Format
 from analyzer.records import Chunk
 from analyzer.sources.marks import role_of_name
 from analyzer.sources.source import Source, quote
-from analyzer.values import counted
+from analyzer.values import SECOND_NS, counted
 
 #: Edges of two channels that are compared, the share that must agree, and how near they must be, in shortest runs.
 _COMPARED, _AGREE, _BESIDE = 3000, 0.95, 0.25

@@ -25,9 +25,9 @@ from analyzer.records import CanFrame, Chunk, Event
 from analyzer.sources.logic.heads import MAGIC, SAMPLE_LIMIT, word_size
 from analyzer.sources.logic.traffic import records
 from analyzer.sources.logic.waveform import Stretch, Waveform, changes, of_bit
-from analyzer.sources.source import SECOND_NS, Source
+from analyzer.sources.source import Source
 from analyzer.sources.stream import BLOCK
-from analyzer.values import counted
+from analyzer.values import SECOND_NS, counted
 
 _HEAD = struct.Struct("<8sii")  # identifier, version, type
 _CHUNK = (struct.Struct("<IddQ"), struct.Struct("<IdddQ"))  # state, (samples a second,) begin, end, transitions

@@ -22,7 +22,8 @@ from analyzer.sources.logic.heads import LEVELS, Heading, heading_of
 from analyzer.sources.logic.traffic import records
 from analyzer.sources.logic.waveform import CHANNEL_LIMIT, Stretch, Waveform
 from analyzer.sources.saleae import time_of
-from analyzer.sources.source import SECOND_NS, Source, quote
+from analyzer.sources.source import Source, quote
+from analyzer.values import SECOND_NS
 
 #: Rows of one stretch.
 _TOGETHER = 1 << 16

@@ -26,8 +26,8 @@ from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk, Event
 from analyzer.sources.logic.traffic import records
 from analyzer.sources.logic.waveform import CHANNEL_LIMIT, Stretch, Waveform, Words, changes, of_bit, sample_times
-from analyzer.sources.source import SECOND_NS, Source, quote
-from analyzer.values import counted
+from analyzer.sources.source import Source, quote
+from analyzer.values import SECOND_NS, counted
 
 _METADATA = "metadata"
 #: Bytes of the metadata, and of the samples that are unpacked at once.

@@ -20,8 +20,8 @@ from analyzer.records import CanFrame, Chunk, Event
 from analyzer.sources.logic.channels import Channel, choose
 from analyzer.sources.logic.waveform import Stretch, Waveform
 from analyzer.sources.marks import ReceivedMarks
-from analyzer.sources.source import SECOND_NS, Source, quote
-from analyzer.values import counted
+from analyzer.sources.source import Source, quote
+from analyzer.values import SECOND_NS, counted
 
 #: Edges that are kept until the channels are chosen, and that are read at once.
 _MOST_EDGES, _TOGETHER = 8_000_000, 250_000

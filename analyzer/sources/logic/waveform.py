@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analyzer.columns.codec import Flags, Integers
-from analyzer.sources.source import SECOND_NS
+from analyzer.values import SECOND_NS
 
 #: Channels of one capture; a capture with more is damaged or hostile.
 CHANNEL_LIMIT = 512
