@@ -31,59 +31,39 @@ __all__ = ["FORMATS", "Format", "Problem", "Record", "Source", "open_source"]
 
 
 class Format(NamedTuple):
-    """A capture format. `endings` are for help only: what a file is called decides nothing.
-
-    `levels`: what lies in it are the levels of channels, not bytes.
-    """
+    """A capture format. `levels`: what lies in it are the levels of channels, not bytes."""
 
     module: str
     title: str
-    summary: str
-    endings: tuple[str, ...]
     kind: str
     levels: bool = False
 
 
 #: Every format by name; the first of two that fit equally wins.
 FORMATS: dict[str, Format] = {
-    "mcap": Format("mcap_log", "Servotap log", "a log of this program, to be decoded again", (".mcap",), "log"),
-    "pcapng": Format("pcapng", "pcapng", "SocketCAN, USER and RTAC serial links", (".pcapng",), "serial"),
-    "pcap": Format("pcap", "pcap", "SocketCAN, USER and RTAC serial links", (".pcap",), "serial"),
-    "blf": Format("blf", "BLF", "Vector binary log, CAN", (".blf",), "can"),
-    "mf4": Format("mf4", "MF4", "ASAM measurement data, CAN bus logging (needs asammdf)", (".mf4",), "can"),
+    "mcap": Format("mcap_log", "Servotap log", "log"),
+    "pcapng": Format("pcapng", "pcapng", "serial"),
+    "pcap": Format("pcap", "pcap", "serial"),
+    "blf": Format("blf", "BLF", "can"),
+    "mf4": Format("mf4", "MF4", "can"),
     # Of all texts it is told the fastest; what is certainly this is asked no further.
-    "candump": Format("candump", "candump", "can-utils, log lines or as on the screen", (".log", ".txt"), "can"),
-    "asc": Format("asc", "ASC", "Vector text log, CAN", (".asc",), "can"),
-    "trc": Format("trc", "TRC", "PEAK text trace, CAN", (".trc",), "can"),
-    "can-state": Format("can_state", "CAN state", "what ip and the kernel say of a CAN controller", (".txt", ".log"), "can"),
-    "can-csv": Format("can_csv", "python-can CSV", "CAN frames as python-can's CSV writer puts them", (".csv",), "can"),
-    "can-text": Format(
-        "can_text", "CAN text", "frames as python-can, slcan, BUSMASTER and programs print them", (".txt",), "can"
-    ),
-    "spy": Format("spy", "pyserial spy", "log of a spy:// port of pyserial", (".log", ".txt"), "serial"),
-    "sigrok-session": Format(
-        "logic.sigrok_session",
-        "sigrok session",
-        "levels, as PulseView and sigrok-cli save them",
-        (".sr",),
-        "serial",
-        levels=True,
-    ),
-    "vcd": Format("logic.vcd", "VCD", "levels, as logic analyzers and simulators dump them", (".vcd",), "serial", levels=True),
-    "saleae-binary": Format(
-        "logic.saleae_binary", "Saleae binary", "levels of Logic 1 and Logic 2", (".bin",), "serial", levels=True
-    ),
-    "saleae-levels": Format(
-        "logic.saleae_csv", "Saleae digital CSV", "levels of Logic 1 and Logic 2", (".csv",), "serial", levels=True
-    ),
-    "saleae": Format("saleae", "Saleae CSV", "decoded bytes of Logic 1 and Logic 2", (".csv", ".txt"), "serial"),
-    "sigrok": Format("sigrok", "sigrok UART", "annotations of sigrok-cli and PulseView", (".txt", ".csv"), "serial"),
-    "columns": Format(
-        "columns", "table", "CSV with a heading (SavvyCAN, ...), JSON lines, Markdown", (".csv", ".json"), "serial"
-    ),
-    "hexdump": Format("hexdump", "hex dump", "raw bytes as hexdump -C and xxd print them", (".txt", ".hex"), "serial"),
-    "hex": Format("hextext", "hex text", "lines of hex bytes, with or without times and marks", (".log", ".txt"), "serial"),
-    "raw": Format("raw", "raw bytes", "only the bytes of a serial line", (".bin", ".raw"), "serial"),
+    "candump": Format("candump", "candump", "can"),
+    "asc": Format("asc", "ASC", "can"),
+    "trc": Format("trc", "TRC", "can"),
+    "can-state": Format("can_state", "CAN state", "can"),
+    "can-csv": Format("can_csv", "python-can CSV", "can"),
+    "can-text": Format("can_text", "CAN text", "can"),
+    "spy": Format("spy", "pyserial spy", "serial"),
+    "sigrok-session": Format("logic.sigrok_session", "sigrok session", "serial", levels=True),
+    "vcd": Format("logic.vcd", "VCD", "serial", levels=True),
+    "saleae-binary": Format("logic.saleae_binary", "Saleae binary", "serial", levels=True),
+    "saleae-levels": Format("logic.saleae_csv", "Saleae digital CSV", "serial", levels=True),
+    "saleae": Format("saleae", "Saleae CSV", "serial"),
+    "sigrok": Format("sigrok", "sigrok UART", "serial"),
+    "columns": Format("columns", "table", "serial"),
+    "hexdump": Format("hexdump", "hex dump", "serial"),
+    "hex": Format("hextext", "hex text", "serial"),
+    "raw": Format("raw", "raw bytes", "serial"),
 }
 
 #: A format must be this sure to be chosen.
