@@ -154,7 +154,6 @@ def record(
     display: Display,
     *,
     duration_ns: int = 0,
-    plain: bool = False,
     readers: ReaderMaker | None = None,
     replaces: Sequence[Path] = (),
 ) -> int:
@@ -163,9 +162,8 @@ def record(
     from analyzer.live.supervisor import Supervisor
 
     supervisor = Supervisor(
-        config, duration_ns=duration_ns, on_note=display.note, on_snapshot=display.snapshot, plain=plain, readers=readers,
-        replaces=replaces,
-    )  # fmt: skip
+        config, duration_ns=duration_ns, on_note=display.note, on_snapshot=display.snapshot, readers=readers, replaces=replaces
+    )
     with handled(_Ending(supervisor, display.say)):
         supervisor.start()
         display.begin(supervisor)

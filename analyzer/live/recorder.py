@@ -62,7 +62,7 @@ class Recorder:
     """Follows the spools of a folder into its log.
 
     `feed_fd`: where snapshots go. `final`: the spools have no writer any more. `asked`: says from time to time why to end
-    early, or an empty text; `say` takes messages for people; `check`: says what is wrong with a finished log.
+    early, or an empty text; `say` takes messages for people.
     """
 
     def __init__(
@@ -73,7 +73,6 @@ class Recorder:
         final: bool = False,
         asked: Callable[[], str] = lambda: "",
         say: Callable[[str], None] = lambda text: print(f"servotap record: {text}", file=sys.stderr, flush=True),
-        check: Callable[[Path], str] = unreadable,
     ) -> None:
         self.folder = folder
         self.config = settings.load(folder)
@@ -81,7 +80,6 @@ class Recorder:
         self._asked = asked
         self._final = final
         self._read_back = final
-        self._check = check
         #: Bytes of the spools that were no record, at the end.
         self.damaged = 0
         self._ending = ""
@@ -169,7 +167,7 @@ class Recorder:
         self._show(time.monotonic_ns(), ended=True)
         trouble = self.parts.part_trouble()
         if not trouble and (self._read_back or self.parts.touched):
-            trouble = self._check(self.parts.path)
+            trouble = unreadable(self.parts.path)
         if trouble:
             raise Damaged(f"{self.parts.path} is not as it was written: {trouble}; {self.folder} is kept")
         remove(self.folder)
