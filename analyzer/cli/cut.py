@@ -7,15 +7,13 @@ frame and no request from its reply: the range grows until all that it touches i
 from __future__ import annotations
 
 import argparse
-import sys
+from collections.abc import Sequence
 from operator import itemgetter
-from pathlib import Path
 from typing import IO, Any
 
 from mcap.records import Channel
 
-from analyzer.cli.log_copy import TAGGED, Copy, Log, Taken
-from analyzer.cli.output import free_target, whole
+from analyzer.cli.log_copy import EVERYTHING, TAGGED, Copy, Log, Taken, write_made
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import WARM_NS, add_time_range_arguments
@@ -24,7 +22,6 @@ from analyzer.events import SETUPS, TOPIC
 from analyzer.sources.mcap_scan import fields_of
 from analyzer.sources.recording_parts import METADATA
 from analyzer.sources.times import ShownTime, iso
-from analyzer.values import counted, printable
 
 EXAMPLES = """\
 examples:
@@ -34,7 +31,6 @@ examples:
 """
 #: Topics of all buses, whose messages say which bus they are of.
 _SHARED = frozenset((TOPIC, "/findings", "/comments"))
-_EVERYTHING = -1, 1 << 64
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,24 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Cut the log; return 0."""
-    log = Log(arguments.file)
-    try:
-        target = Path(arguments.output)
-        if target.exists() and any(target.samefile(file) for file in log.files):
-            raise UsageError(f"{target} is the log itself; choose another name with -o")
-        cut = _Cut(log, arguments)
-        with whole(free_target(target, arguments.force), replace=arguments.force) as stream:
-            cut.write(stream)
-        print(f"wrote {target}: {cut.said}")
-        for note in log.notes:
-            print(f"note: {printable(note)}", file=sys.stderr)
-    finally:
-        log.close()
-    return 0
+    return write_made([arguments.file], arguments, lambda logs, stream: _Cut(logs[0], arguments).write(stream))
 
 
 class _Cut:
-    """One cut. `said`: what it holds, in words, when it is written."""
+    """One cut."""
 
     def __init__(self, log: Log, arguments: argparse.Namespace) -> None:
         self._log = log
@@ -83,9 +66,9 @@ class _Cut:
             self._since_ns = self._unbroken(self._since_ns, -1)
         if until is not None:
             self._until_ns = self._unbroken(self._until_ns, 1)
-        self.said = ""
 
-    def write(self, stream: IO[bytes]) -> None:
+    def write(self, stream: IO[bytes]) -> tuple[str, Sequence[str]]:
+        """Write the cut; return what it holds, and notes for the user."""
         log = self._log
         found: dict[str, None] = {}
 
@@ -113,6 +96,7 @@ class _Cut:
             raise UsageError(f"nothing of {log.name} lies between {iso(self._since_ns)} and {iso(self._until_ns)}")
         self._describe(copy)
         copy.finish()
+        return copy.said, log.notes
 
     # --- where to cut ---------------------------------------------------------------------------------------------
 
@@ -151,7 +135,7 @@ class _Cut:
     def _before(self, wanted: Any) -> list[Taken]:
         """Return the last setup of each bus before the range, and how the log was decoded."""
         kept: dict[tuple[str, str], Taken] = {}
-        for taken in self._log.messages(*_EVERYTHING, lambda channel: channel.topic == TOPIC and wanted(channel)):
+        for taken in self._log.messages(*EVERYTHING, lambda channel: channel.topic == TOPIC and wanted(channel)):
             if taken.message.log_ns >= self._since_ns:
                 break
             said = fields_of(taken.message.data)
@@ -184,9 +168,7 @@ class _Cut:
         for name in ("part", "previous", "next", "bytes_total", "bytes_in_frames", "bytes_junk", "frames", "findings"):
             # They are of the whole.
             values.pop(name, None)
-        first_ns = copy.first_ns or 0
         values |= {"cut_of": self._log.name, "since": iso(self._since_ns), "until": iso(self._until_ns)}
         if self._buses:
             values["buses"] = ",".join(sorted(self._buses))
         copy.describe("servotap", values)
-        self.said = f"{counted(copy.messages, 'message')} from {iso(first_ns)} to {iso(copy.last_ns)}"

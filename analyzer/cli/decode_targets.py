@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from analyzer.cli.output import target_of
+from analyzer.cli.output import free_target, target_of
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.live.spool import spool_folder
 from analyzer.sources.logic.heads import saleae_channels
@@ -149,10 +149,8 @@ def _target(path: str, below: Path | None, arguments: argparse.Namespace, count:
             f"note: {printable(str(first))} is the log of another capture: {printable(path)} goes to {printable(target.name)}",
             file=sys.stderr,
         )
-    if arguments.to == "mcap" and target.exists() and not target.is_file():
-        raise UsageError(f"{target} is not a regular file: cannot write a log there")
-    if path != "-" and target.exists() and Path(path).exists() and target.samefile(path):
-        raise UsageError(f"{target} is the capture itself; choose another name with -o")
+    if arguments.to == "mcap":
+        return free_target(target, arguments.force, [path])
     if target.exists() and not arguments.force:
         raise UsageError(f"{target} exists; --force replaces it")
     return target

@@ -6,8 +6,11 @@ noted. Written is by the `mcap` library.
 
 from __future__ import annotations
 
+import argparse
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -16,15 +19,18 @@ from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 
 from analyzer import __version__
+from analyzer.cli.output import free_target, whole
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.sinks.mcap_chunk import CHUNK_SIZE
 from analyzer.sources import Source, open_source
 from analyzer.sources.mcap_records import bounds, records, records_of_part, skips_of, summary_of
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import CLOCK_METADATA
-from analyzer.sources.times import Clock
-from analyzer.values import counted
+from analyzer.sources.times import Clock, iso
+from analyzer.values import counted, printable
 
+#: A time range that holds all messages of a log.
+EVERYTHING = -1, 1 << 64
 #: What a reply says of its request.
 TAGGED = re.compile(rb'"_request_sequence":(\d{1,10})(?!\d)')
 #: Messages after which it is told how far reading has come, for a person who waits.
@@ -160,6 +166,24 @@ def _first_declared(file: Path) -> list[tuple[Schema | None, Channel]]:
     return found
 
 
+def write_made(
+    paths: Sequence[str], arguments: argparse.Namespace, write: Callable[[list[Log], IO[bytes]], tuple[str, Sequence[str]]]
+) -> int:
+    """Write what is made of some logs to the file of -o; return 0. `write` returns what it holds, and notes for the user.
+
+    Raises UsageError where that file is one of the logs.
+    """
+    with ExitStack() as stack:
+        logs = [stack.enter_context(closing(Log(path))) for path in paths]
+        target = free_target(Path(arguments.output), arguments.force, [str(file) for log in logs for file in log.files])
+        with whole(target, replace=arguments.force) as stream:
+            said, notes = write(logs, stream)
+    print(f"wrote {arguments.output}: {said}")
+    for note in notes:
+        print(f"note: {printable(note)}", file=sys.stderr)
+    return 0
+
+
 class Copy:
     """A log under construction that takes over messages of others. `stream`: where it goes; `clock`: what its times are."""
 
@@ -199,6 +223,11 @@ class Copy:
         if self.first_ns is None:
             self.first_ns = message.log_ns
         self.last_ns = max(self.last_ns, message.log_ns)
+
+    @property
+    def said(self) -> str:
+        """What it holds, in words."""
+        return f"{counted(self.messages, 'message')} from {iso(self.first_ns or 0)} to {iso(self.last_ns)}"
 
     def describe(self, name: str, values: Mapping[str, str]) -> None:
         self._writer.add_metadata(name, {key: value for key, value in values.items() if value})

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import filecmp
 import heapq
-import sys
 from collections.abc import Iterator
 from operator import itemgetter
 from pathlib import Path
@@ -18,17 +17,15 @@ from typing import IO, Any
 import msgspec
 from mcap.records import Channel
 
-from analyzer.cli.log_copy import TAGGED, Copy, Log, Taken
-from analyzer.cli.output import free_target, whole
+from analyzer.cli.log_copy import EVERYTHING, TAGGED, Copy, Log, Taken, write_made
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UsageError
 from analyzer.pipeline import topic_name
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import METADATA, look
-from analyzer.sources.times import Clock, iso
+from analyzer.sources.times import Clock
 from analyzer.system.decoding import UNDECODABLE
-from analyzer.values import counted, printable
 
 EXAMPLES = """\
 examples:
@@ -37,7 +34,6 @@ examples:
 """
 #: Topics that no bus names.
 _SHARED = frozenset(("recording", "findings", "comments", "tests"))
-_EVERYTHING = -1, 1 << 64
 _SEQUENCE_LIMIT = 1 << 32
 _decode = msgspec.json.Decoder(dict[str, Any]).decode
 
@@ -51,22 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Merge the logs; return 0."""
-    logs = [Log(path) for path in arguments.files]
-    try:
-        target = Path(arguments.output)
-        if target.exists() and any(target.samefile(file) for log in logs for file in log.files):
-            raise UsageError(f"{target} is one of the logs; choose another name with -o")
-        _refuse_twice(logs)
-        merge = _Merge(logs)
-        with whole(free_target(target, arguments.force), replace=arguments.force) as stream:
-            merge.write(stream)
-        print(f"wrote {target}: {merge.said}")
-        for note in merge.notes:
-            print(f"note: {printable(note)}", file=sys.stderr)
-    finally:
-        for log in logs:
-            log.close()
-    return 0
+    return write_made(arguments.files, arguments, lambda logs, stream: _Merge(logs).write(stream))
 
 
 def _refuse_twice(logs: list[Log]) -> None:
@@ -133,14 +114,15 @@ class _Input:
 
 
 class _Merge:
-    """Several logs that become one. `said`: the result in words; `notes`: for the user."""
+    """Several logs that become one."""
 
     def __init__(self, logs: list[Log]) -> None:
+        _refuse_twice(logs)
         self._logs = logs
-        self.said = ""
         self.notes: list[str] = []
 
-    def write(self, stream: IO[bytes]) -> None:
+    def write(self, stream: IO[bytes]) -> tuple[str, list[str]]:
+        """Write the log; return what it holds, and notes for the user."""
         size = sum(log.size for log in self._logs)
         with Interrupt() as interrupt, showing_progress("merging", 2 * size, lambda: sum(log.read for log in self._logs)):
             inputs = self._inputs(interrupt)
@@ -162,12 +144,12 @@ class _Merge:
         self.notes += [f"{log.name}: {note}" for log in self._logs for note in log.notes]
         buses = sorted({b for each in inputs for b in each.names.values()})
         renamed = f"; renamed: {', '.join(buses)}" if buses else ""
-        self.said = f"{counted(copy.messages, 'message')} from {iso(copy.first_ns or 0)} to {iso(copy.last_ns)}{renamed}"
+        return copy.said + renamed, self.notes
 
     @staticmethod
     def _rows(number: int, each: _Input) -> Iterator[tuple[int, int, Taken]]:
         last_ns = 0
-        for taken in each.log.messages(*_EVERYTHING):
+        for taken in each.log.messages(*EVERYTHING):
             # Its own order counts, also where a log has a time that goes back.
             last_ns = max(last_ns, taken.message.log_ns)
             yield last_ns, number, taken
@@ -181,7 +163,7 @@ class _Merge:
         for log in self._logs:
             buses: dict[str, None] = {}
             top = 0
-            for _, channel, message in interrupt.items(log.messages(*_EVERYTHING)):
+            for _, channel, message in interrupt.items(log.messages(*EVERYTHING)):
                 parts = channel.topic.split("/")
                 if len(parts) > 2 and parts[1] not in _SHARED:
                     buses[parts[1]] = None
