@@ -81,13 +81,18 @@ def _damaged(found: list[tuple[Trouble, bytes]], how: str, say: str, todo: str) 
 
 def _changed(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
     """Yield damaged bytes that are as many as were sent right before, and agree with them in most bits."""
-    sent = {burst.stop: burst for burst in scene.bursts if burst.direction is Role.REQUEST} if scene.directed else {}
-    for trouble in scene.damaged:
+    for trouble in scene.damaged if scene.directed else ():
         stretch = trouble.stretch
         if stretch is None or stretch.can_id is not None or stretch.direction is not Role.REPLY or trouble in scene.explained:
             continue
-        own = sent.get(stretch.offset)
-        if own is None or len(own.data) != len(stretch.data) or len(own.data) < _ONCE or _may_be_reply(scene, stretch):
+        own = scene.ending.get(stretch.offset)
+        if (
+            own is None
+            or own.direction is not Role.REQUEST
+            or len(own.data) != len(stretch.data)
+            or len(own.data) < _ONCE
+            or _may_be_reply(scene, stretch)
+        ):
             continue
         got, was = int.from_bytes(stretch.data), int.from_bytes(own.data)
         added, lost, ones = (got & ~was).bit_count(), (was & ~got).bit_count(), was.bit_count()

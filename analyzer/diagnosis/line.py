@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+from analyzer import dialects as registry
 from analyzer.catalogue import Role
 from analyzer.diagnosis.bits import Line, unread
 from analyzer.diagnosis.exchanges import Awaited, replies_to
@@ -22,6 +23,7 @@ from analyzer.diagnosis.rendered import RATES, at_other_speeds, inverted, of_rep
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.diagnosis.seven_bits import all_of_seven, of_seven
 from analyzer.diagnosis.ways import ALMOST_ALL, LEAST, LINES, MOST_READ, MOST_STRETCHES, Fit, Garbled, Way
+from analyzer.link import FUNCTIONS
 from analyzer.values import counted
 
 #: Stretches of which one must fit.
@@ -36,6 +38,8 @@ _STARTS_AFTER, _AT_ONCE = 10, 20
 _ENOUGH = 0.4
 #: Different bytes of which all have one parity by no chance.
 _ONE_PARITY = 14
+#: The link of units whose reply begins as its request does, and a length that a short reply has.
+_MODBUS, _SHORT = registry.get("mks-modbus").link, 8
 
 
 class _Words(NamedTuple):
@@ -81,12 +85,21 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             # A frame of a dialect that the rest of the capture is not in came through the line as it is.
             continue
         asked = scene.asked_before(stretch.offset) if stretch.direction is not Role.REQUEST else None
-        sides[stretch.direction].append(Garbled(trouble, stretch.data[:MOST_READ], replies_to(asked)))
+        replies = replies_to(asked) or _begun(scene, stretch)
+        sides[stretch.direction].append(Garbled(trouble, stretch.data[:MOST_READ], replies))
     for side, came in sides.items():
         garbled = came if all_of_seven(came) else [each for each in came if each.trouble in scene.spoiled]
         # A line that is set up wrongly lets nothing through: of each sender if the capture does not tell them apart.
         if garbled and _sound(scene, side) <= len(garbled):
             yield from _side(scene, side, garbled)
+
+
+def _begun(scene: Scene, stretch: Stretch) -> list[Awaited]:
+    """Return how a reply begins to what was sent right before, whose check does not fit: with its address and function."""
+    sent = scene.ending.get(stretch.offset)
+    if sent is None or sent.direction is not Role.REQUEST or stretch.direction is not Role.REPLY:
+        return []
+    return [Awaited(sent.data[:2], _SHORT, _MODBUS)] if sent.data[1:2] and sent.data[1] in FUNCTIONS else []
 
 
 def _of_one_parity(scene: Scene) -> Iterator[Suspicion]:

@@ -25,8 +25,8 @@ _SHORT_NS = 20_000_000
 _LONG_NS = 1_000_000_000
 #: Bytes of a read that can be a frame.
 _SHORTEST = 3
-#: Parts in which one frame is written.
-_PARTS = 3
+#: Parts in which one frame is written; those too short for a frame can be as many as it has bytes.
+_PARTS, _BYTES = 3, 64
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -205,12 +205,12 @@ def _split(scene: Scene) -> Iterator[Suspicion]:
     """Suspect requests that are written in parts: none is a frame, and together they are."""
     found: list[tuple[list[Turn], bytes]] = []
     for chain in chains(scene):
-        requests = [exchange.request for exchange in chain]
         at = 0
-        while at < len(requests):
-            parts = _parts(scene, requests[at : at + _PARTS])
-            if parts:
-                found.append((requests[at : at + parts], b"".join(r.data for r in requests[at : at + parts])))
+        while at < len(chain):
+            parts = _parts(scene, chain[at : at + _BYTES])
+            requests = [exchange.request for exchange in chain[at : at + parts]]
+            if requests:
+                found.append((requests, b"".join(request.data for request in requests)))
             at += parts or 1
     if not found:
         return
@@ -327,16 +327,23 @@ ASKS_OF_PARTS = re.compile(
 )
 
 
-def _parts(scene: Scene, turns: list[Turn]) -> int:
-    """Return of how many turns, none of them a frame, one frame consists; 0 where they are none."""
+def _parts(scene: Scene, chain: Sequence[Exchange]) -> int:
+    """Return of how many sendings, none of them a frame, one frame consists; 0 where they are none."""
     data = b""
-    for number, turn in enumerate(turns, 1):
-        if turn.piece is not None and turn.piece.sound:
+    long = 0
+    bytewise = False
+    for number, exchange in enumerate(chain, 1):
+        part = exchange.request
+        long += len(part.data) >= _SHORTEST
+        bytewise |= len(part.data) == 1
+        if long > _PARTS or (part.piece is not None and part.piece.sound):
             return 0
-        data += turn.data
+        data += part.data
         reading = scene.reader.best(data) if number > 1 else None
         if reading is not None and reading.message.role is not Role.REPLY:
-            return number
+            # A drive answers a host that writes byte by byte and a receiver that shows each byte alone.
+            answered = bytewise and any(a.stands(exchange.data, 0) for a in awaited(reading.message))
+            return 0 if answered else number
     return 0
 
 

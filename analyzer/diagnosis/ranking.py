@@ -13,8 +13,9 @@ MOST = 3
 _WEIGHT = {Confidence.CERTAIN: 1.0, Confidence.LIKELY: 0.7, Confidence.POSSIBLE: 0.4}
 #: What follows from any cause stands behind them.
 _SYMPTOMS = frozenset(("no_reply",))
-#: What spoils frames on their way stands before what is in them, where both weigh alike.
-_EDGES = frozenset(("lost_start", "leading_glitch", "trailing_glitch"))
+#: Where two weigh alike, what spoils all bytes on their way comes first, then what spoils the edges of frames, and then what
+#: is in them.
+_SPOILS = {"inverted_lines": 2, "lost_start": 1, "leading_glitch": 1, "trailing_glitch": 1}
 #: A cause that explains less than this of what no likelier one does is not told.
 _LEAST_NEW = 0.05
 
@@ -42,7 +43,7 @@ def ranked(suspicions: Iterable[Suspicion], troubles: Sequence[Trouble]) -> list
             r.suspicion.by_words,
             -_WEIGHT[r.suspicion.confidence] * r.share,
             -_WEIGHT[r.suspicion.confidence],
-            r.suspicion.cause not in _EDGES,
+            -_SPOILS.get(r.suspicion.cause, 0),
         ),
     )
     told: list[Ranked] = []

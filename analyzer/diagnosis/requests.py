@@ -68,7 +68,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     examples = scene.noted and not scene.timed and sum(piece.sound for piece in scene.pieces) > _FEW // 2
     for (cause, _), rows in found.items():
         first = rows[0]
-        if examples and len(rows) == 1 and first.refusal in (None, first.piece):
+        example = examples and len(rows) == 1 and first.refusal in (None, first.piece)
+        # Among others that are right, one is miswritten.
+        if example and (cause != "wrong_length" or not _among_its_own(scene, first.piece)):
             continue
         # One refusal in long traffic is an answer like any other.
         if first.why.by_exception and len(rows) == 1 and asked > _FEW:
@@ -78,7 +80,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         met = "" if first.refusal is first.piece else met
         right = first.why.right
         yield Suspicion(
-            cause, Confidence.CERTAIN if len(rows) > 1 else Confidence.LIKELY, [t for w in rows for t in w.troubles],
+            cause, Confidence.POSSIBLE if example else Confidence.CERTAIN if len(rows) > 1 else Confidence.LIKELY,
+            [t for w in rows for t in w.troubles],
             first.why.say,
             f"{shown(first.piece.data, can_id)} at byte {first.piece.offset}{met}; {counted(len(rows), 'time')}",
             first.why.next or (f"Send {shown(right, can_id)}" if right else _LOOK_UP),
@@ -87,6 +90,12 @@ def look(scene: Scene) -> Iterator[Suspicion]:
                 for w in rows
             ),
         )  # fmt: skip
+
+
+def _among_its_own(scene: Scene, piece: Piece) -> bool:
+    """Say whether a frame stands among several of its dialect that are right."""
+    dialect = piece.message.frame.dialect if piece.message is not None else None
+    return sum(p.sound and p.message is not None and p.message.frame.dialect is dialect for p in scene.pieces) >= _FEW
 
 
 class _Why(NamedTuple):

@@ -257,6 +257,11 @@ class Scene:
         """All bytes, damaged or not, between the limits of what was sent at once."""
         return tuple(self._runs(lambda piece: False))
 
+    @cached_property
+    def ending(self) -> dict[int, Stretch]:
+        """What was sent at once, by where it ends."""
+        return {burst.stop: burst for burst in self.bursts}
+
     def _stretches(self) -> Iterator[Stretch]:
         yield from self._runs(lambda piece: piece.sound)
 

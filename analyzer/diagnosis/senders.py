@@ -54,8 +54,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     found = list(_two_masters(scene, spoiled))
     spoiled = [each for each in spoiled if each.trouble not in scene.explained]
     if not found and spoiled:
-        found = [*_two_drives(scene, spoiled), *_too_early(scene, spoiled), *_late_driver(scene, spoiled)]
-    yield from found or (*_report_meets_reply(scene, spoiled), *_noise(scene, spoiled))
+        found = list(_report_meets(scene, spoiled))
+        found = found or [*_two_drives(scene, spoiled), *_too_early(scene, spoiled), *_late_driver(scene, spoiled)]
+    yield from found or _noise(scene, spoiled)
 
 
 def _asked(scene: Scene, stretch: Stretch) -> Piece | None:
@@ -255,24 +256,26 @@ def _late_driver(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
     )  # fmt: skip
 
 
-def _report_meets_reply(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
-    """Suspect the report of a motion's end, which a drive sends by itself: it never comes, and each time a reply is damaged."""
+def _report_meets(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect the report of a motion's end, which a drive sends by itself: it never comes, and each time a reply is damaged.
+
+    The reply is that of another drive; or the report meets the request itself, and there is no reply.
+    """
     begun = [piece for piece in scene.requests if _lacks_end(scene, piece)]
     starts = [piece.offset for piece in begun]
     met = {starts[at - 1] for each in spoiled if (at := bisect_right(starts, each.stretch.offset))}
     # The last motion may have gone on behind the end of the capture.
     if len(spoiled) < _REPLIES or len(met) != len(spoiled) or len(met) < len(begun) - 1:
         return
-    drives = {p.message.address for p in begun if p.message is not None}
-    if any(e.asked is None or e.asked.message is None or e.asked.message.address in drives for e in spoiled):
+    if any(each.asked is None or each.asked in begun for each in spoiled):
         return
     troubles, frames = _of(spoiled)
     yield Suspicion(
         "collision", Confidence.LIKELY if len(spoiled) >= _NOISE else Confidence.POSSIBLE, troubles,
-        "Two drives send at once: one reports the end of its motion while another replies.",
+        "Two send at once: a drive reports the end of its motion while the host asks or another drive replies.",
         f"{frames[0].data} at byte {frames[0].offset} is damaged; {counted(len(begun), 'motion')} without a reported end, "
-        "and behind each one reply of another drive is damaged",
-        "Ask no other drive while a motion runs, or switch the reports off (active = 0 in 8C) and read the status",
+        "and behind each one reply is damaged",
+        "Ask no drive while a motion runs, or switch the reports off (active = 0 in 8C) and read the status",
         frames,
     )  # fmt: skip
 

@@ -1,13 +1,13 @@
-"""No drive answers, or it refuses: which address is asked, in which dialect, and what was set before."""
+"""No drive answers: which address is asked, in which dialect, and what was set before."""
 
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from analyzer.catalogue import Command, Dialect, Role, Verb
+from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.addresses import addressed
 from analyzer.diagnosis.exchanges import reported
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown, whole
@@ -44,7 +44,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         yield from _unanswered_by_all(scene, asked, answering)
     if not answering:
         yield from _searched(scene, every)
-    for part in (_reported, addressed, _respond, _switched_off, _refused):
+    for part in (_of_others, _reported, addressed, _respond, _switched_off):
         yield from part(scene)
 
 
@@ -152,6 +152,24 @@ def _searched(scene: Scene, every: list[_Asked]) -> Iterator[Suspicion]:
         + (" and more" if len(every) > _SHOWN else ""),
         _order(dialect, ours=any(t.piece is not None and _is_listed(t.piece) for t in troubles)),
         tuple(Shown(t.offset, whole(t.piece)) for t in troubles),
+    )  # fmt: skip
+
+
+def _of_others(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect what keeps a device of another protocol silent: one frame is sent again and again, and words miss its reply."""
+    if not scene.words or not _missed(scene) or any(read.direction is Role.REPLY for read in scene.reads):
+        return
+    sent = [t for t in scene.damaged if t.stretch is not None and t.stretch.direction is Role.REQUEST]
+    data, count = Counter(t.stretch.data for t in sent if t.stretch is not None).most_common(1)[0] if sent else (b"", 0)
+    if count < _SEARCHED or len(sent) < len(scene.troubles):
+        return
+    first = next(t for t in sent if t.stretch is not None and t.stretch.data == data)
+    yield Suspicion(
+        "no_reply", Confidence.POSSIBLE, sent,
+        "One frame, of a protocol that is not known here, is sent again and again, and nothing comes back.",
+        f"{shown(data)} at byte {first.offset}; {counted(count, 'time')}",
+        _order(scene.dialects[0], ours=False),
+        tuple(Shown(t.offset, shown(t.stretch.data)) for t in sent if t.stretch is not None),
     )  # fmt: skip
 
 
@@ -311,6 +329,9 @@ def _reported(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _respond(scene: Scene) -> Iterator[Suspicion]:
+    # A document shows requests without their replies.
+    if scene.noted and not scene.timed:
+        return
     answering = {p.message.address for p in scene.pieces if p.is_reply and p.message is not None}
     troubles = [t for t in scene.of("silent_address") if t.piece is not None] or list(_silenced(scene))
     for trouble in troubles:
@@ -386,53 +407,3 @@ def _silenced(scene: Scene) -> Iterator[Trouble]:
         elif drive in off and message.command.silenced and piece.sequence not in answered:
             yield Trouble("silent_address", piece.offset, None, piece)
             return
-
-
-def _refused(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect the work mode where every motion command of a drive is refused."""
-    refused: dict[tuple[str, int], list[Trouble]] = defaultdict(list)
-    done: set[tuple[str, int]] = set()
-    asked = {p.sequence: p for p in scene.pieces if p.is_request}
-    failed = {t.piece.sequence: t for t in scene.of("failed_status", "refused_write") if t.piece is not None}
-    for piece in scene.pieces:
-        if not piece.is_reply or piece.message is None or piece.message.command is None:
-            continue
-        message = piece.message
-        request = asked.get(piece.asked_by or 0)
-        command = request.message.command if request is not None and request.message is not None else message.command
-        if command is None or not _needs_mode(command):
-            continue
-        drive = (message.frame.dialect.name, message.address)
-        if piece.sequence in failed:
-            refused[drive].append(failed[piece.sequence])
-        else:
-            done.add(drive)
-    for drive, troubles in refused.items():
-        if drive in done or (len(troubles) == 1 and len(scene.pieces) > 4):
-            continue
-        first = troubles[0].piece
-        assert first is not None
-        assert first.message is not None
-        assert first.message.command is not None  # a reply of a known command
-        dialect, address = first.message.frame.dialect, first.message.address
-        changed = dialect.effect(Effect.WORK_MODE)
-        if changed is None:
-            continue
-        setter, field = changed
-        mode = next((m for m in reversed(first.message.command.modes) if m in field.choice_names.values()), "")
-        value = next((v for v, name in field.choice_names.items() if name == mode), None)
-        if value is None:
-            continue
-        frame = shown(build(dialect, setter, address, {field.name: value}), dialect.link.identifier(setter, address))
-        yield Suspicion(
-            "refused_mode", Confidence.LIKELY, troubles,
-            f"Address {first.message.who} refuses motion while it answers: it is in a mode that takes pulses, not the bus.",
-            f"{whole(first)} at byte {first.offset} reports a refusal; {counted(len(troubles), 'time')}, and none succeeds",
-            f"Change the work mode to {mode}: send {frame}; then enable the motor and move. If it is in that mode, ask for a "
-            f"stall: `{Verb.READ_PROTECTION}`",
-            tuple(Shown(t.offset, whole(t.piece)) for t in troubles if t.piece is not None),
-        )  # fmt: skip
-
-
-def _needs_mode(command: Command) -> bool:
-    return bool(command.modes) and (command.moves or command.verb is Verb.ENABLE)

@@ -214,7 +214,7 @@ def _with_start(scene: Scene, stretch: Stretch, heads: Iterable[bytes]) -> tuple
 
 def _leaves_out(scene: Scene, stretch: Stretch, head: bytes) -> bool:
     """Say whether a log leaves the beginnings of frames out: what stands before lacks the same, and its check, too."""
-    before = next((b for b in scene.bursts if b.stop == stretch.offset), None)
+    before = scene.ending.get(stretch.offset)
     if before is None or before.can_id is not None or before.checked:
         return False
     readings = (scene.reader.best(d.link.completed(head + before.data)) for d in scene.reader.dialects)

@@ -294,3 +294,10 @@ def test_bytes_of_one_parity_by_chance_are_no_format():
 def test_a_part_of_a_frame_is_no_noise():
     frame = METER[5][1]
     assert "noise" not in [each.cause for each in told(*METER, ("<", frame[: len(frame) - 3]))]
+
+
+def test_a_reply_that_begins_as_its_request_does_on_an_inverted_line():
+    """The request itself has a byte too many. The end of the long reply is lost."""
+    came = received(on_the_line(modbus("04 03 20 " + "01 F4 00 07 " * 8)), inverted=True)
+    assert told((">", modbus("04 03 00 10 00 10") + b"\0"), ("<", came[:20]))[0].cause == "inverted_lines"
+    assert "inverted_lines" not in [each.cause for each in told((">", modbus("04 03 00 10 00 10")), ("<", came[5:20]))]

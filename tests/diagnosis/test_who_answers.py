@@ -105,6 +105,58 @@ def test_a_report_that_meets_a_reply(causes_of):
     assert "collision" not in causes_of(reports(set()))
 
 
+@pytest.mark.parametrize(("lost", "cause"), [(True, ["collision"]), (False, [])])
+def test_a_report_that_meets_the_request(lost, cause, causes_of):
+    """The drive ends its motion while it is asked: it hears nothing, and the host reads both at once."""
+    log = ""
+    for n in range(4):
+        rows = [("TX", native(f"FA 07 FD 00 80 02 00 00 50 {n:02X}")), ("RX", native("FB 07 FD 01"))]
+        rows += [("TX", native("FA 07 32")), ("RX", f"7B 06 {0x30 + n:02X} 82")] if lost else [("RX", native("FB 07 FD 02"))]
+        rows += [("TX", native("FA 07 32")), ("RX", native(f"FB 07 32 00 {n:02X}"))]
+        log += "".join(f"{n + at / 10:.2f} {mark} {data}\n" for at, (mark, data) in enumerate(rows))
+    assert causes_of(log) == cause
+
+
+def bytewise(frame, ms, answer):
+    """Return a log of three requests, of which each byte is written alone."""
+    log = ""
+    for n in range(3):
+        log += "".join(f"{n + at * ms / 1000:.4f} TX {pair}\n" for at, pair in enumerate(frame.split()))
+        log += f"{n + 0.6:.4f} {answer}\n"
+    return log
+
+
+@pytest.mark.parametrize("frame", [checked("04 06 00 F3 00 01"), native("FA 03 F3 00"), "3E A1 02 02 E3 64 00 64"])
+def test_a_request_that_is_written_byte_by_byte(frame, causes_of):
+    assert causes_of(bytewise(frame, 15, "timeout"))[0] == "split_frame"
+
+
+def test_bytes_that_are_shown_one_by_one_and_answered(causes_of):
+    frame, reply = native("FA 03 F3 00"), native("FB 03 F3 01")
+    assert causes_of(bytewise(frame, 15, f"RX {reply}")) == []
+
+
+def test_one_frame_of_another_protocol_that_is_sent_in_vain(causes_of):
+    sent = "".join(f"[10:00:0{n}][D][uart_debug:114]: >>> A5:C9:02:00:00:3C:11\n[10:00:0{n}] {{}}\n" for n in range(4))
+    assert causes_of(sent.format(*["No Response"] * 4)) == ["no_reply"]
+    assert causes_of(sent.format(*["ok"] * 4)) == []
+
+
+def test_one_frame_too_long_among_those_of_a_document(causes_of):
+    document = "".join(
+        f"| `{frame}` | an example |\n"
+        for frame in (
+            native("FA 02 30"),
+            native("FB 02 30 00 00 00 01 20 40"),
+            native("FA 02 F6 00 50 05"),
+            native("FA 02 F3 01"),
+        )
+    )
+    longer, right = native("FA 02 FD 00 50 05 00 00 00 10 00"), native("FA 02 FD 00 50 05 00 00 10 00")
+    assert causes_of(f"Frames of the manual.\n{document}| `{longer}` | a move |\n") == ["wrong_length"]
+    assert causes_of(f"Frames of the manual.\n{document}| `{right}` | a move |\n") == []
+
+
 def test_one_wrong_count_among_damaged_replies_is_damage(causes_of):
     """Two units of one address spoil all that they send; one of the replies looks as if it had a count."""
     asked, good = checked("05 04 00 20 00 02"), checked("05 04 04 00 00 10 00")
