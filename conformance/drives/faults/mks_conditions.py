@@ -1114,6 +1114,26 @@ DOING: Rows = {
             _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.RUN_SPEED, (5,)),
         ),
         Row(
+            "package-last-slot-pulses-byte",
+            "FD in the last slot of a package has the low byte of its pulses",
+            _in_packages(lambda values: values | {"pulses": values["pulses"] & 0xFF}, Verb.MOVE_RELATIVE_PULSES, (5,)),
+        ),
+        Row(
+            "package-second-slot-half-way",
+            "F5 in the second slot of a package goes to half of its place",
+            _in_packages(lambda values: values | {"position": values["position"] // 2}, Verb.MOVE_ABSOLUTE_AXIS, (2,)),
+        ),
+        Row(
+            "package-last-slot-subdivision",
+            "84 in the last slot of a package sets half of what it says",
+            _in_packages(lambda values: values | {"subdivision": values["subdivision"] // 2}, Verb.SET_SUBDIVISION, (5,)),
+        ),
+        Row(
+            "package-fourth-slot-enables",
+            "F3 in the fourth slot of a package always enables",
+            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE, (4,)),
+        ),
+        Row(
             "package-fourth-slot-unsigned",
             "F4 in the fourth slot of a package has no sign",
             _in_packages(lambda values: values | {"position": abs(values["position"])}, Verb.MOVE_RELATIVE_AXIS, (4,)),

@@ -13,6 +13,10 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "package-last-slot-pulses-byte": "addressing/package/move_relative_pulses/every-slot",
+    "package-second-slot-half-way": "addressing/package/move_absolute_axis/every-slot",
+    "package-last-slot-subdivision": "addressing/package/settings/every-slot",
+    "package-fourth-slot-enables": "addressing/package/settings/every-slot",
     "protection-of-all-unheard": "read-back/set_protection/restart-broadcast-protection",
     "home-zero-at-wall": "motion/home/zero",
     "wide-address-lost": "read-back/set_address/restart",
