@@ -185,20 +185,33 @@ def _answers_group(drive: Drive, message: Message, wanted: bool) -> bool:
     return wanted or (motion and message.address == drive.settings.get("group_address"))
 
 
-def _group_without_ramp(drive: MksCore) -> None:
-    """Turn as fast as is asked at once where that was sent to the group."""
-    to_group = False
+def _asked_to(to: Callable[[Drive, Message], bool], of: Of, change: Callable[[Values], Values]) -> Change:
+    """Change some requests that were sent so, and no others."""
+    verbs = {of} if isinstance(of, Verb) else of
 
-    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-        nonlocal to_group
-        to_group = message.address == drive.settings.get("group_address") != drive.address
-        return wanted
+    def install(drive: MksCore) -> None:
+        so = False
 
-    def ask(_: Drive, command: Command, values: Values) -> Values:
-        return {**values, "acceleration": 0} if to_group and "acceleration" in values else values
+        def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+            nonlocal so
+            so = to(drive, message)
+            return wanted
 
-    drive.hooks.accept.append(accept)
-    drive.hooks.request.append(ask)
+        def ask(_: Drive, command: Command, values: Values) -> Values:
+            return change(values) if so and command.verb in verbs else values
+
+        drive.hooks.accept.append(accept)
+        drive.hooks.request.append(ask)
+
+    return tuned(install)
+
+
+def _is_for_all(drive: Drive, message: Message) -> bool:
+    return message.address == drive.dialect.broadcast
+
+
+def _is_for_group(drive: Drive, message: Message) -> bool:
+    return bool(message.address) and message.address == drive.settings.get("group_address") != drive.address
 
 
 def _obey_without_check(drive: MksCore) -> None:
@@ -266,8 +279,8 @@ def _lost_if_sent(to: Callable[[Drive, Message], bool]) -> Change:
     return tuned(change)
 
 
-def _is_for_group(drive: Drive, message: Message) -> bool:
-    return bool(message.address) and message.address == drive.settings.get("group_address") != drive.address
+def _to_group(of: Of, change: Callable[[Values], Values]) -> Change:
+    return Change(_asked_to(_is_for_group, of, change).install, having(Verb.SET_GROUP_ADDRESS))
 
 
 def _heard_by_group(bit: int) -> Change:
@@ -318,6 +331,16 @@ HEARING: Rows = {
         Row("crc-first-byte", "only the first byte of the CRC counts", _take(lambda got, right: got[0] == right[0]), MODBUS),
         Row("crc-swapped", "a CRC with its bytes swapped passes too", _take(lambda got, right: got == right[::-1]), MODBUS),
         Row("home-unchecked", "91 is executed with any checksum", _unchecked(Verb.HOME)),
+        Row(
+            "broadcast-counts-halved",
+            "F4 to all drives goes half as far",
+            _asked_to(_is_for_all, Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"position": values["position"] // 2}),
+        ),
+        Row(
+            "broadcast-move-at-once",
+            "FE to all drives has no ramp",
+            _asked_to(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, lambda values: values | {"acceleration": 0}),
+        ),
         Row("broadcast-unchecked", "motion to all drives is executed with any checksum", _unchecked(MOTIONS, True)),
         Row("stop-unchecked", "F7 is executed with any checksum", _unchecked(Verb.EMERGENCY_STOP)),
     ),
@@ -327,7 +350,12 @@ HEARING: Rows = {
         Row(
             "group-without-ramp",
             "motion to the group has no ramp",
-            Change(tuned(_group_without_ramp).install, having(Verb.SET_GROUP_ADDRESS)),
+            _to_group(MOTIONS, lambda values: values | {"acceleration": 0}),
+        ),
+        Row(
+            "group-pulses-byte",
+            "FD to the group has the low byte of its pulses",
+            _to_group(Verb.MOVE_RELATIVE_PULSES, lambda values: values | {"pulses": values["pulses"] & 0xFF}),
         ),
         Row("hears-bad-group-bit-7", "a group address whose highest bit in a byte differs is obeyed", _heard_by_group(7)),
         Row("hears-bad-group-bit-4", "a group address that differs by 10h is obeyed", _heard_by_group(4)),
@@ -1042,11 +1070,7 @@ DOING: Rows = {
             CAN,
         ),
         Row("user-id-unset-lost", "a restart takes the number FFFFFFFFh for none", _after_restart(_number_unset), CAN),
-        Row(
-            "broadcast-settings-lost",
-            "a restart loses what all drives were set to",
-            _lost_if_sent(lambda drive, message: message.address == drive.dialect.broadcast),
-        ),
+        Row("broadcast-settings-lost", "a restart loses what all drives were set to", _lost_if_sent(_is_for_all)),
         Row(
             "group-settings-lost",
             "a restart loses what the group was set to",

@@ -13,6 +13,9 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "broadcast-counts-halved": "addressing/broadcast/move_relative_axis/stop_relative_axis",
+    "broadcast-move-at-once": "addressing/broadcast/move_absolute_pulses/emergency_stop",
+    "group-pulses-byte": "addressing/group/move_relative_pulses/stop_relative_pulses",
     "package-last-slot-pulses-byte": "addressing/package/move_relative_pulses/every-slot",
     "package-second-slot-half-way": "addressing/package/move_absolute_axis/every-slot",
     "package-last-slot-subdivision": "addressing/package/settings/every-slot",
