@@ -354,7 +354,7 @@ def _expect_stays(probe: Probe, run: Command, addresses: list[int]) -> None:
 
 
 def _ramped(dialect: Dialect) -> Iterator[Case]:
-    """Yield each way to several drives with a run whose ramp is known; in a package, which no other claim tries, all moves too."""
+    """Yield each way to several drives with a run whose ramp is known; with a package, as no other claim does, each move."""
     every = dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ()
     for many in _ways(dialect) if every else ():
         chosen = every if many is _PACKAGES else every[:1]

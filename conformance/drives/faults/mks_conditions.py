@@ -15,7 +15,7 @@ from analyzer.link import WRITE_ONE
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
-from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned, when_home
+from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned, when_home, wrapped
 from conformance.drives.faults.mks_frames import own
 from conformance.drives.faults.places import (
     CAN,
@@ -703,6 +703,56 @@ def _enabled_back(drive: MksCore, request: Request) -> None:
         drive.grip()
 
 
+def _enabled(drive: MksCore, request: Request) -> None:
+    drive.memory.enabled = True
+    drive.grip()
+
+
+def _taking_up(behaviour: Behaviour) -> Behaviour:
+    """Begin the move again that was under way when the motor was switched off."""
+    ended: list[Request] = []
+
+    def act(drive: MksCore, request: Request) -> Values | None:
+        if not request.values["enabled"]:
+            ended[:] = [drive.task.request] if drive.task is not None and drive.task.request is not None else []
+            return behaviour(drive, request)
+        result = behaviour(drive, request)
+        if ended and ended[0].command.verb in _MOVES:
+            drive.behaviours[ended[0].command.verb](drive, ended.pop())
+        return result
+
+    return act
+
+
+def _axis_turned(drive: MksCore) -> None:
+    """Let the setting of the direction turn moves by counts."""
+    turned = drive.settings["motor_direction"]
+
+    def ask(_: Drive, command: Command, values: Values) -> Values:
+        return values | {"position": -values["position"]} if turned and command.verb is Verb.MOVE_RELATIVE_AXIS else values
+
+    drive.hooks.request.append(ask)
+
+
+def _open_enables(drive: MksCore) -> None:
+    change = drive.behaviours[Verb.SET_WORK_MODE]
+
+    def act(core: MksCore, request: Request) -> Values | None:
+        result = change(core, request)
+        if "open" in core.mode:
+            _enabled(core, request)
+        return result
+
+    drive.behaviours[Verb.SET_WORK_MODE] = act
+
+
+def _halted_back(drive: MksCore, request: Request) -> None:
+    """Halt a shaft at once that a move to a place behind it is to turn round."""
+    ahead = (request.values["position"] - drive.pulses) * drive.pulse_counts
+    if _turns(drive) and ahead * _rpm(drive) < 0:
+        drive.motor.halt(drive.now_ns)
+
+
 def _deaf_to_group(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     """Hear no move by the group while the shaft turns."""
     moves = any(_is(message, verb) for verb in _MOVES)
@@ -955,7 +1005,16 @@ _RESTORED = (
 )
 
 DOING: Rows = {
-    "disabled": (Row("disabled-moves-backwards", "motion backwards is obeyed while disabled", before(MOTIONS, _enabled_back)),),
+    "disabled": (
+        Row("disabled-moves-backwards", "motion backwards is obeyed while disabled", before(MOTIONS, _enabled_back)),
+        Row("zero-enables", "92 enables a motor that is off", before(Verb.SET_ZERO, _enabled)),
+        Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", wrapped(Verb.ENABLE, _taking_up)),
+    ),
+    "turned": (
+        Row("direction-after-restart", "86 turns F4 round from a restart on", _after_restart(_axis_turned), SERIAL),
+        Row("lock-in-open", "82 to the open mode enables the motor, whatever 8F says", tuned(_open_enables), CAN),
+        Row("back-at-once", "FE back during FE halts the shaft first", before(Verb.MOVE_ABSOLUTE_PULSES, _halted_back)),
+    ),
     "restored": tuple(
         Row(f"{name}-kept", f"a restore leaves {name}", clinging(*names), SERIAL)
         for name, names in (*_STORED[:4], _STORED[5], *_RESTORED)

@@ -13,6 +13,15 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "zero-enables": "motion/enable/stays-off",
+    "enabling-takes-up": "motion/move_relative_axis/behind-ended",
+    "direction-after-restart": "read-back/restart/motion-as-before",
+    "lock-in-open": "motion/set_axis_lock/at-power-on-0",
+    "back-at-once": "motion/move_absolute_pulses/again-and-again",
+    "emergency-completes-open": "motion/emergency_stop/ends-move_relative_pulses",
+    "lk-on-ends-run": "motion/motor_on/on-goes-on",
+    "lk-increment-turns-on": "motion/motor_off/stays-off",
+    "save-speed-without-direction": "motion/save_speed/runs-direction-1-turned",
     "broadcast-counts-halved": "addressing/broadcast/move_relative_axis/stop_relative_axis",
     "broadcast-move-at-once": "addressing/broadcast/move_absolute_pulses/emergency_stop",
     "group-pulses-byte": "addressing/group/move_relative_pulses/stop_relative_pulses",
@@ -23,7 +32,6 @@ REFUTED_BY = {
     "protection-of-all-unheard": "read-back/set_protection/restart-broadcast-protection",
     "home-zero-at-wall": "motion/home/zero",
     "wide-address-lost": "read-back/set_address/restart",
-    "save-speed-without-direction": "read-back/save_speed/as-it-was",
     "right-limit-told-complete": "motion/set_home/end-limit-told-move_relative_pulses",
     "group-deaf-while-turning": "addressing/group/while-turning",
     "lk-while-off-backwards": "motion/run_torque/while-off",
