@@ -36,6 +36,7 @@ MODULES = (
     "addressing.many",
     "addressing.under_way",
     "addressing.package",
+    "addressing.every_slot",
     "addressing.guarded",
     # traffic
     "frames.traffic",

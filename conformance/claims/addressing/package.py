@@ -7,7 +7,6 @@ What a slot makes the drive do is a small move, whose length tells which slot wa
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -35,8 +34,8 @@ _STEPS_NS = 160_000_000
 _NO_CHOICE = 2
 #: How long a motion and a stop are listened to: their ramps take 104 ms, and a shaft that stopped settles.
 _TURNS_NS, _STANDS_NS = 130_000_000, 200_000_000
-#: How long a shaft rises until its way is looked at: by the ramp to 150 rpm. How far a motion would go (degrees).
-_RISES_NS, _FAR = 60_000_000, 10 * 360
+#: How far a motion would go (degrees).
+_FAR = 10 * 360
 #: A speed of two bytes, whose low byte alone is slow.
 _RPM = 260
 
@@ -51,7 +50,7 @@ def _packages(dialect: Dialect) -> Iterator[Case]:
     return (Case(dialect, command) for command in of(dialect))
 
 
-def _of_packages(
+def of_packages(
     refuted_by: str, *, name: str, each: Cases = _packages, other_slots: bool = False, **facts: Any
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Declare a check that sends packages. `other_slots`: they can be read with other slots than they were built with."""
@@ -82,12 +81,13 @@ def _read(probe: Probe) -> Slot:
     return {"address": probe.address, "command": plain_read(probe.dialect).name}
 
 
-def _others(dialect: Dialect, own: int, count: int) -> list[int]:
+def others_of(dialect: Dialect, own: int, count: int) -> list[int]:
+    """Return so many addresses of other drives."""
     first, last = dialect.addresses
     return [a for a in range(max(first, own - count), last + 1) if a != own][:count]
 
 
-def _frame(probe: Probe, package: Command, slots: Sequence[Slot]) -> bytes:
+def frame_of(probe: Probe, package: Command, slots: Sequence[Slot]) -> bytes:
     """Return a package whose slots stand where they stand in `slots`."""
     assert package.slots is not None
     size = package.slots.size
@@ -131,13 +131,13 @@ def _in_slot(number: int) -> Slots:
 
 def _among_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     assert package.slots is not None
-    others = [_move(dialect, a, _OTHER) for a in _others(dialect, own, package.slots.count - 1)]
+    others = [_move(dialect, a, _OTHER) for a in others_of(dialect, own, package.slots.count - 1)]
     return [others[0], _move(dialect, own), *others[1:]]
 
 
 def _behind_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     assert package.slots is not None
-    return [*(_move(dialect, a, _OTHER) for a in _others(dialect, own, package.slots.count - 1)), _move(dialect, own)]
+    return [*(_move(dialect, a, _OTHER) for a in others_of(dialect, own, package.slots.count - 1)), _move(dialect, own)]
 
 
 def _two_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
@@ -165,7 +165,7 @@ def _enabling(value: int) -> Callable[[Dialect], Slot]:
 
 def _for_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     assert package.slots is not None
-    return [_move(dialect, a) for a in _others(dialect, own, package.slots.count)]
+    return [_move(dialect, a) for a in others_of(dialect, own, package.slots.count)]
 
 
 def _for_all(dialect: Dialect, package: Command, own: int) -> list[Slot]:
@@ -174,7 +174,7 @@ def _for_all(dialect: Dialect, package: Command, own: int) -> list[Slot]:
 
 def _for_all_last(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     assert package.slots is not None
-    others = [_move(dialect, a, _OTHER) for a in _others(dialect, own, package.slots.count - 1)]
+    others = [_move(dialect, a, _OTHER) for a in others_of(dialect, own, package.slots.count - 1)]
     return [*others, _move(dialect, dialect.broadcast or 0)]
 
 
@@ -269,10 +269,10 @@ def _slots(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, case.command, {"kind": kind, "slots": slots, "steps": steps}, facts)
 
 
-@_of_packages("", name="{kind}", each=_slots)
+@of_packages("", name="{kind}", each=_slots)
 def _executed(probe: Probe, command: Command, slots: Slots, steps: int) -> None:
     motion.ready_to_move(probe)
-    frame = _frame(probe, command, slots(probe.dialect, command, probe.address))
+    frame = frame_of(probe, command, slots(probe.dialect, command, probe.address))
     _expect_move(probe, frame, steps, probe.claim.statement)
 
 
@@ -283,12 +283,12 @@ def in_own_slot(probe: Probe, command: Command, values: Mapping[str, int]) -> by
     """
     (package,) = of(probe.dialect)
     assert package.slots is not None
-    others = _others(probe.dialect, probe.address, command.code % package.slots.count)
+    others = others_of(probe.dialect, probe.address, command.code % package.slots.count)
     slots = [{**_read(probe), "address": address} for address in others]
-    return _frame(probe, package, [*slots, {"address": probe.address, "command": command.name, **values}])
+    return frame_of(probe, package, [*slots, {"address": probe.address, "command": command.name, **values}])
 
 
-def _motions(dialect: Dialect) -> Iterator[Case]:
+def motions(dialect: Dialect) -> Iterator[Case]:
     """Yield the package with each motion, its stops and a slot for all of them."""
     for case in _packages(dialect):
         assert case.command is not None
@@ -299,7 +299,7 @@ def _motions(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, case.command, given, {"risks": motion.risks(dialect, *run.all_risks)})
 
 
-@_of_packages("a shaft that stands, or one that turns on", name="{run}", each=_motions)
+@of_packages("a shaft that stands, or one that turns on", name="{run}", each=motions)
 def _turns_and_stops(probe: Probe, command: Command, run: Command, stops: Sequence[Command], before: int) -> None:
     """{run} in a slot of a package turns the shaft either way, and each of its stops in it lets it stand."""
     motion.prepare(probe, run)
@@ -314,19 +314,20 @@ def _two(stops: Sequence[Command]) -> tuple[Command, Command]:
     return stops[0], stops[-1]
 
 
-def _rpm(run: Command, way: int) -> float:
+def rpm_of(run: Command, way: int) -> float:
+    """Return how fast a run or move turns in a package; of a run the sign is its way."""
     return way * _RPM if motion.of(run).kind is MotionKind.RUN else _RPM
 
 
 def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, before: int, way: int) -> float:
     """Run and stop by packages; return the speed in between."""
     start = motion.place(probe, run)
-    values = motion.values_of(probe.dialect, run, way * _FAR, rpm=_rpm(run, way), start=start)
+    values = motion.values_of(probe.dialect, run, way * _FAR, rpm=rpm_of(run, way), start=start)
     seen = []
     ending = {"acceleration": motion.QUICK} if motion.of(stop).acceleration else {}
     for order, data, time_ns in ((run, values, _TURNS_NS), (stop, ending, _STANDS_NS)):
         slot = {"address": probe.address, "command": order.name, **data}
-        sent = probe.send(_frame(probe, command, [EMPTY] * before + [slot]), timeout_ns=time_ns)
+        sent = probe.send(frame_of(probe, command, [EMPTY] * before + [slot]), timeout_ns=time_ns)
         seen.append((motion.turning(probe).value, sent))
     (rpm, begun), (rest, ended) = seen
     turning, left = abs(rpm), abs(rest)
@@ -339,37 +340,6 @@ def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, b
     return rpm
 
 
-def _in_every_slot(dialect: Dialect) -> Iterator[Case]:
-    for case in _motions(dialect):
-        yield Case(dialect, case.command, {"run": case["run"]}, case.facts)
-
-
-@_of_packages("a shaft that stays, turns the other way, or is slow", name="{run}/every-slot", each=_in_every_slot)
-def _in_each_slot(probe: Probe, command: Command, run: Command) -> None:
-    """{run} in each slot of a package turns the shaft either way as when it is sent alone, beside slots of other drives."""
-    assert command.slots is not None
-    motion.prepare(probe, run)
-    motion.begin(probe, run, _FAR, rpm=_rpm(run, 1))
-    probe.wait(_RISES_NS)
-    alone = math.copysign(1, motion.turning(probe).value)
-    others = _others(probe.dialect, probe.address, command.slots.count - 1)
-    for number, way in ((n, way) for n in range(command.slots.count) for way in (1, -1)):
-        motion.stand_still(probe)
-        start = motion.place(probe, run)
-        own, other = (motion.values_of(probe.dialect, run, w * _FAR, rpm=_rpm(run, w), start=start) for w in (way, -way))
-        slots = [{"address": address, "command": run.name, **other} for address in others]
-        slots.insert(number, {"address": probe.address, "command": run.name, **own})
-        sent = probe.send(_frame(probe, command, slots), timeout_ns=_RISES_NS)
-        probe.expect(
-            motion.turning(probe).value * alone * way,
-            at_least=motion.CALM / 2,
-            unit="rpm that way",
-            refutes=f"{run.name} in slot {number + 1} of a package does not turn the shaft as when it is sent alone",
-            exchange=sent,
-            key=f"{run.name} in a slot of a package does not turn the shaft as when it is sent alone",
-        )
-
-
 # --- what is answered -------------------------------------------------------------------------------------------------
 
 
@@ -378,7 +348,7 @@ def _switching(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, case.command, facts={"risks": motion.risks(dialect, *dialect.by_verb[Verb.ENABLE].all_risks)})
 
 
-@_of_packages("any answer", name="silent", each=_switching)
+@of_packages("any answer", name="silent", each=_switching)
 def _silent(probe: Probe, command: Command) -> None:
     """A package is not answered: no read, no setting, no refused move, and no move, when it begins or when it is done."""
     motion.ready_to_move(probe)
@@ -390,24 +360,24 @@ def _silent(probe: Probe, command: Command) -> None:
     refused = _move(probe.dialect, own)
     slots = [*inner[:-1], refused, inner[-1], refused]
     for number, slot in enumerate(slots):
-        frame = _frame(probe, command, [EMPTY] * (number % command.slots.count) + [{"address": own, **slot}])
+        frame = frame_of(probe, command, [EMPTY] * (number % command.slots.count) + [{"address": own, **slot}])
         sent = probe.send(frame, timeout_ns=_STEPS_NS if slot is refused else probe.rig.silence_ns)
         expect_silence(probe, sent, "a package is answered")
 
 
-@_of_packages("silence, or another answer", name="next")
+@of_packages("silence, or another answer", name="next")
 def _behind(probe: Probe, command: Command) -> None:
     """The next request to the drive behind a package is answered."""
     ask_first(probe)
-    judge_next(probe, "a package", lambda: probe.send(_frame(probe, command, [_read(probe)])))
+    judge_next(probe, "a package", lambda: probe.send(frame_of(probe, command, [_read(probe)])))
 
 
-@_of_packages("silence", name="broken_off", at_best=Certainty.LIKELY, other_slots=True)
+@of_packages("silence", name="broken_off", at_best=Certainty.LIKELY, other_slots=True)
 def _broken_off(probe: Probe, command: Command) -> None:
     """The next request to the drive behind a package that breaks off is answered, after a pause."""
     assert command.slots is not None
     ask_first(probe)
-    frame = _frame(probe, command, [_read(probe)])
+    frame = frame_of(probe, command, [_read(probe)])
     for size in (1, 3, command.slots.size, len(frame) // 2, len(frame) - 1):
         judge_next(probe, f"{size} bytes of a package", partial(probe.send, frame[:size]))
 
@@ -417,11 +387,11 @@ def _broken_off(probe: Probe, command: Command) -> None:
 
 def _expect_nothing(probe: Probe, command: Command, damaged: Callable[[bytes], Iterator[bytes]]) -> None:
     motion.ready_to_move(probe)
-    for frame in damaged(_frame(probe, command, [_move(probe.dialect, probe.address)])):
+    for frame in damaged(frame_of(probe, command, [_move(probe.dialect, probe.address)])):
         _expect_move(probe, frame, 0, probe.claim.statement)
 
 
-@_of_packages("a move", name="length", emulated=True, other_slots=True)
+@of_packages("a move", name="length", emulated=True, other_slots=True)
 def _other_lengths(probe: Probe, command: Command) -> None:
     """A package of more or fewer than 52 bytes is not executed."""
     completed = probe.dialect.link.completed
@@ -437,13 +407,13 @@ def _other_lengths(probe: Probe, command: Command) -> None:
     _expect_nothing(probe, command, lengths)
 
 
-@_of_packages("a move", name="damaged", other_slots=True)
+@of_packages("a move", name="damaged", other_slots=True)
 def _damaged(probe: Probe, command: Command) -> None:
     """A package with one bit of its checksum flipped moves nothing, and one whose checksum fits does."""
     _expect_nothing(probe, command, lambda frame: (frame[:-1] + bytes((frame[-1] ^ 1 << bit,)) for bit in (1, 6)))
 
 
-@_of_packages("a move", name="checksum", emulated=True, other_slots=True)
+@of_packages("a move", name="checksum", emulated=True, other_slots=True)
 def _wrong_sums(probe: Probe, command: Command) -> None:
     """A package whose checksum does not fit is not executed."""
     _expect_nothing(probe, command, lambda frame: (frame[:-1] + bytes((frame[-1] ^ 1 << bit,)) for bit in (0, 3, 7)))

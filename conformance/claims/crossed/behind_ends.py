@@ -22,7 +22,7 @@ from conformance.claims.motion.motion_claim import of_motion
 from conformance.model import covering
 from conformance.motion import arriving, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import CALM, MOVES, MS, QUICK, SUBDIVISION, Sample
+from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, SUBDIVISION, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 
@@ -31,6 +31,8 @@ _FAR, _WAY, _RPM = 720, 45, 150
 #: From the begin of the older motion to what ends it, and what a shaft may lag behind the end of a move.
 _GOING_NS, _LATE_NS = 80 * MS, 60 * MS
 _ITS_STOP = "its stop"
+#: How long a shaft that nothing drives runs out at most.
+_RUNS_OUT_NS = 3 * SECOND_NS // 2
 
 
 class Row(NamedTuple):
@@ -49,11 +51,15 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Tried:
-    """A row that was tried. `went`: how far the older motion turned the shaft; `start`, `end`: of the move."""
+    """A row that was tried. `stood`: whether the shaft came to rest when the older motion was ended.
+
+    `went`: how far that turned the shaft; `start`, `end`: of the move.
+    """
 
     row: Row
     move: Exchange
     refused: bool
+    stood: bool
     went: float
     start: Sample
     end: Sample
@@ -103,12 +109,15 @@ def _try(probe: Probe, row: Row, rest: Sample) -> Tried:
         motion.switch(probe, True)
     else:
         probe.ask(verb)
-    start = motion.wait_standing(probe)
+    try:
+        start, stood = motion.wait_standing(probe, limit_ns=_RUNS_OUT_NS), True
+    except Inconclusive:
+        start, stood = motion.stand_still(probe), False
     exchange = motion.ask(probe, move, _WAY, rpm=_RPM, acceleration=QUICK, quiet_ns=0)
     refused = motion.refused(probe, exchange)
     law_ns = int(ramp.move_ns(_WAY / 360, _RPM, QUICK))
     end = arriving.come_to_rest(probe, exchange, law_ns, law_ns + _LATE_NS)
-    return Tried(row, exchange, refused, start.value - rest.value, start, end)
+    return Tried(row, exchange, refused, stood, start.value - rest.value, start, end)
 
 
 def _cases(dialect: Dialect) -> Iterator[Case]:
@@ -129,6 +138,8 @@ def _behind_ended(probe: Probe, command: Command) -> None:
     for tried in every:
         text = f"{command.name} does not go on from where an ended motion left the shaft"
         expected = f"{_WAY} degrees: {tried.row}"
+        goes_on = "an ended motion goes on"
+        probe.expect("a shaft that turns", holds=tried.stood, expected=f"one that stands: {tried.row}", refutes=goes_on)
         got = "a refusal or no answer"
         probe.expect(got, holds=not tried.refused, expected=expected, refutes=text, exchange=tried.move)
         probe.expect(

@@ -269,7 +269,7 @@ def _ends(tried: Tried, sense: int) -> tuple[float, float]:
     each=_cases, name="{command}/again-and-again", refuted_by="a shaft that goes where an older one led it, or at its speed"
 )
 def _again_and_again(probe: Probe, command: Command) -> None:
-    """Many {command} follow one another, each before the last is done: the newest holds."""
+    """Many {command} follow one another, each before the last is done: the newest holds, and one back turns by its ramp."""
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
     start, begin, before = motion.wait_standing(probe), motion.place(probe, command), states(probe)
     for degrees, rpm in _UPDATES:
@@ -278,21 +278,35 @@ def _again_and_again(probe: Probe, command: Command) -> None:
     text = f"the last of many {command.name} does not hold"
     last, speed = _UPDATES[-1]
     seen, at = motion.speed(probe), motion.position(probe)
-    if motion.of(command).kind is MotionKind.MOVE_TO:
+    to_place = motion.of(command).kind is MotionKind.MOVE_TO
+    back = _begin(probe, command, _BACK if to_place else -_BACK, -speed, begin, _SLOW)
+    probe.wait(_ON_RAMP_NS)
+    turning = motion.speed(probe)
+    if to_place:
         lasts_ns = int((sum(abs(degrees) for degrees, _ in _UPDATES) + _SPARE) / 6 / speed * SECOND_NS)
         went, within = motion.wait_standing(probe, limit_ns=lasts_ns + SECOND_NS).value - start.value, motion.miss(probe) + 1
-        probe.expect(abs(went), near=last, within=within, unit="degrees", refutes=text, exchange=exchange)
+        probe.expect(abs(went), near=_BACK, within=within, unit="degrees", refutes=text, exchange=back)
     else:
         # Where a run or a move by a distance ends says nothing of the older ones.
         motion.stand_still(probe)
     expect_states(probe, before, f"behind many {command.name}")
-    if motion.of(command).kind is MotionKind.MOVE_TO and last - abs(at.value - start.value) < _ENDS:
+    if to_place and last - abs(at.value - start.value) < _ENDS:
         raise Inconclusive("the drive answers so late that the shaft is at its end when its speed is looked at")
     expect_speed(seen, speed, exchange, f"{text}: its speed", share=2 * CLOCK_SHARE)
+    gone = at.value - start.value
+    until = abs(gone) + (turning.t_ns + turning.spread_ns - at.t_ns) / SECOND_NS * 6 * speed
+    if abs(gone) > 1 and until < last - _ENDS:
+        # A shaft that turns round at once has the speed of the newer one that way.
+        least = speed - (turning.t_ns + turning.spread_ns - back.sent_ns) / ramp.step_ns(_SLOW) - _OFF_RAMP
+        that_way = math.copysign(turning.value, turning.value * gone)
+        round_at_once = f"{command.name} back does not turn the shaft round by its ramp"
+        probe.expect(that_way, at_least=least, unit="rpm that way", refutes=round_at_once, exchange=back)
 
 
 #: Where each of them leads (degrees from where the first one began), and how fast (rpm): a shaft that keeps the highest
 #: speed is not at the end either when its speed is looked at.
 _UPDATES = ((700, 60), (750, 110), (680, 70), (710, 40), (660, 90))
+#: Where one back leads (degrees); by how much a speed on its ramp may be off the law (rpm).
+_BACK, _OFF_RAMP = 30, 15
 #: So far before its end a shaft may slow down, in degrees.
 _ENDS = 15

@@ -39,6 +39,8 @@ _SPEEDS, _AT_ONCE_MOST, _FAST = (60, 30, 150, 1200), 150, 1200
 _STEEP, _TURNS, _FAST_TURNS = 255, 3, 10
 #: The longest ramp; from the begin of a motion to its stop; what a shaft lags; how long it is looked at whether it stands.
 _RAMP_NS, _GOING_NS, _LAG_NS, _LOOK_NS = 200 * MS, 80 * MS, 10 * MS, 60 * MS
+#: The status of a motion that is complete.
+_COMPLETE = 2
 #: What a ramp may be off the law, and by how many degrees more a stop may end elsewhere.
 _RAMP_SHARE, _BESIDE = 0.1, 1.0
 
@@ -64,6 +66,7 @@ class Tried:
     """A row that was tried. `before`: where the shaft was before the stop was sent; `sense`: which way it turned.
 
     `start`, `at`, `end`: where it was first, when the stop was to be over, and a while later. `told`: the statuses of the stop.
+    `ends`: how often the end of the motion was told, less those of its stop by a ramp.
     `pulses`: the count of pulses at `start` and at `end`, where the dialect has one.
     """
 
@@ -76,6 +79,7 @@ class Tried:
     at: Sample
     end: Sample
     told: tuple[int, ...]
+    ends: int
     pulses: tuple[int, ...]
 
     @property
@@ -158,7 +162,7 @@ def _try(probe: Probe, row: Row) -> Tried:
     runs = motion.of(command).kind is MotionKind.RUN
     counted = Verb.READ_PULSES in probe.dialect.by_verb
     pulses = [probe.read(Verb.READ_PULSES)] if counted else []
-    start = motion.position(probe)
+    start, first = motion.position(probe), len(probe.traffic)
     degrees = row.way * 360 * (_FAST_TURNS if row.rpm == _FAST else _TURNS)
     motion.begin(probe, command, degrees, rpm=row.way * row.rpm if runs else row.rpm, acceleration=_STEEP, quiet_ns=0)
     probe.wait(_GOING_NS)
@@ -183,9 +187,12 @@ def _try(probe: Probe, row: Row) -> Tried:
     end = motion.position(probe)
     pulses += [probe.read(Verb.READ_PULSES)] if counted else []
     told = tuple(arriving.statuses(probe.traffic[since:], stop)) if stop.replies.status else ()
+    # A stop by a ramp has the code of its motion.
+    ends = 0 if runs else sum(status == _COMPLETE for status in arriving.statuses(probe.traffic[first:], command))
+    ends -= row.stop != _EMERGENCY and not runs and motion.of(stop).tells_end
     went = before.value - start.value
     sense = 0 if abs(went) < 2 else 1 if went > 0 else -1
-    return Tried(row, exchange, refused, start, before, sense, at, end, told, tuple(pulses))
+    return Tried(row, exchange, refused, start, before, sense, at, end, told, ends, tuple(pulses))
 
 
 # --- what is judged -----------------------------------------------------------------------------------------------------
@@ -258,8 +265,12 @@ def _at_once(probe: Probe, command: Command, run: Command) -> None:
 
 @_of_stops(each=_in_an_emergency, name="{command}/ends-{run}", refuted_by="a shaft that goes on, or slows down")
 def _emergency(probe: Probe, command: Command, run: Command) -> None:
-    """The emergency stop ends {run} at once, either way, in each mode, and the shaft stays where it is."""
+    """The emergency stop ends {run} at once, either way, in each mode; the shaft stays there, and no end of {run} is told."""
     _expect_stopped(probe, command, run, lambda row: row.stop == _EMERGENCY)
+    # What was ended in one row would have come to its end in a later one.
+    ends = sum(tried.ends for tried in probe.recorded(stopped) if tried.row.command == run.name)
+    text = f"the end of {run.name} is told although a stop ended it"
+    probe.expect(f"{ends} more often", holds=ends <= 0, expected="as often as a stop by a ramp ended it", refutes=text)
 
 
 def _counts_pulses(dialect: Dialect) -> Iterator[Case]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
 from analyzer.link import CanLink
 from conformance.claims import bench
 from conformance.claims.bench import lk_drive
@@ -114,24 +114,26 @@ def _not_in_bus_modes(probe: Probe, command: Command) -> None:
 
 
 @of_motion(
-    each=_enable,
+    each=lambda dialect: (*_enable(dialect), *_on(dialect)),
     name="{command}/on-goes-on",
-    refuted_by="a shaft that stands",
+    refuted_by="a shaft that stands, or one that turns on behind a stop",
     risks=risks_by(Verb.RUN_SPEED),
     at_best=Certainty.LIKELY,
 )
 def _on_goes_on(probe: Probe) -> None:
-    """Enabling a motor that is enabled and turns leaves it turning."""
+    """Switching a motor on that is on and turns leaves it on and turning, until it is stopped."""
     motion.ready_to_move(probe)
-    motion.run_at(probe, motion.CALM, motion.QUICK)
-    probe.wait(150 * MS)
-    before = motion.speed(probe).value
+    set_going(probe, probe.command(Verb.RUN_SPEED))
+    before = motion.speed(probe)
     exchange = motion.switch(probe, True)
+    is_on = motion.is_on(probe)
     probe.wait(100 * MS)
-    after = motion.speed(probe).value
+    after = motion.speed(probe)
     motion.stand_still(probe)
-    text = "enabling a motor that turns changes its speed"
-    probe.expect(after, near=before, within=2, unit="rpm", refutes=text, exchange=exchange)
+    text, within = "switching a motor on that turns changes its speed", 2 + before.noise + after.noise
+    probe.expect(after.value, near=before.value, within=within, unit="rpm", refutes=text, exchange=exchange)
+    text = "a motor that was switched on while it turned reads as off"
+    probe.expect("off", holds=is_on is not False, expected="on", refutes=text, exchange=exchange)
 
 
 @of_motion(
@@ -149,6 +151,41 @@ def _off_holds_all(probe: Probe) -> None:
         exchange = motion.ask(probe, command, 30, quiet_ns=0)
         probe.wait(300 * MS)
         expect_not_turned(probe, before, exchange, f"{command.name} turns a disabled motor")
+    motion.switch(probe, True)
+
+
+#: What may switch a motor on or off, and what is not sent: it is of the link, wears, begins anew, or goes on without end.
+_SWITCHING = frozenset(
+    {Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF, Verb.SET_WORK_MODE, Verb.SET_AXIS_LOCK, Verb.SET_ENABLE_LEVEL}
+)
+_NOT_SENT = frozenset({Risk.LINK, Risk.WEAR, Risk.DESTRUCTIVE, Risk.POWER_ON, Risk.READ, Risk.UNBOUNDED})
+
+
+def _not_switching(dialect: Dialect) -> list[Command]:
+    """Return the moves, the stops and what has no values: none of them switches a motor on."""
+    sent = (c for c in dialect.commands if c.slots is None and c.verb not in _SWITCHING and not c.all_risks & _NOT_SENT)
+    return [c for c in sent if c.motion is not None or all(f.low == f.high for f in c.request_forms[0].layout.named.values())]
+
+
+def _staying_off(dialect: Dialect) -> Iterator[Case]:
+    risks = frozenset[Risk]().union(*(c.all_risks for c in _not_switching(dialect)))
+    for case in (*_enable(dialect), *_off(dialect)):
+        yield Case(dialect, case.command, facts={"risks": motion.risks(dialect, Risk.TORQUE, *risks)})
+
+
+@of_motion(each=_staying_off, name="{command}/stays-off", refuted_by="a motor that is on", at_best=Certainty.LIKELY)
+def _stays_off(probe: Probe) -> None:
+    """A motor that is off stays off, whatever comes that does not switch it on: moves, stops, a release, a new zero."""
+    motion.ready_to_move(probe)
+    motion.switch(probe, False)
+    for command in _not_switching(probe.dialect):
+        kind = motion.of(command).kind if command.motion is not None else None
+        values = motion.values_of(probe.dialect, command, 36, start=motion.place(probe, command)) if kind in MOVES else {}
+        if kind is MotionKind.STOP and motion.of(command).acceleration:
+            values = {"acceleration": motion.QUICK}
+        exchange = probe.ask(command, values, quiet_ns=0)
+        text = f"{command.name} switches on a motor that is off"
+        probe.expect("on", holds=motion.is_on(probe) is not True, expected="off", refutes=text, exchange=exchange)
     motion.switch(probe, True)
 
 

@@ -301,14 +301,19 @@ def _expect_ended(probe: Probe, stop: Command, how: str) -> None:
 
 @of_motion(each=_fast_emergencies, name=_name_of_stop, refuted_by="a shaft that goes on", risks=risks_of("run"))
 def _when_fast(probe: Probe, command: Command, run: Command) -> None:
-    """{command} stops {run} at 1200 rpm, either way."""
+    """{command} stops {run} at 1200 rpm, either way, and no end of it is told when it would have come."""
     motion.prepare(probe, run)
+    since = len(probe.traffic)
     for way in (-1, 1):
         rpm = way * _FAST_RPM if motion.of(run).kind is MotionKind.RUN else _FAST_RPM
-        motion.begin(probe, run, way * 20 * 360, rpm=rpm, acceleration=QUICK)
+        motion.begin(probe, run, way * _FAST_TURNS * 360, rpm=rpm, acceleration=QUICK)
         probe.wait(550 * MS)
         _expect_turning(motion.speed(probe), _FAST_RPM / 2)
         _expect_ended(probe, command, "is fast")
+        probe.wait(int(ramp.move_ns(_FAST_TURNS, _FAST_RPM, QUICK)))
+    told = arriving.statuses(probe.traffic[since:], run) if motion.of(run).tells_end else []
+    text = f"{run.name} that the emergency stop ended is told as complete"
+    probe.expect(told, holds=2 not in told, expected="no status 2", refutes=text, key="told as complete")
 
 
 @of_motion(each=_rising_stops, name=_name_of_stop, refuted_by="a shaft that goes on, or a refusal", risks=risks_of("run"))
@@ -330,8 +335,8 @@ def _when_rising(probe: Probe, command: Command, run: Command) -> None:
     _expect_ended(probe, command, "slows down")
 
 
-#: A fast speed, a ramp of 5 ms for each rpm, and how long a shaft may take to stand after its ramp.
-_FAST_RPM, _RISING, _DOWN_NS = 1200, 156, 120 * MS
+#: A fast speed and its turns, a ramp of 5 ms for each rpm, and how long a shaft may take to stand after its ramp.
+_FAST_RPM, _FAST_TURNS, _RISING, _DOWN_NS = 1200, 20, 156, 120 * MS
 
 
 @of_motion(each=_lk_stop, refuted_by="a shaft that goes on", risks=risks_by(Verb.RUN_SPEED))

@@ -201,14 +201,21 @@ def _expect_no_run(probe: Probe, refutes: str) -> None:
 
 
 def _directions(dialect: Dialect) -> Iterator[Case]:
-    for direction in (0, 1):
-        yield from (Case(dialect, case.command, {"direction": direction}) for case in _saves(dialect))
+    for case in _saves(dialect):
+        for direction in (0, 1):
+            yield Case(dialect, case.command, {"direction": direction, "turned": "", "with_it": ""})
+            if Verb.SET_DIRECTION in dialect.by_verb:
+                facts = {"settings": motion.settings(dialect, "motor_direction"), "parameters": {}}
+                given = {"direction": direction, "turned": "-turned", "with_it": " with the motor's direction turned"}
+                yield Case(dialect, case.command, given, facts)
 
 
-@_of_kept_run("no run, another speed, or the other way", each=_directions, name="{command}/runs-direction-{direction}")
-def _goes_on(probe: Probe, direction: int) -> None:
-    """A run of direction {direction} that was saved goes on at its speed and that way when power comes on."""
+@_of_kept_run("no run, another speed, or the other way", each=_directions, name="{command}/runs-direction-{direction}{turned}")
+def _goes_on(probe: Probe, direction: int, turned: str) -> None:
+    """A run of direction {direction} that was saved{with_it} goes on at its speed and that way when power comes on."""
     need_axis_lock(probe)
+    if turned:
+        probe.do(Verb.SET_DIRECTION, {"motor_direction": 1})
     before = _run_and_save(probe, direction)
     motion.stand_still(probe)
     after = _speed_after_power(probe)
@@ -246,7 +253,7 @@ def _locks(dialect: Dialect) -> Iterator[Case]:
     each=_locks, name="{command}/at-power-on-{value}", refuted_by="the other state", emulated=True, settings=("axis_lock",)
 )
 def _locked(probe: Probe, command: Command, value: int) -> None:
-    """With axis_lock {value} the motor is {word} when power comes on in a bus mode."""
+    """With axis_lock {value} the motor is {word} when power comes on in a bus mode, and when a bus mode is set."""
     motion.ready_to_move(probe)
     probe.do(command, {"axis_lock": value})
     bench.power_cycle(probe)
@@ -254,6 +261,15 @@ def _locked(probe: Probe, command: Command, value: int) -> None:
     text = f"with axis_lock {value} the motor is in the other state at power-on"
     probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text)
     bench.expect_hold(probe, bool(value), f"with axis_lock {value} at power-on")
+    modes = probe.command(Verb.SET_WORK_MODE)
+    buses = motion.bus_modes(probe.dialect)
+    by_pulses = next(m for m in motion.field_of(modes, "work_mode").choice_names.values() if m not in buses)
+    for mode in buses:
+        motion.set_mode(probe, by_pulses)
+        exchange = probe.do(modes, {"work_mode": motion.choice(modes, "work_mode", mode)})
+        probe.wait(_START_NS)
+        text = f"with axis_lock {value} the motor is in the other state when {mode} is set"
+        probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text, exchange=exchange)
 
 
 def _restarts(dialect: Dialect) -> Iterator[Case]:

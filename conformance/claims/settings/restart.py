@@ -569,19 +569,27 @@ def _restarts(dialect: Dialect) -> Iterator[Case]:
         yield from commands(Verb.RESTART)(dialect)
 
 
+def _turners(dialect: Dialect) -> list[Command]:
+    """Return the setting of the motor's direction, where there is one."""
+    return [command for command in dialect.commands if command.verb is Verb.SET_DIRECTION]
+
+
 @of_read_back(
     each=_restarts,
     name="{command}/motion-as-before",
     refuted_by="another distance or speed, or the other way",
     risks=lambda case: (
-        _restart_risks(case).union(*(c.all_risks for c in motion_commands(case.dialect))) | motion.risks(case.dialect)
+        _restart_risks(case).union(*(c.all_risks for c in (*motion_commands(case.dialect), *_turners(case.dialect))))
+        | motion.risks(case.dialect)
     ),
-    settings=lambda case: motion.settings(case.dialect),
+    settings=lambda case: motion.settings(case.dialect, *(("motor_direction",) if _turners(case.dialect) else ())),
     at_best=Certainty.LIKELY,
 )
 def _motion_as_before(probe: Probe, command: Command) -> None:
-    """After a restart each motion goes as far, as fast and the same way as before it, by the stored mode and subdivision."""
+    """After a restart each motion is as far, as fast and the same way as before, by the stored mode, subdivision, direction."""
     motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[0], subdivision=8)
+    for turner in _turners(probe.dialect):
+        probe.do(turner, {"motor_direction": 1})
     before = _each_motion(probe)
     motion.run_at(probe, _RPM, motion.QUICK)
     exchange = restart(probe)

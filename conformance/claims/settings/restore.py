@@ -13,11 +13,13 @@ Rules kept here:
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.layout import Effect, Field
 from conformance.claim import Inconclusive
+from conformance.claims.addressing import many
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.ranges import edges
@@ -36,7 +38,8 @@ from conformance.claims.settings.link_changes import (
 from conformance.claims.settings.read_back import of_read_back
 from conformance.claims.settings.restart import RESTORED_NS, move_away, stored_effect
 from conformance.claims.settings.setting_effects import SettingEffect, differing
-from conformance.motion import arriving, motion
+from conformance.motion import arriving, effects, motion
+from conformance.motion.effects import Observable
 from conformance.talk import settings
 from conformance.talk.acceptance import answers
 from conformance.talk.exchange import Exchange
@@ -311,7 +314,17 @@ def _restored_links(dialect: Dialect) -> Iterator[Case]:
     command, setter = dialect.by_verb.get(Verb.RESTORE), dialect.effect(Effect.ADDRESS)
     if command is not None and setter is not None:
         given = {"native": _native(dialect), "setter": setter[0], "address": _DEFAULT_ADDRESS}
-        yield Case(dialect, command, given, {"parameters": {}, "risks": command.all_risks | setter[0].all_risks})
+        shown, risks = _shown_by_a_group(dialect), command.all_risks | setter[0].all_risks
+        facts: dict[str, Any] = {"parameters": {}, "risks": risks}
+        if shown is not None:
+            group = dialect.by_verb[Verb.SET_GROUP_ADDRESS]
+            facts |= {"risks": risks | shown.risks | group.all_risks, "settings": (*shown.settings, "group_address")}
+        yield Case(dialect, command, given, facts)
+
+
+def _shown_by_a_group(dialect: Dialect) -> Observable | None:
+    """Return what shows that a group is heard, of a dialect that has groups."""
+    return effects.observable(dialect) if Verb.SET_GROUP_ADDRESS in dialect.by_verb else None
 
 
 @of_read_back(
@@ -322,7 +335,11 @@ def _restored_links(dialect: Dialect) -> Iterator[Case]:
     quirks=may_meet(NEW_ADDRESS_ANSWERS),
 )
 def _link(probe: Probe, command: Command, native: Dialect, setter: Command) -> None:
-    """A restored drive answers at {address} in {native}."""
+    """A restored drive answers at {address} in {native}, and is in no group."""
+    shown = _shown_by_a_group(probe.dialect)
+    if shown is not None:
+        shown.prepare(probe)
+        group = many.join(probe)
     move_away(probe, setter)
     away = other_address(probe.dialect)
     exchange = probe.ask(command, address=away)
@@ -338,6 +355,14 @@ def _link(probe: Probe, command: Command, native: Dialect, setter: Command) -> N
         exchange=exchange,
         key="restore link",
     )
+    if shown is not None:
+        shown.prepare(probe)
+        change = shown.change(probe)
+        sent = many.send_to(probe, group, change, shown.settle_ns)
+        text = f"a restored drive is in the group {group} still"
+        holds, expected = not shown.done(probe, change), "no effect of what the group is told"
+        probe.expect("its effect", holds=holds, expected=expected, refutes=text, exchange=sent)
+        shown.control(probe)
 
 
 def _answers_in(probe: Probe, dialect: Dialect, address: int) -> bool:

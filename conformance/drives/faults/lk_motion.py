@@ -296,6 +296,17 @@ def _resuming(hooks: Hooks) -> None:
     together(acting("motor_off", off), acting("motor_on", on, after=True))(hooks)
 
 
+def _turned_on(old: Act) -> Act:
+    """Turn a motor on that is off, and do no more."""
+
+    def act(drive: LkDrive, request: Request) -> None:
+        if drive.motor.on:
+            old(drive, request)
+        drive.motor.on = True
+
+    return act
+
+
 def _stopping(drive: LkDrive, of: type[Goal]) -> None:
     """Let 0x81 leave motion of one kind alone."""
     if not isinstance(drive.motor.goal, of):
@@ -483,6 +494,16 @@ ROWS: Rows = {
     ),
     "on": (
         Row("lk-on-needed-twice", "only each second 0x88 turns the motor on", replaced("motor_on", _second_time)),
+        Row(
+            "lk-on-ends-run",
+            "0x88 ends the motion of a motor that is on",
+            acting("motor_on", lambda drive, request: drive.motor.stop()),
+        ),
+        Row(
+            "lk-increment-turns-on",
+            "0xA7 turns on a motor that is off, and moves nothing",
+            replaced("move_increment", _turned_on),
+        ),
         Row("lk-on-resumes", "0x88 takes up the motion that 0x80 ended", Change(_resuming, LK)),
         Row(
             "lk-off-at-power-up",

@@ -15,7 +15,7 @@ from analyzer.link import WRITE_ONE
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
-from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned, when_home
+from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned, when_home, wrapped
 from conformance.drives.faults.mks_frames import own
 from conformance.drives.faults.places import (
     CAN,
@@ -185,20 +185,33 @@ def _answers_group(drive: Drive, message: Message, wanted: bool) -> bool:
     return wanted or (motion and message.address == drive.settings.get("group_address"))
 
 
-def _group_without_ramp(drive: MksCore) -> None:
-    """Turn as fast as is asked at once where that was sent to the group."""
-    to_group = False
+def _asked_to(to: Callable[[Drive, Message], bool], of: Of, change: Callable[[Values], Values]) -> Change:
+    """Change some requests that were sent so, and no others."""
+    verbs = {of} if isinstance(of, Verb) else of
 
-    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-        nonlocal to_group
-        to_group = message.address == drive.settings.get("group_address") != drive.address
-        return wanted
+    def install(drive: MksCore) -> None:
+        so = False
 
-    def ask(_: Drive, command: Command, values: Values) -> Values:
-        return {**values, "acceleration": 0} if to_group and "acceleration" in values else values
+        def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+            nonlocal so
+            so = to(drive, message)
+            return wanted
 
-    drive.hooks.accept.append(accept)
-    drive.hooks.request.append(ask)
+        def ask(_: Drive, command: Command, values: Values) -> Values:
+            return change(values) if so and command.verb in verbs else values
+
+        drive.hooks.accept.append(accept)
+        drive.hooks.request.append(ask)
+
+    return tuned(install)
+
+
+def _is_for_all(drive: Drive, message: Message) -> bool:
+    return message.address == drive.dialect.broadcast
+
+
+def _is_for_group(drive: Drive, message: Message) -> bool:
+    return bool(message.address) and message.address == drive.settings.get("group_address") != drive.address
 
 
 def _obey_without_check(drive: MksCore) -> None:
@@ -266,8 +279,8 @@ def _lost_if_sent(to: Callable[[Drive, Message], bool]) -> Change:
     return tuned(change)
 
 
-def _is_for_group(drive: Drive, message: Message) -> bool:
-    return bool(message.address) and message.address == drive.settings.get("group_address") != drive.address
+def _to_group(of: Of, change: Callable[[Values], Values]) -> Change:
+    return Change(_asked_to(_is_for_group, of, change).install, having(Verb.SET_GROUP_ADDRESS))
 
 
 def _heard_by_group(bit: int) -> Change:
@@ -318,6 +331,16 @@ HEARING: Rows = {
         Row("crc-first-byte", "only the first byte of the CRC counts", _take(lambda got, right: got[0] == right[0]), MODBUS),
         Row("crc-swapped", "a CRC with its bytes swapped passes too", _take(lambda got, right: got == right[::-1]), MODBUS),
         Row("home-unchecked", "91 is executed with any checksum", _unchecked(Verb.HOME)),
+        Row(
+            "broadcast-counts-halved",
+            "F4 to all drives goes half as far",
+            _asked_to(_is_for_all, Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"position": values["position"] // 2}),
+        ),
+        Row(
+            "broadcast-move-at-once",
+            "FE to all drives has no ramp",
+            _asked_to(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, lambda values: values | {"acceleration": 0}),
+        ),
         Row("broadcast-unchecked", "motion to all drives is executed with any checksum", _unchecked(MOTIONS, True)),
         Row("stop-unchecked", "F7 is executed with any checksum", _unchecked(Verb.EMERGENCY_STOP)),
     ),
@@ -327,7 +350,12 @@ HEARING: Rows = {
         Row(
             "group-without-ramp",
             "motion to the group has no ramp",
-            Change(tuned(_group_without_ramp).install, having(Verb.SET_GROUP_ADDRESS)),
+            _to_group(MOTIONS, lambda values: values | {"acceleration": 0}),
+        ),
+        Row(
+            "group-pulses-byte",
+            "FD to the group has the low byte of its pulses",
+            _to_group(Verb.MOVE_RELATIVE_PULSES, lambda values: values | {"pulses": values["pulses"] & 0xFF}),
         ),
         Row("hears-bad-group-bit-7", "a group address whose highest bit in a byte differs is obeyed", _heard_by_group(7)),
         Row("hears-bad-group-bit-4", "a group address that differs by 10h is obeyed", _heard_by_group(4)),
@@ -675,6 +703,56 @@ def _enabled_back(drive: MksCore, request: Request) -> None:
         drive.grip()
 
 
+def _enabled(drive: MksCore, request: Request) -> None:
+    drive.memory.enabled = True
+    drive.grip()
+
+
+def _taking_up(behaviour: Behaviour) -> Behaviour:
+    """Begin the move again that was under way when the motor was switched off."""
+    ended: list[Request] = []
+
+    def act(drive: MksCore, request: Request) -> Values | None:
+        if not request.values["enabled"]:
+            ended[:] = [drive.task.request] if drive.task is not None and drive.task.request is not None else []
+            return behaviour(drive, request)
+        result = behaviour(drive, request)
+        if ended and ended[0].command.verb in _MOVES:
+            drive.behaviours[ended[0].command.verb](drive, ended.pop())
+        return result
+
+    return act
+
+
+def _axis_turned(drive: MksCore) -> None:
+    """Let the setting of the direction turn moves by counts."""
+    turned = drive.settings["motor_direction"]
+
+    def ask(_: Drive, command: Command, values: Values) -> Values:
+        return values | {"position": -values["position"]} if turned and command.verb is Verb.MOVE_RELATIVE_AXIS else values
+
+    drive.hooks.request.append(ask)
+
+
+def _open_enables(drive: MksCore) -> None:
+    change = drive.behaviours[Verb.SET_WORK_MODE]
+
+    def act(core: MksCore, request: Request) -> Values | None:
+        result = change(core, request)
+        if "open" in core.mode:
+            _enabled(core, request)
+        return result
+
+    drive.behaviours[Verb.SET_WORK_MODE] = act
+
+
+def _halted_back(drive: MksCore, request: Request) -> None:
+    """Halt a shaft at once that a move to a place behind it is to turn round."""
+    ahead = (request.values["position"] - drive.pulses) * drive.pulse_counts
+    if _turns(drive) and ahead * _rpm(drive) < 0:
+        drive.motor.halt(drive.now_ns)
+
+
 def _deaf_to_group(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     """Hear no move by the group while the shaft turns."""
     moves = any(_is(message, verb) for verb in _MOVES)
@@ -927,7 +1005,16 @@ _RESTORED = (
 )
 
 DOING: Rows = {
-    "disabled": (Row("disabled-moves-backwards", "motion backwards is obeyed while disabled", before(MOTIONS, _enabled_back)),),
+    "disabled": (
+        Row("disabled-moves-backwards", "motion backwards is obeyed while disabled", before(MOTIONS, _enabled_back)),
+        Row("zero-enables", "92 enables a motor that is off", before(Verb.SET_ZERO, _enabled)),
+        Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", wrapped(Verb.ENABLE, _taking_up)),
+    ),
+    "turned": (
+        Row("direction-after-restart", "86 turns F4 round from a restart on", _after_restart(_axis_turned), SERIAL),
+        Row("lock-in-open", "82 to the open mode enables the motor, whatever 8F says", tuned(_open_enables), CAN),
+        Row("back-at-once", "FE back during FE halts the shaft first", before(Verb.MOVE_ABSOLUTE_PULSES, _halted_back)),
+    ),
     "restored": tuple(
         Row(f"{name}-kept", f"a restore leaves {name}", clinging(*names), SERIAL)
         for name, names in (*_STORED[:4], _STORED[5], *_RESTORED)
@@ -1042,11 +1129,7 @@ DOING: Rows = {
             CAN,
         ),
         Row("user-id-unset-lost", "a restart takes the number FFFFFFFFh for none", _after_restart(_number_unset), CAN),
-        Row(
-            "broadcast-settings-lost",
-            "a restart loses what all drives were set to",
-            _lost_if_sent(lambda drive, message: message.address == drive.dialect.broadcast),
-        ),
+        Row("broadcast-settings-lost", "a restart loses what all drives were set to", _lost_if_sent(_is_for_all)),
         Row(
             "group-settings-lost",
             "a restart loses what the group was set to",
@@ -1112,6 +1195,26 @@ DOING: Rows = {
             "package-last-slot-speed-byte",
             "F6 in the last slot of a package has the low byte of its speed",
             _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.RUN_SPEED, (5,)),
+        ),
+        Row(
+            "package-last-slot-pulses-byte",
+            "FD in the last slot of a package has the low byte of its pulses",
+            _in_packages(lambda values: values | {"pulses": values["pulses"] & 0xFF}, Verb.MOVE_RELATIVE_PULSES, (5,)),
+        ),
+        Row(
+            "package-second-slot-half-way",
+            "F5 in the second slot of a package goes to half of its place",
+            _in_packages(lambda values: values | {"position": values["position"] // 2}, Verb.MOVE_ABSOLUTE_AXIS, (2,)),
+        ),
+        Row(
+            "package-last-slot-subdivision",
+            "84 in the last slot of a package sets half of what it says",
+            _in_packages(lambda values: values | {"subdivision": values["subdivision"] // 2}, Verb.SET_SUBDIVISION, (5,)),
+        ),
+        Row(
+            "package-fourth-slot-enables",
+            "F3 in the fourth slot of a package always enables",
+            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE, (4,)),
         ),
         Row(
             "package-fourth-slot-unsigned",

@@ -361,6 +361,12 @@ def _emergency_completes(kind: Activity, status: int, verbs: Collection[Verb]) -
     return Change(wrapped(Verb.EMERGENCY_STOP, wrap).install, TELLING)
 
 
+def _complete_open(drive: MksCore, request: Request) -> None:
+    """Tell a move in the open mode as complete."""
+    if "open" in drive.mode and drive.doing(Activity.MOVE):
+        drive.finish(mks_shared.RunStatus.COMPLETE)
+
+
 def _told_later(drive: MksCore, until: Number, status: int) -> Script:
     yield lambda: until
     drive.finish(status)
@@ -418,6 +424,11 @@ SEQUENCES: Rows = {
             "emergency-completes-pulses",
             "a move by pulses that F7 ended is told as complete when it would have been",
             _emergency_completes(Activity.MOVE, mks_shared.RunStatus.COMPLETE, (Verb.MOVE_RELATIVE_PULSES,)),
+        ),
+        Row(
+            "emergency-completes-open",
+            "a move in the open mode that F7 ends is told as complete",
+            Change(before(Verb.EMERGENCY_STOP, _complete_open).install, TELLING),
         ),
         Row(
             "emergency-completes-home",

@@ -1,0 +1,131 @@
+"""Packages whose own slot is each of the five: what stands in it is done as when it is sent alone, beside other drives' slots.
+
+    FC | 02 .. | 03 .. | 01 FD 01 04 F8 00 00 01 BC 00 | 04 .. | 05 .. | sum
+
+Rules kept here:
+- Motion turns either way; a move is followed to its end. The slots of the others ask for the other way.
+- Of settings those are tried that show soon: whether the motor is on, and how far a pulse goes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
+from conformance.claim import Inconclusive
+from conformance.claims.addressing.package import frame_of, motions, of, of_packages, others_of, rpm_of
+from conformance.claims.control_reads import plain_read
+from conformance.claims.declare import Case
+from conformance.motion import arriving, motion, ramp
+from conformance.motion.attempts import undamaged
+from conformance.motion.motion import CALM, MS
+from conformance.talk.exchange import Exchange
+from conformance.talk.probe import Probe
+
+#: How long a shaft rises until its way is looked at: by the ramp to 150 rpm. How far a motion would go (degrees).
+_RISES_NS, _FAR = 60 * MS, 10 * 360
+#: How far a move goes, of a count and pulses with two bytes each (degrees), and how fast at most (rpm).
+_WAY, _RPM = 50, 260
+#: How long a shaft may go on behind a move by the law; how long a setting is listened to.
+_LATE_NS, _SETTING_NS = 300 * MS, 20 * MS
+#: Subdivisions that a slot sets, in turns.
+_SUBDIVISIONS = (8, 32)
+
+
+# --- motion -----------------------------------------------------------------------------------------------------------
+
+
+def _in_every_slot(dialect: Dialect) -> Iterator[Case]:
+    for case in motions(dialect):
+        yield Case(dialect, case.command, {"run": case["run"]}, case.facts)
+
+
+@of_packages(
+    "a shaft that stays, turns the other way, is slow, or goes elsewhere", name="{run}/every-slot", each=_in_every_slot
+)
+def _in_each_slot(probe: Probe, command: Command, run: Command) -> None:
+    """{run} in each slot of a package, beside other drives' slots, turns the shaft either way, and a move as far, as alone."""
+    assert command.slots is not None
+    motion.prepare(probe, run)
+    motion.begin(probe, run, _FAR, rpm=rpm_of(run, 1))
+    probe.wait(_RISES_NS)
+    alone = math.copysign(1, motion.turning(probe).value)
+    rest = motion.stand_still(probe)
+    for number, way in ((n, way) for n in range(command.slots.count) for way in (1, -1)):
+        sent, seen, rest = undamaged(probe, _turned_in_slot, command, run, number, way, rest=rest)
+        key = f"{run.name} in a slot of a package does not turn the shaft as when it is sent alone"
+        text = key.replace("a slot", f"slot {number + 1}")
+        went = seen * alone * way
+        if motion.of(run).kind is MotionKind.RUN:
+            probe.expect(went, at_least=CALM / 2, unit="rpm that way", refutes=text, exchange=sent, key=key)
+        else:
+            within = motion.miss(probe) + motion.same(probe)
+            probe.expect(went, near=_WAY, within=within, unit="degrees that way", refutes=text, exchange=sent, key=key)
+
+
+def _turned_in_slot(
+    probe: Probe, command: Command, run: Command, number: int, way: int, rest: motion.Sample
+) -> tuple[Exchange, float, motion.Sample]:
+    """Turn the shaft by a slot; return the package, the speed of a run or how far a move went, and where the shaft rests."""
+    assert command.slots is not None
+    runs = motion.of(run).kind is MotionKind.RUN
+    start, degrees = motion.place(probe, run), _FAR if runs else _WAY
+    own, other = (motion.values_of(probe.dialect, run, w * degrees, rpm=rpm_of(run, w), start=start) for w in (way, -way))
+    slots = [
+        {"address": address, "command": run.name, **other}
+        for address in others_of(probe.dialect, probe.address, command.slots.count - 1)
+    ]
+    slots.insert(number, {"address": probe.address, "command": run.name, **own})
+    frame = frame_of(probe, command, slots)
+    if runs:
+        sent = probe.send(frame, timeout_ns=_RISES_NS)
+        seen = motion.turning(probe).value
+        return sent, seen, motion.stand_still(probe)
+    sent = probe.send(frame, timeout_ns=int(ramp.move_ns(_WAY / 360, _RPM, motion.QUICK)))
+    try:
+        end = motion.wait_standing(probe, limit_ns=_LATE_NS)
+    except Inconclusive:
+        # A slow one is on its way still.
+        end = motion.stand_still(probe)
+    return sent, end.value - rest.value, end
+
+
+# --- settings ---------------------------------------------------------------------------------------------------------
+
+
+def _set_in_every_slot(dialect: Dialect) -> Iterator[Case]:
+    verbs = (Verb.ENABLE, Verb.SET_SUBDIVISION, Verb.MOVE_RELATIVE_PULSES)
+    risks = frozenset[Risk]().union(*(dialect.by_verb[verb].all_risks for verb in verbs)) if of(dialect) else frozenset[Risk]()
+    for command in of(dialect):
+        facts = {"risks": motion.risks(dialect, *risks), "settings": motion.settings(dialect, "subdivision")}
+        yield Case(dialect, command, facts=facts)
+
+
+@of_packages("a setting that is as it was", name="settings/every-slot", each=_set_in_every_slot)
+def _set_in_each_slot(probe: Probe, command: Command) -> None:
+    """A setting in each slot of a package is made as when it is sent alone: the motor is on or off, and pulses go as far."""
+    assert command.slots is not None
+    move = probe.command(Verb.MOVE_RELATIVE_PULSES)
+    motion.prepare(probe, move)
+    for number in range(command.slots.count):
+        where = f"in slot {number + 1} of a package"
+        for enabled in (0, 1):
+            sent = _set(probe, command, number, Verb.ENABLE, "enabled", enabled)
+            text, key = f"enabling by {enabled} {where} does not do so", "enabling in a slot"
+            probe.expect(motion.is_on(probe), equal=bool(enabled), refutes=text, exchange=sent, key=key)
+        subdivision = _SUBDIVISIONS[number % len(_SUBDIVISIONS)]
+        sent = _set(probe, command, number, Verb.SET_SUBDIVISION, "subdivision", subdivision)
+        went = arriving.follow(probe, move, _WAY, rpm=CALM, subdivision=subdivision)
+        text, key = f"pulses do not go by the subdivision that was set {where}", "a subdivision in a slot"
+        within = motion.miss(probe) + motion.same(probe)
+        probe.expect(abs(went.degrees), near=went.asked, within=within, unit="degrees", refutes=text, exchange=sent, key=key)
+
+
+def _set(probe: Probe, command: Command, number: int, verb: Verb, field: str, value: int) -> Exchange:
+    """Send a setting in a slot, beside reads of other drives."""
+    assert command.slots is not None
+    others = others_of(probe.dialect, probe.address, command.slots.count - 1)
+    slots = [{"address": address, "command": plain_read(probe.dialect).name} for address in others]
+    slots.insert(number, {"address": probe.address, "command": probe.command(verb).name, field: value})
+    return probe.send(frame_of(probe, command, slots), timeout_ns=_SETTING_NS)
