@@ -5,8 +5,9 @@ reason says so. Where the claim was a sequence of steps (a walk), emulated drive
 manual has it, and one with each known fault. Where the steps refute one of them in the same way, they are shortened there,
 which costs no motion. What is left is confirmed on the real drive.
 
-A line may damage what it carries, and what a claim then takes for the drive's doing. So a refutation during which something
-came damaged is tried again, also on an emulated drive. It counts where it comes again without damage, or each time alike.
+A line may damage what it carries, and what a claim then takes for the drive's doing. So a claim that refutes while something
+came damaged is tried again, also on an emulated drive, and so is one that comes to nothing. It counts where it comes again
+without damage, or each time alike.
 
 A user's settings may spoil a claim that was written for others. A claim that refutes a drive is therefore tried on ideal
 drives. These have the drive's settings where they are known, and likely ones where not. If the claim refutes an ideal drive
@@ -47,6 +48,8 @@ _SHOWS_LATE, _LATE_NS = "timing/read_speed/while-moving", 100_000_000
 _SEEDS = 6
 #: How often a refutation has to come alike where the line damaged something each time.
 _ALIKE = 3
+#: What is tried again where the line damaged something.
+_AGAIN = (Outcome.REFUTED, Outcome.INCONCLUSIVE)
 #: What is said of a refutation that did not come again.
 ONCE = "1 of 2 times"
 
@@ -175,19 +178,21 @@ def _not_refuted(verdict: Verdict, outcome: Outcome, reason: str) -> Verdict:
 
 
 def _unless_damaged(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
-    """Return the verdict of a claim, tried again where it refutes and the line damaged something meanwhile."""
-    first = verdict
-    for attempt in range(1, _ALIKE):
-        if claim.of_line or verdict.outcome is not Outcome.REFUTED or not verdict.damaged:
-            break
+    """Return the verdict of a claim, tried again where it refutes or comes to nothing and the line damaged something."""
+    tried = [verdict]
+    while not claim.of_line and verdict.damaged and verdict.outcome in _AGAIN and len(tried) < _ALIKE:
         # It is done again, not looked at again.
         rig.recordings.clear()
-        with rig.trying_again(attempt):
+        with rig.trying_again(len(tried)):
             verdict = _once(claim, rig)
-        verdict = replace(verdict, measured={**verdict.measured, "attempts": attempt + 1})
-        if verdict.outcome is Outcome.REFUTED and verdict.key != first.key:
-            text = f"the line damages replies, and each time something else is refuted: {first.reason}; {verdict.reason}"
-            return _not_refuted(verdict, Outcome.INCONCLUSIVE, text)
+        verdict = replace(verdict, measured={**verdict.measured, "attempts": len(tried) + 1})
+        if verdict.outcome is Outcome.REFUTED and any(each.key != verdict.key for each in tried if each.key):
+            break
+        tried.append(verdict)
+    if verdict.outcome is Outcome.REFUTED and verdict.damaged and any(each.key != verdict.key for each in tried):
+        seen = "; ".join(dict.fromkeys(each.reason for each in (*tried, verdict)))
+        text = f"the line damages replies, and each time something else is seen: {seen}"
+        return _not_refuted(verdict, Outcome.INCONCLUSIVE, text)
     return verdict
 
 

@@ -194,15 +194,25 @@ class Dialogue:
         self._take()
         return exchange
 
-    def collect(self, exchange: Exchange, ended: Ended, timeout_ns: int, *, quiet_ns: int = 0, done_ns: int = 0) -> Exchange:
+    def collect(
+        self,
+        exchange: Exchange,
+        ended: Ended,
+        timeout_ns: int,
+        *,
+        quiet_ns: int = 0,
+        done_ns: int = 0,
+        wrecked: Callable[[Exchange], int] | None = None,
+    ) -> Exchange:
         """Listen until an exchange has ended, then for `quiet_ns`; at most for the time-out. Raises LineLost.
 
+        `wrecked`: says for how long nothing must come behind what cannot be read, so that no reply will; 0: one still may.
         A frame that has begun before the time-out is read to its end.
         """
         gate = self.gate
-        deadline_ns = exchange.sent_ns + timeout_ns
+        deadline_ns = latest_ns = exchange.sent_ns + timeout_ns
         over = begun = False
-        seen = 0
+        seen = unread = 0
         while gate.now_ns() < deadline_ns:
             self.receive(deadline_ns)
             if over:
@@ -212,6 +222,9 @@ class Dialogue:
                 over, deadline_ns = True, min(deadline_ns, gate.now_ns() + quiet_ns)
             elif done_ns and not begun and any(a.paired for a in new):
                 begun, deadline_ns = True, gate.now_ns() + done_ns
+            elif wrecked is not None and exchange.unread > unread:
+                unread, on_ns = exchange.unread, wrecked(exchange)
+                deadline_ns = min(latest_ns, gate.now_ns() + on_ns) if on_ns else latest_ns
         if gate.now_ns() - deadline_ns > _STOOD_STILL_NS:
             self.read_waiting()
         # A frame that has begun belongs to this exchange to its end, or to the pause that ends it.

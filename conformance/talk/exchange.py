@@ -131,6 +131,12 @@ class Exchange:
         return bool(self.junk) or any(not a.message.frame.checksum_ok for a in self.answers)
 
     @property
+    def unread(self) -> int:
+        """How many bytes came that cannot be read."""
+        wrong = (a.data for a in self.answers if not a.message.frame.checksum_ok)
+        return sum(len(j.data) for j in self.junk) + sum(map(len, wrong))
+
+    @property
     def data(self) -> bytes:
         """What was sent: the bytes, on CAN the data bytes."""
         if isinstance(self.sent, CanFrame):

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from analyzer import encoder
@@ -27,6 +28,7 @@ from conformance.talk.dialogue import MS, PAIRED, Dialogue, Ended, Until
 from conformance.talk.exchange import Answer, Exchange
 from conformance.talk.no_checksum import BareReplies
 from conformance.talk.noise import QUIET, Noise
+from conformance.talk.reply_match import templates
 
 if TYPE_CHECKING:
     from conformance.drives.drive import Drive
@@ -42,8 +44,9 @@ _ANYTHING = object()
 _PAUSE_NS = 30 * MS
 #: So long after a setting it may be answered once more, as real drives were seen to do.
 _SECOND_REPLY_NS = 30 * MS
-#: Risks of what does the same when it is sent once more, and what does so beside.
+#: Risks of what does the same when it is sent once more, those that a setting may have beside, and what does so with others.
 _SAME_AGAIN = frozenset({Risk.READ, Risk.SETTING, Risk.TORQUE})
+_SET_AGAIN = _SAME_AGAIN | {Risk.POWER_ON, Risk.WEAR, Risk.UNKNOWN}
 _ENABLING = (Verb.ENABLE, Verb.MOTOR_ON)
 #: Latencies that are kept of one claim.
 _KEPT_LATENCIES = 400
@@ -333,11 +336,25 @@ class Probe:
             # Raw bytes are no request that the analyzer could pair replies with.
             exchange = dialogue.send(item, built, shown=built is not None)
         self.traffic.append(exchange)
-        dialogue.collect(exchange, _ENDS[until], timeout_ns, quiet_ns=quiet_ns)
+        wrecked = None if until is Until.TIMEOUT or built is None else partial(self._wrecked, until is Until.DONE)
+        dialogue.collect(exchange, _ENDS[until], timeout_ns, quiet_ns=quiet_ns, wrecked=wrecked)
         if built is not None and exchange.answers and len(self.latencies) < _KEPT_LATENCIES:
             self.latencies.append((built.command.name, exchange.answers[0].latency_ns))
         self.rig.exchanged(exchange)
         return exchange
+
+    def _wrecked(self, to_the_end: bool, exchange: Exchange) -> int:
+        """Return for how long nothing must come where what came is as long as the reply and cannot be read, else 0.
+
+        `to_the_end`: the reply that ends a command is waited for, behind one that tells its begin.
+        """
+        command, address = exchange.command, exchange.address
+        assert command is not None  # it was built
+        assert address is not None
+        shortest = min((len(t.frame) for t in templates(self.dialect, command, address, exchange.values)), default=0)
+        wanted = 2 if to_the_end and command.replies.interim else 1
+        came = exchange.unread + sum(len(a.data) for a in exchange.answers if exchange.asked_for(a) and a.is_whole)
+        return self.noise.silence_ns if exchange.unread >= shortest > 0 and came >= wanted * shortest else 0
 
     # --- judging --------------------------------------------------------------------------------------------------
 
@@ -431,7 +448,8 @@ class Probe:
         is_damaged = exchange.damaged and not exchange.is_read and (answer is None or not answer.bare)
         if not is_damaged or command is None:
             return exchange
-        if not (command.all_risks <= _SAME_AGAIN or command.verb in _ENABLING) or exchange.address is None:
+        same = _SET_AGAIN if Risk.SETTING in command.all_risks else _SAME_AGAIN
+        if not (command.all_risks <= same or command.verb in _ENABLING) or exchange.address is None:
             return exchange
         built = self.build(command, exchange.values, address=exchange.address)
         if built.item() != exchange.sent:

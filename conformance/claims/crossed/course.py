@@ -189,7 +189,7 @@ def _about_ns(row: Row, *, runs: bool) -> float:
 class Tried:
     """A row that was tried. `begun`, `stopped`: the commands; `told`, `told_of_stop`: their statuses, in order.
 
-    `refused`: one of them was, or was not answered. `damaged`: the line damaged what was said meanwhile.
+    `refused`: one of them was, or was not answered. `damaged`: the line damaged what was said of them.
     `before`, `after`: looks at the shaft at rest; `during`: while it turned.
     """
 
@@ -353,7 +353,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
         probe.wait(_SETTLES_NS)
     after = looks.at_rest(probe, reads_of(probe.dialect))
     told = tuple(arriving.statuses(probe.traffic[since:], command)) if command.replies.status else ()
-    damaged = any(exchange.damaged for exchange in probe.traffic[since:])
+    damaged = looks.damaged(probe.traffic[since:], told, ends=last.command is not None and motion.of(last.command).tells_end)
     told, of_stop = (told[:1], told[1:]) if stopped is not None else (told, ())
     return Tried(
         row, command, begun, stopped, refused, damaged, told, of_stop, before, tuple(during), after, on, stopping, slack_ns

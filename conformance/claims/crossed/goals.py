@@ -214,7 +214,7 @@ class Tried:
 
     `before`, `after`: looks at the shaft at rest; `during`: while the motion was under way, `ending`: after what came on its
     way; `off`: while the motor was off. `stood`: the shaft came to rest by itself, or by what came on the way. `damaged`: the
-    line damaged what was said meanwhile.
+    line damaged what was said of the commands.
     """
 
     row: Row
@@ -351,7 +351,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command]) -> 
         probe.ask(ON, quiet_ns=0)
         probe.wait(_AFTER_NS)
     after = _rest(probe)
-    damaged = any(exchange.damaged for exchange in probe.traffic[since:])
+    damaged = looks.damaged(probe.traffic[since:])
     return Tried(row, command, begun, met, again, before, tuple(during), tuple(ending), off, after, stood, damaged)
 
 

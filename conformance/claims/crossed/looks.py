@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from analyzer.catalogue import Command, Verb
+from analyzer.catalogue import Command, Risk, Verb
 from conformance.claim import Inconclusive
 from conformance.gate.gate import Refused
 from conformance.motion.course import Span
@@ -23,6 +23,11 @@ class _Tried(Protocol):
     @property
     def row(self) -> Any: ...
 
+
+#: The status by which a motion tells its end.
+_END = 2
+#: How often a read is asked at most that the line damages.
+_ASKED = 4
 
 Row = TypeVar("Row", bound=_OfCommand)
 Tried = TypeVar("Tried", bound=_Tried)
@@ -45,9 +50,11 @@ def place(look: Look) -> int:
 
 
 def look(probe: Probe, read: Command) -> Look:
-    """Ask a read, and once more where it is not answered, and return what it told."""
+    """Ask a read, and once more where it is not answered, and return what it told; more often where the line damages it."""
     exchange = probe.ask(read, quiet_ns=0)
-    if not exchange.is_read:
+    for asked in range(1, _ASKED):
+        if exchange.is_read or (asked > 1 and not exchange.damaged):
+            break
         exchange = probe.ask(read, quiet_ns=0)
     answer = exchange.reply
     if answer is None or not exchange.is_read:
@@ -66,6 +73,17 @@ def at_rest(probe: Probe, reads: Sequence[Command]) -> tuple[Look, ...]:
     """Look at a shaft that rests by these reads, at its position first and last."""
     position = probe.command(Verb.READ_POSITION)
     return tuple(look(probe, read) for read in (position, *reads, position))
+
+
+def damaged(traffic: Sequence[Exchange], told: Collection[int] = (), *, ends: bool = False) -> bool:
+    """Say whether the line damaged what was said of the commands of a motion; a look that it damaged was made once more.
+
+    `ends`: the end is told unasked, perhaps while a look is made; `told`: the statuses that came.
+    """
+    if ends and _END not in told and any(exchange.damaged for exchange in traffic):
+        return True
+    asked = (e for e in traffic if e.command is None or e.command.all_risks != {Risk.READ})
+    return any(exchange.damaged for exchange in asked)
 
 
 def divided(

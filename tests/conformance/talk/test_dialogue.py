@@ -5,19 +5,22 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import pytest
 
 from analyzer import dialects
-from analyzer.catalogue import Risk, Role
+from analyzer.catalogue import Risk, Role, Verb
 from analyzer.encoder import build
 from analyzer.errors import PluginError
 from analyzer.link import guarded
 from analyzer.records import CanFrame, Chunk
+from conformance import claims as registry
 from conformance.bus.emulated import EmulatedLine
 from conformance.drives import make
 from conformance.gate.gate import Allowance, Gate, Refused
+from conformance.suite.rig_emulated import EmulatedRig
 from conformance.talk import reply_match
-from conformance.talk.dialogue import MS, Dialogue, Until
+from conformance.talk.dialogue import MS, PAIRED, Dialogue, Until
 from conformance.talk.exchange import Completion, Exchange
 from conformance.talk.no_checksum import BareReplies
 
@@ -242,3 +245,42 @@ def test_a_byte_that_the_line_shows_before_a_reply_is_no_byte_of_one(stray: byte
         exchange = talk.ask(build(MKS, "read_pulses", 1), 50 * MS, until=Until.TIMEOUT)
         assert [a.data for a in exchange.answers] == [reply, reply], pause
         assert exchange.received == reply * 2
+
+
+@pytest.mark.parametrize("on_ms", [0, 60])
+def test_a_wait_ends_behind_bytes_that_were_the_reply_and_goes_on_where_one_may_still_come(on_ms: int):
+    wrecked = b"\xf3" + OTHER_REPLY[1:]
+    talk = dialogue(wrecked, drive="mks-rs485@7")
+    exchange = talk.collect(talk.send(READ), PAIRED[Until.REPLY], 500 * MS, wrecked=lambda found: on_ms * MS)
+    assert exchange.unread == len(wrecked)
+    assert exchange.damaged
+    # Behind the pause in which no more of it comes.
+    assert took_ms(exchange) == (pytest.approx(on_ms + 15, abs=5) if on_ms else 500)
+
+
+@pytest.mark.parametrize("drive", ["mks-rs485@1", "mks-modbus@1", "lk-rs485@1"])
+def test_a_reply_that_the_line_damages_is_not_waited_for(drive: str):
+    for seed in range(12):
+        rig = EmulatedRig(make.parse(f"{drive},line-errors=100%"), seed=seed)
+        probe = rig.probe(next(c for c in registry.every(rig.dialect) if not c.risks - {Risk.READ}))
+        exchange = probe.ask(Verb.READ_SPEED if drive.startswith("mks") else Verb.READ_POSITION)
+        assert exchange.damaged
+        assert not exchange.is_read
+        assert took_ms(exchange) < 250 < rig.late_ns / MS
+
+
+def test_a_command_that_tells_its_end_is_waited_for_behind_a_damaged_begin():
+    rig = EmulatedRig(make.parse("mks-rs485@1,work_mode=sr_vfoc"))
+    probe = rig.probe(next(c for c in registry.every(rig.dialect) if Risk.MOTION in c.risks))
+    receive, seen = probe.gate.receive, []
+
+    def damaged(timeout_ns: int) -> Chunk | CanFrame | None:
+        got = receive(timeout_ns)
+        if got is not None:
+            seen.append(got)
+        return msgspec.structs.replace(got, data=b"\xf3" + got.data[1:]) if got is not None and len(seen) == 1 else got
+
+    probe.gate.receive = damaged
+    exchange = probe.ask("move_relative_axis", {"speed": 600, "acceleration": 250, "position": 16384}, until=Until.DONE)
+    assert [a.values["status"] for a in exchange.answers if a.is_whole] == [2]
+    assert exchange.unread == len(seen[0].data)
