@@ -7,7 +7,7 @@ the states where they have it, since its unit is the same there for every drive.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
@@ -66,9 +66,20 @@ class _Topic:
     def want(self, name: str) -> None:
         """Take the fields that a name chooses."""
         for known, (key, unit, factor) in self.fields.items():
-            if any(fnmatchcase(text, name) for text in (known, f"{self.command}.{known}", f"/{self.label}.{known}")):
+            if is_meant(name, f"/{self.label}", known):
                 label = f"{self.bus}/{self.address}" if self.is_state else f"{self.label}.{known}"
                 self.wanted.append((name, key, factor, Series(label, unit)))
+
+
+def is_meant(name: str, topic: str, known: str) -> bool:
+    """Say whether a name chooses a field of a topic: `speed`, `read_speed.speed` or `/left/1/state.speed`."""
+    _, _, _, command, *_ = [*topic.split("/"), "", "", ""]
+    return any(fnmatchcase(text, name) for text in (known, f"{command}.{known}", f"{topic}.{known}"))
+
+
+def unknown_field(name: str, there: Sequence[str], commands: Iterable[str] = ()) -> UsageError:
+    """Return what is said of a name that chooses nothing. `there`: fields; `commands`: fields with their commands."""
+    return UsageError(f"no field here is {quote(name)}{near(name, {*there, *commands})}; there are {listed(there)}")
 
 
 def series(
@@ -137,9 +148,9 @@ def series(
     every = list(by_name.values())
     if every and not any(topic.meant for topic in every):
         there = dict.fromkeys(f"{topic.bus}/{topic.address}" for topic in every)
-        raise UsageError(f"no such drive here, there are {_listed(list(there))}")
+        raise UsageError(f"no such drive here, there are {listed(list(there))}")
     if not names:
-        raise UsageError(f"which field? there are {_listed(_fields(every))}")
+        raise UsageError(f"which field? there are {listed(_fields(every))}")
     return {name: _chosen(name, every) for name in names}, time_source
 
 
@@ -157,9 +168,9 @@ def _chosen(name: str, topics: Sequence[_Topic]) -> list[Series]:
         commands = {f"{topic.command}.{known}" for topic in topics for known in topic.fields}
         if any(asked == name for topic in topics for asked, *_ in topic.wanted):
             raise UsageError(
-                f"{quote(name)} has no values here, there may be {_listed([each for each in there if each != name])}"
+                f"{quote(name)} has no values here, there may be {listed([each for each in there if each != name])}"
             )
-        raise UsageError(f"no field here is {quote(name)}{near(name, {*there, *commands})}; there are {_listed(there)}")
+        raise unknown_field(name, there, commands)
     return (states or [each for _, each in found])[:MOST]
 
 
@@ -167,7 +178,8 @@ def _fields(topics: Sequence[_Topic]) -> list[str]:
     return sorted({known for topic in topics for known in topic.fields if topic.meant})
 
 
-def _listed(words: Sequence[str]) -> str:
+def listed(words: Sequence[str]) -> str:
+    """Return words to choose from, the first of many."""
     return ", ".join(words[:24]) + (" ..." if len(words) > 24 else "") if words else "none"
 
 

@@ -191,6 +191,7 @@ def test_plots_show_the_values_with_their_units():
     axes = servotap.open(LOG).plot("speed", "angle_error")
     assert [axis.get_ylabel() for axis in axes] == ["speed [rpm]", "angle_error [deg]"]
     (speed,) = axes[0].get_lines()
+    assert servotap.open(LOG).plot("read_speed.speed")[0].get_lines()[0].get_label() == "serial/1/read_speed/reply"
     assert (list(speed.get_xdata()), list(speed.get_ydata())) == ([1.143], [320.0])
     assert speed.get_label() == "serial/1/state"
     matplotlib.pyplot.close("all")
