@@ -76,6 +76,33 @@ class Nodes:
             self.odd[can.id] = odd + 1
         return near and not odd
 
+    def settled(self, message: Message, asked: Request | None) -> Request | None:
+        """Return the withheld request whose finding is due: the address sends, and not as a slave of another maker.
+
+        `asked`: the request that the message answers.
+        """
+        waiting = self.withheld.pop(message.address, None)
+        if waiting is None:
+            return None
+        if message.frame.data == waiting.frame.data:
+            # It may be the reply to a write, or the host's request once more: the two look alike.
+            self.withheld[message.address] = waiting
+        elif asked is waiting and is_unlisted(message) and message.form is not message.frame.dialect.exception:
+            self.slaves.add(message.address)
+        else:
+            return waiting
+        return None
+
+    def excuses(self, message: Message, request: Request | None) -> bool:
+        """Say whether an unlisted message makes no finding, or not yet.
+
+        `request`: the newest one, which is withheld if it is this message; None where its address is known to be a drive's.
+        """
+        first = request is not None and message.role is Role.REQUEST and message.address != message.frame.dialect.broadcast
+        if first and request is not None and message.address not in self.slaves:
+            self.withheld[message.address] = request
+        return first or message.address in self.slaves
+
     def claimed_twice(self, can_id: int, message: Message | None) -> bool:
         """Say, once for each identifier, that its frames are a file's by their identifier and a drive's by their bytes.
 

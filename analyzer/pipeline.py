@@ -434,32 +434,19 @@ class Pipeline:
             if lane is not None and lane.valid(frame.data[lane.start : lane.stop]) and self._plain(port, lane, frame):
                 return
         message, asked = decoder.decode(frame, context)
-        unlisted = is_unlisted(message)
         # What was known before this message.
         heard = message.address in context.speaks or port.nodes.listed is not None
         topic = port.topic(message)
         paired = port.transactions.observe(message, self.sequence + 1, asked, topic)
         for late in paired.earlier:
             self._late(port, late)
-        request = paired.request
-        withheld = port.nodes.withheld.pop(message.address, None) if port.nodes.withheld else None
-        if withheld is not None:
-            if frame.data == withheld.frame.data:
-                # It may be the reply to a write, or the host's request once more: the two look alike.
-                port.nodes.withheld[message.address] = withheld
-            elif unlisted and request is withheld and message.form is not frame.dialect.exception:
-                port.nodes.slaves.add(message.address)
-            else:
-                self._unlisted(port, withheld)
-        asked_by = None if request is None else request.sequence
+        settled = port.nodes.settled(message, paired.request)
+        if settled is not None:
+            self._unlisted(port, settled)
         issues = [*of_message(message, context), *paired.issues]
-        if unlisted:
-            first = not heard and message.role is Role.REQUEST and message.address != frame.dialect.broadcast
-            if first and message.address not in port.nodes.slaves:
-                assert context.last_request is not None  # this one
-                port.nodes.withheld[message.address] = context.last_request
-            if first or message.address in port.nodes.slaves:
-                issues = [issue for issue in issues if issue.rule != _UNLISTED]
+        if is_unlisted(message) and port.nodes.excuses(message, None if heard else context.last_request):
+            issues = [issue for issue in issues if issue.rule != _UNLISTED]
+        asked_by = None if paired.request is None else paired.request.sequence
         self._write(port, message, issues, topic, paired.latency_ns, asked_by, paired.first)
 
     def _plain(self, port: Port, lane: Lane, frame: Frame) -> bool:
