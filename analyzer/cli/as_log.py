@@ -13,15 +13,13 @@ from pathlib import Path
 from analyzer.catalogue import Dialect
 from analyzer.cli.decode import cores, decode, processes
 from analyzer.cli.decode_targets import Capture
-from analyzer.cli.reading import progress
+from analyzer.cli.reading import asks_for_decoding, progress
 from analyzer.cli.time_range import TimeRange
 from analyzer.diagnosis.watch import Watch
 from analyzer.sources import Source, open_source
 from analyzer.sources.times import ShownTime
 from analyzer.system.scratch import scratch_folder
 
-#: Options that ask for another decoding than the one in a log.
-_DECODING = ("dbc", "modbus_map", "model", "baud", "group", "ids", "late")
 #: Topics of decoded traffic, and how many records are looked through for the first one.
 _DECODED = re.compile(r"/[^/]*/([^/]*/[^/]*/(request|reply|message)|unknown|foreign|junk)")
 _LOOKED = 20_000
@@ -47,10 +45,9 @@ class AsLog:
 @contextmanager
 def as_log(path: str, arguments: argparse.Namespace) -> Iterator[AsLog]:
     """Open a capture as a log. Raises UnreadableError, and UsageError for options that do not fit it."""
-    otherwise = arguments.dialect != "auto" or any(getattr(arguments, name) for name in _DECODING)
     # A pipe can be read only once, so its format is not detected beforehand.
     again = path != "-" and not Path(path).is_fifo()
-    if again and not otherwise and _is_decoded(path):
+    if again and not asks_for_decoding(arguments) and _is_decoded(path):
         with open_source(path) as source:
             wanted = TimeRange(source, arguments.since, arguments.until, utc=arguments.utc)
             with progress(source, f"reading {source.name}"):

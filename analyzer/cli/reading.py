@@ -79,6 +79,12 @@ def add_reading_arguments(parser: argparse.ArgumentParser) -> None:
     add_time_range_arguments(parser)
 
 
+def asks_for_decoding(arguments: argparse.Namespace) -> bool:
+    """Say whether an option of `add_reading_arguments` asks for another decoding than the one in a log."""
+    names = ("dbc", "modbus_map", "model", "baud", "group", "ids", "late")
+    return arguments.dialect != "auto" or any(getattr(arguments, name) for name in names)
+
+
 class OpenCapture:
     """A capture that is open, with its dialects chosen. Iterate it once for its items.
 
