@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from rich.cells import cell_len
 
 from analyzer.cli.reading import OpenCapture
-from analyzer.records import Finding, Severity
+from analyzer.records import Finding
+from analyzer.reference.explanation_text import COLOURS
 from analyzer.sinks.summary import Summary
 from analyzer.values import counted, identifier, printable
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 _OTHERS_NAMED = 12
 #: Columns of the commands: names, which stand at the left, and numbers.
 _NAMES, _COUNTS = ("bus", "address", "command"), ("requests", "replies", "median ms", "p99 ms", "max ms")
-_STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
 
 
 def milliseconds(value_ns: float) -> str:
@@ -155,5 +155,5 @@ def _findings(summary: Summary) -> Table:
     for rule, count in summary.findings.most_common():
         severity = summary.worst[rule]
         first = "\n".join(_place(found) + printable(found.text) for found in summary.first[rule])
-        table.add_row(rule, Text(severity.value, style=_STYLES[severity]), str(count), Text(first))
+        table.add_row(rule, Text(severity.value, style=COLOURS[severity]), str(count), Text(first))
     return table

@@ -27,7 +27,7 @@ from analyzer.reference.explanation import Explanation
 from analyzer.reference.hex_frame import write_frame
 from analyzer.values import range_text, value_text
 
-_COLOURS = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
+COLOURS = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
 _BYTES_A_ROW = 8
 _CHOICES_SHOWN = 6
 
@@ -90,7 +90,7 @@ def finding_lines(found: Explanation) -> list[str]:
     lines = []
     for issue in found.issues:
         severity = issue.severity or RULES[issue.rule].severity
-        lines.append(styled(f"{severity.value:<7}  {issue.rule}: {issue.text}", _COLOURS[severity]))
+        lines.append(styled(f"{severity.value:<7}  {issue.rule}: {issue.text}", COLOURS[severity]))
     if not found.issues:
         lines.append("no findings")
     if found.right is not None and found.right != found.sent:

@@ -27,6 +27,7 @@ from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lan
 from analyzer.sinks import schemas
 from analyzer.sinks.mcap_file import LogFile, McapFile
 from analyzer.sources.recording_parts import CLOCK_METADATA
+from analyzer.sources.source import LATEST_NS
 from analyzer.sources.times import Clock
 from analyzer.values import SECOND_NS
 
@@ -38,7 +39,6 @@ PROFILE = "servotap"
 LIBRARY = f"servotap {__version__}"
 _LEVELS = {Severity.INFO: 2, Severity.WARNING: 3, Severity.ERROR: 4}
 _encode = msgspec.json.Encoder().encode
-_LATEST_NS = (1 << 63) - 1
 
 
 class _Topic:
@@ -191,7 +191,7 @@ class McapLog:
             return
         if not self._channels_of[:, 0].all():
             self._open_lanes(start, stop)
-        log_ns = block.t_ns[start:stop].clip(self._last_ns, _LATEST_NS)
+        log_ns = block.t_ns[start:stop].clip(self._last_ns, LATEST_NS)
         second = self._seconds.get(block.port)
         written = counted = 0
         while counted < len(log_ns):
@@ -477,7 +477,7 @@ class McapLog:
     def _clock(self, t_ns: int) -> int:
         """Return a log time that never decreases and fits the format."""
         if t_ns > self._last_ns:
-            self._last_ns = min(t_ns, _LATEST_NS)
+            self._last_ns = min(t_ns, LATEST_NS)
         return self._last_ns
 
 

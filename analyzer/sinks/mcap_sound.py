@@ -20,9 +20,9 @@ from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 from analyzer.errors import UnreadableError
 from analyzer.sources import magic
 from analyzer.sources import mcap_scan as scan
+from analyzer.sources.stream import ZSTD_MAGIC
 from analyzer.values import counted
 
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 #: Bytes of a chunk before its data, and where its check stands.
 CHUNK_HEAD, _CHUNK_CRC = 48, slice(24, 28)
 _INDEX = struct.Struct("<HI")
@@ -197,7 +197,7 @@ def _unsound_inside(opcode: int, body: bytes) -> str:
 
 def chunk_data(body: bytes) -> bytes | None:
     """Return the data of a chunk with a damaged byte in its head; None if the rest is missing or does not fit."""
-    place = body.find(_ZSTD_MAGIC, 0, CHUNK_HEAD)
+    place = body.find(ZSTD_MAGIC, 0, CHUNK_HEAD)
     if place < 0:
         return None
     data = unpack_begin(body[place:])

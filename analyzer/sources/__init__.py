@@ -24,7 +24,7 @@ from analyzer.sources import magic
 from analyzer.sources.lines import head_lines, is_text
 from analyzer.sources.logic.heads import SCORES, saleae_channels
 from analyzer.sources.source import Problem, Record, Source, quote
-from analyzer.sources.stream import BLOCK
+from analyzer.sources.stream import BLOCK, ZSTD_MAGIC
 from analyzer.values import storable
 
 __all__ = ["FORMATS", "Format", "Problem", "Record", "Source", "open_source"]
@@ -77,7 +77,7 @@ _SURE_SCORE = 0.5
 _OTHERS: tuple[tuple[bytes, str], ...] = (
     (b"22 serialization::archive", "a capture of Saleae Logic 1 (.logicdata): there choose Export Data, as CSV"),
     (b"\x1f\x8b\x08", "compressed twice: unpack it once"),
-    (b"\x28\xb5\x2f\xfd", "compressed twice: unpack it once"),
+    (ZSTD_MAGIC, "compressed twice: unpack it once"),
     (b"BZh", "bzip2 data: unpack it first"),
     (b"\xfd7zXZ\x00", "xz data: unpack it first"),
     (b"7z\xbc\xaf\x27\x1c", "a 7z archive: unpack it first"),

@@ -11,7 +11,7 @@ from analyzer.catalogue import Role
 from analyzer.link import modbus_crc
 from analyzer.sources.hexfields import has_cells, has_fields
 from analyzer.sources.hexline import HexLine, Shape, take_apart
-from analyzer.sources.marks import WORDS, role_of
+from analyzer.sources.marks import OTHER_SIDE, WORDS, role_of
 from analyzer.sources.prose import quotations
 from analyzer.sources.written import Radix, decimal
 
@@ -56,9 +56,6 @@ def _is_turned(traffic: Sequence[HexLine]) -> bool:
     """Say whether a server writes: all requests that can be told are marked as received, and all replies as sent."""
     asked = {p.role for p in traffic if _asks(p.data)}
     return asked == {Role.REPLY} and {p.role for p in traffic if _replies(p.data)} == {Role.REQUEST}
-
-
-_OTHER_SIDE = {Role.REQUEST: Role.REPLY, Role.REPLY: Role.REQUEST, Role.UNKNOWN: Role.UNKNOWN}
 
 
 def says(parts: Sequence[HexLine]) -> bool:
@@ -189,7 +186,7 @@ class Manner(NamedTuple):
         elif self.brackets and line.sign.startswith("each"):
             role = Role.REQUEST if line.sign == "each[" else Role.REPLY
         elif self.turned:
-            role = _OTHER_SIDE[role]
+            role = OTHER_SIDE[role]
         return line if role is line.role else line._replace(role=role)
 
     def notes(self, parts: list[HexLine]) -> Iterator[str]:

@@ -69,6 +69,10 @@ def role_of(words: Iterable[str], sign: str = "") -> Role:
     return _ROLES[matter or (action or 1) * (speaker or 1)]
 
 
+#: Who is spoken to.
+OTHER_SIDE = {Role.REQUEST: Role.REPLY, Role.REPLY: Role.REQUEST, Role.UNKNOWN: Role.UNKNOWN}
+
+
 def role_of_name(name: str) -> Role:
     """Return who sends on a line that is called so (`TX`, `uart rx`, `Host`), or as an arrow shows (`PC->`, `->PC`)."""
     words = "".join(c if c.isalnum() else " " for c in name.lower()).split()
@@ -76,7 +80,7 @@ def role_of_name(name: str) -> Role:
     towards = name.strip().startswith(("->", "→")) or name.strip().endswith(("<-", "←"))
     if not towards or len(words) != 1 or words[0] not in SPEAKERS:
         return role
-    return Role.REPLY if role is Role.REQUEST else Role.REQUEST
+    return OTHER_SIDE[role]
 
 
 class ReceivedMarks:

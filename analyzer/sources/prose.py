@@ -19,7 +19,7 @@ from typing import NamedTuple
 from analyzer.catalogue import Role
 from analyzer.sources import written
 from analyzer.sources.lines import remembered
-from analyzer.sources.marks import ACTIONS, MATTERS, SIGNS, SPEAKERS, role_of
+from analyzer.sources.marks import ACTIONS, MATTERS, OTHER_SIDE, SIGNS, SPEAKERS, role_of
 
 #: Verbs that people use, in addition to the words of logs.
 _VERBS = {
@@ -236,7 +236,7 @@ def role_in_text(text: str) -> Role:
         if not speakers:
             return Role.UNKNOWN
         role = role_of((words[speakers[-1]],))
-        return _OTHER[role] if "to" in words[speakers[-1] - 2 : speakers[-1]] else role
+        return OTHER_SIDE[role] if "to" in words[speakers[-1] - 2 : speakers[-1]] else role
     word = words[at]
     if at and words[at - 1] == "to" and word in _PURPOSE:
         return Role.REQUEST
@@ -246,9 +246,6 @@ def role_in_text(text: str) -> Role:
         return Role.REQUEST if _VERBS[word] == "send" else Role.REPLY
     speakers_before = [w for w in words[max(0, at - 3) : at] if w in SPEAKERS]
     return role_of([*speakers_before[-1:], word])
-
-
-_OTHER = {Role.REQUEST: Role.REPLY, Role.REPLY: Role.REQUEST, Role.UNKNOWN: Role.UNKNOWN}
 
 
 def _denied(words: list[str]) -> bool:

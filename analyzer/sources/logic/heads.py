@@ -25,7 +25,8 @@ _WORDS, _ROWS, SAMPLE_LIMIT = {1: "B", 2: "H", 4: "I", 8: "Q"}, 16, 1 << 48
 _TIMES, _SAMPLES = ("time [s]", "time[s]", "time(s)", "time (s)"), ("sample", "samples", "sample number", "sample #")
 _BEFORE, _LOOKED = 8, 20
 _RATE = re.compile(r"\bsample\s*rate\W*(\d+(?:\.\d+)?)\s*([kMG]?)(?:Hz|S/s|sps)?\b", re.IGNORECASE)
-_SCALES = {"": 1, "k": 1000, "m": 1_000_000, "g": 1_000_000_000}
+#: By the letter before the unit of a rate.
+SCALES = {"": 1, "k": 1000, "m": 1_000_000, "g": 1_000_000_000}
 LEVELS = ("0", "1", "X", "x", "")
 #: Share of the cells there that must be levels.
 _MOST = 0.9
@@ -93,7 +94,7 @@ def heading_of(lines: Sequence[str]) -> Heading | None:
             return Heading(number, delimiter, names, cells[0].lower() in _SAMPLES, rate)
         found = _RATE.search(line)
         if found is not None:
-            rate = round(float(found[1]) * _SCALES[found[2].lower()])
+            rate = round(float(found[1]) * SCALES[found[2].lower()])
     return None
 
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from analyzer.errors import UnreadableError
 from analyzer.records import CanFrame, Chunk, Event
+from analyzer.sources.logic.heads import SCALES
 from analyzer.sources.logic.traffic import records
 from analyzer.sources.logic.waveform import CHANNEL_LIMIT, Stretch, Waveform, Words, changes, of_bit, sample_times
 from analyzer.sources.source import Source, quote
@@ -33,7 +34,6 @@ _METADATA = "metadata"
 #: Bytes of the metadata, and of the samples that are unpacked at once.
 _METADATA_LIMIT, _PIECE = 1 << 20, 1 << 20
 _RATE = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([kMG]?)Hz\s*", re.IGNORECASE)
-_SCALES = {"": 1, "k": 1000, "m": 1_000_000, "g": 1_000_000_000}
 #: Widths of a sample that are words of their own.
 _WORDS = (1, 2, 4, 8)
 #: What zipfile raises for archives that are damaged, or packed in a way it does not know.
@@ -110,7 +110,7 @@ def _waveform(source: Source, archive: zipfile.ZipFile, file: IO[bytes], device:
     if not probes:
         probes = {bit: f"D{bit}" for bit in range(_number(source, device, "total probes", 1, 8 * size))}
     found = _RATE.fullmatch(device.get("samplerate", ""))
-    rate = round(float(found[1]) * _SCALES[found[2].lower()]) if found is not None else 0
+    rate = round(float(found[1]) * SCALES[found[2].lower()]) if found is not None else 0
     pieces = _pieces(source, archive, device["capturefile"])
     if any(name.startswith("analog-") for name in archive.namelist()):
         source.note("analog channels are passed over")
