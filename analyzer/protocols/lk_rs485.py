@@ -203,6 +203,14 @@ def _reply(printed: str, models: tuple[str, ...] = (), /, **values: int) -> Vect
     return Vector(printed, values, Role.REPLY, computed=True, models=models)
 
 
+def _torque_state(printed: str, temperature: int, torque_current: int, speed: int, encoder: int) -> Vector:
+    return _reply(printed, CURRENT_MODELS, temperature=temperature, torque_current=torque_current, speed=speed, encoder=encoder)
+
+
+def _power_state(printed: str, temperature: int, power: int, speed: int, encoder: int) -> Vector:
+    return _reply(printed, POWER_MODELS, temperature=temperature, power=power, speed=speed, encoder=encoder)
+
+
 def _echoed(printed: str, **values: int) -> tuple[Vector, Vector]:
     return _request(printed, **values), _reply(printed, **values)
 
@@ -276,18 +284,9 @@ COMMANDS = (
         reply=STATE_2,
         vectors=(
             _request("3E 9C 01 00 DB"),
-            _reply(
-                "3E 9C 01 07 E2 21 64 FE 24 FA FF 3F DF",
-                CURRENT_MODELS,
-                temperature=33,
-                torque_current=-412,
-                speed=-1500,
-                encoder=16383,
-            ),
+            _torque_state("3E 9C 01 07 E2 21 64 FE 24 FA FF 3F DF", 33, -412, -1500, 16383),
             _request("3E 9C 09 00 E3"),
-            _reply(
-                "3E 9C 09 07 EA 1C 80 FD D0 02 40 9C 47", POWER_MODELS, temperature=28, power=-640, speed=720, encoder=40000
-            ),
+            _power_state("3E 9C 09 07 EA 1C 80 FD D0 02 40 9C 47", 28, -640, 720, 40000),
         ),
     ),
     Command(
@@ -398,11 +397,9 @@ COMMANDS = (
         models=POWER_MODELS,
         vectors=(
             _request("3E A0 01 02 E1 78 00 78", POWER_MODELS, power=120),
-            _reply("3E A0 01 07 E6 1E 76 00 54 01 00 02 EB", POWER_MODELS, temperature=30, power=118, speed=340, encoder=512),
+            _power_state("3E A0 01 07 E6 1E 76 00 54 01 00 02 EB", 30, 118, 340, 512),
             _request("3E A0 05 02 E5 AE FC AA", POWER_MODELS, power=-850),
-            _reply(
-                "3E A0 05 07 EA 2F 18 FC B6 F4 FF FF EB", POWER_MODELS, temperature=47, power=-1000, speed=-2890, encoder=65535
-            ),
+            _power_state("3E A0 05 07 EA 2F 18 FC B6 F4 FF FF EB", 47, -1000, -2890, 65535),
         ),
     ),
     Command(
@@ -429,23 +426,9 @@ COMMANDS = (
         models=CURRENT_MODELS,
         vectors=(
             _request("3E A1 01 02 E2 C8 00 C8", CURRENT_MODELS, torque_current=200),
-            _reply(
-                "3E A1 01 07 E7 23 C4 00 5F 00 FF 1F 64",
-                CURRENT_MODELS,
-                temperature=35,
-                torque_current=196,
-                speed=95,
-                encoder=8191,
-            ),
+            _torque_state("3E A1 01 07 E7 23 C4 00 5F 00 FF 1F 64", 35, 196, 95, 8191),
             _request("3E A1 15 02 F6 00 F8 F8", CURRENT_MODELS, torque_current=-2048),
-            _reply(
-                "3E A1 15 07 FB 3A 11 F8 FC FF FF 7F BC",
-                CURRENT_MODELS,
-                temperature=58,
-                torque_current=-2031,
-                speed=-4,
-                encoder=32767,
-            ),
+            _torque_state("3E A1 15 07 FB 3A 11 F8 FC FF FF 7F BC", 58, -2031, -4, 32767),
         ),
     ),
     Command(
@@ -465,18 +448,9 @@ COMMANDS = (
         notes=("limited by Max Speed, Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",),
         vectors=(
             _request("3E A2 01 04 E5 A0 8C 00 00 2C", speed=36000),
-            _reply(
-                "3E A2 01 07 E8 1F 57 00 66 01 00 04 E1",
-                CURRENT_MODELS,
-                temperature=31,
-                torque_current=87,
-                speed=358,
-                encoder=1024,
-            ),
+            _torque_state("3E A2 01 07 E8 1F 57 00 66 01 00 04 E1", 31, 87, 358, 1024),
             _request("3E A2 0C 04 F0 C0 1D FE FF DA", speed=-123456),
-            _reply(
-                "3E A2 0C 07 F3 27 29 FF 2E FB 61 EA C3", POWER_MODELS, temperature=39, power=-215, speed=-1234, encoder=60001
-            ),
+            _power_state("3E A2 0C 07 F3 27 29 FF 2E FB 61 EA C3", 39, -215, -1234, 60001),
             _request("3E A2 0C 04 F0 00 00 00 00 00", speed=0),
         ),
     ),
@@ -496,23 +470,9 @@ COMMANDS = (
         ),
         vectors=(
             _request("3E A3 01 08 EA A0 8C 00 00 00 00 00 00 2C", position=36000),
-            _reply(
-                "3E A3 01 07 E9 1D 40 00 0C 00 00 08 71",
-                CURRENT_MODELS,
-                temperature=29,
-                torque_current=64,
-                speed=12,
-                encoder=2048,
-            ),
+            _torque_state("3E A3 01 07 E9 1D 40 00 0C 00 00 08 71", 29, 64, 12, 2048),
             _request("3E A3 08 08 F1 00 0E FA D5 FE FF FF FF D8", position=-5000000000),
-            _reply(
-                "3E A3 08 07 F0 2C B6 FE CC F7 00 3E E1",
-                CURRENT_MODELS,
-                temperature=44,
-                torque_current=-330,
-                speed=-2100,
-                encoder=15872,
-            ),
+            _torque_state("3E A3 08 07 F0 2C B6 FE CC F7 00 3E E1", 44, -330, -2100, 15872),
         ),
     ),
     Command(
@@ -531,16 +491,9 @@ COMMANDS = (
         ),
         vectors=(
             _request("3E A4 01 0C EF D8 DC FF FF FF FF FF FF 40 19 01 00 08", position=-9000, max_speed=72000),
-            _reply(
-                "3E A4 01 07 EA 20 8A FF 3F FD B8 0B A8",
-                CURRENT_MODELS,
-                temperature=32,
-                torque_current=-118,
-                speed=-705,
-                encoder=3000,
-            ),
+            _torque_state("3E A4 01 07 EA 20 8A FF 3F FD B8 0B A8", 32, -118, -705, 3000),
             _request("3E A4 03 0C F1 00 EB 41 00 00 00 00 00 00 00 00 00 2C", position=4320000, max_speed=0),
-            _reply("3E A4 03 07 EC 21 8E 00 8F 02 22 C8 2A", POWER_MODELS, temperature=33, power=142, speed=655, encoder=51234),
+            _power_state("3E A4 03 07 EC 21 8E 00 8F 02 22 C8 2A", 33, 142, 655, 51234),
         ),
     ),
     Command(
@@ -556,23 +509,9 @@ COMMANDS = (
         notes=("limited by Max Speed, Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",),
         vectors=(
             _request("3E A5 01 04 E8 00 28 23 00 4B", direction=0, angle=9000),
-            _reply(
-                "3E A5 01 07 EB 1E 37 00 B4 00 00 10 19",
-                CURRENT_MODELS,
-                temperature=30,
-                torque_current=55,
-                speed=180,
-                encoder=4096,
-            ),
+            _torque_state("3E A5 01 07 EB 1E 37 00 B4 00 00 10 19", 30, 55, 180, 4096),
             _request("3E A5 1A 04 01 01 9F 8C 00 2C", direction=1, angle=35999),
-            _reply(
-                "3E A5 1A 07 04 25 C3 FF 51 FF FC 3F 72",
-                CURRENT_MODELS,
-                temperature=37,
-                torque_current=-61,
-                speed=-175,
-                encoder=16380,
-            ),
+            _torque_state("3E A5 1A 07 04 25 C3 FF 51 FF FC 3F 72", 37, -61, -175, 16380),
         ),
     ),
     Command(
@@ -590,16 +529,9 @@ COMMANDS = (
         notes=("limited by Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",),
         vectors=(
             _request("3E A6 01 08 ED 01 50 46 00 A0 8C 00 00 C3", direction=1, angle=18000, max_speed=36000),
-            _reply(
-                "3E A6 01 07 EC 22 B8 FF D5 FE 00 20 CC",
-                CURRENT_MODELS,
-                temperature=34,
-                torque_current=-72,
-                speed=-299,
-                encoder=8192,
-            ),
+            _torque_state("3E A6 01 07 EC 22 B8 FF D5 FE 00 20 CC", 34, -72, -299, 8192),
             _request("3E A6 06 08 F2 00 78 69 00 A0 86 01 00 08", direction=0, angle=27000, max_speed=100000),
-            _reply("3E A6 06 07 F1 23 36 01 E6 03 00 C0 03", POWER_MODELS, temperature=35, power=310, speed=998, encoder=49152),
+            _power_state("3E A6 06 07 F1 23 36 01 E6 03 00 C0 03", 35, 310, 998, 49152),
         ),
     ),
     Command(
@@ -615,23 +547,9 @@ COMMANDS = (
         notes=("limited by Max Speed, Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",),
         vectors=(
             _request("3E A7 01 04 EA 60 73 FF FF D1", position=-36000),
-            _reply(
-                "3E A7 01 07 ED 1E A6 FF EC FF 64 00 12",
-                CURRENT_MODELS,
-                temperature=30,
-                torque_current=-90,
-                speed=-20,
-                encoder=100,
-            ),
+            _torque_state("3E A7 01 07 ED 1E A6 FF EC FF 64 00 12", 30, -90, -20, 100),
             _request("3E A7 13 04 FC 80 FC 0A 00 86", position=720000),
-            _reply(
-                "3E A7 13 07 FF 1E 65 00 21 00 E0 2E B2",
-                CURRENT_MODELS,
-                temperature=30,
-                torque_current=101,
-                speed=33,
-                encoder=12000,
-            ),
+            _torque_state("3E A7 13 07 FF 1E 65 00 21 00 E0 2E B2", 30, 101, 33, 12000),
         ),
     ),
     Command(
@@ -647,18 +565,9 @@ COMMANDS = (
         notes=("limited by Max Acceleration and Max Torque Current (MS: Max Power) of the setup program",),
         vectors=(
             _request("3E A8 01 08 EF 94 11 00 00 F0 D2 00 00 67", position=4500, max_speed=54000),
-            _reply(
-                "3E A8 01 07 EE 1F 30 00 0A 01 58 1B CD",
-                CURRENT_MODELS,
-                temperature=31,
-                torque_current=48,
-                speed=266,
-                encoder=7000,
-            ),
+            _torque_state("3E A8 01 07 EE 1F 30 00 0A 01 58 1B CD", 31, 48, 266, 7000),
             _request("3E A8 0B 08 F9 79 29 ED FF 78 56 34 12 A2", position=-1234567, max_speed=305419896),
-            _reply(
-                "3E A8 0B 07 F8 34 19 FC 20 D1 E8 80 A2", POWER_MODELS, temperature=52, power=-999, speed=-12000, encoder=33000
-            ),
+            _power_state("3E A8 0B 07 F8 34 19 FC 20 D1 E8 80 A2", 52, -999, -12000, 33000),
         ),
     ),
     Command(
