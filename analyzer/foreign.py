@@ -30,8 +30,6 @@ from analyzer.records import CanFrame, Message
 if TYPE_CHECKING:
     from analyzer.context import Request
 
-#: A CAN identifier of the standard format has 11 bits.
-CAN_ID_LIMIT = 0x7FF
 #: So many odd frames of a node make a good one doubtful: one frame in 256 has a fitting check by chance.
 _ODD_FOR_LONG = 32
 #: So many good frames in a row are no chance.

@@ -24,12 +24,12 @@ from analyzer.columns.block import ByteBlock, CanBlock, FrameBlock
 from analyzer.context import Request
 from analyzer.errors import UsageError
 from analyzer.findings import Issue, finding, of_junk, of_message
-from analyzer.foreign import CAN_ID_LIMIT, is_unlisted
+from analyzer.foreign import is_unlisted
 from analyzer.framer import Framer
 from analyzer.port import Options, Port, PortSetup, topic_name, usual_setup
 from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Junk, JunkReason, Lane, Message, Severity, Silence
 from analyzer.transactions import Late
-from analyzer.values import counted
+from analyzer.values import CAN_ID_LIMIT, counted
 
 if TYPE_CHECKING:
     from analyzer.columns.codec import Integers

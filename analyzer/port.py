@@ -14,11 +14,12 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.context import Context
 from analyzer.decoder import Decoder
-from analyzer.foreign import CAN_ID_LIMIT, Likeness, Nodes
+from analyzer.foreign import Likeness, Nodes
 from analyzer.framer import SILENCE_NS, Framer
 from analyzer.link import EXTENDED_ID
 from analyzer.records import CanFrame, Event, Frame, Junk, Message
 from analyzer.transactions import Transactions
+from analyzer.values import CAN_ID_LIMIT
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,11 +25,11 @@ _OFF = frozenset({"off", "false", "no", "disabled"})
 #: Names of the value 1 that `on` may stand for; a direction is never on.
 _SWITCH_NAMES = frozenset({"enabled", "on", "high"})
 _DECIMALS = 6
+#: The highest CAN identifier of 11 bits, and all 29 bits of a longer one.
+CAN_ID_LIMIT = 0x7FF
+CAN_ID_MASK = 0x1FFF_FFFF
 #: Nanoseconds of a second.
 SECOND_NS = 1_000_000_000
-#: The highest CAN identifier of 11 bits, and of 29 bits.
-_STANDARD = 0x7FF
-_EXTENDED = 0x1FFF_FFFF
 #: Units as people write them: how many of the first unit of their kind each is.
 _KINDS: tuple[Mapping[str, Fraction], ...] = (
     {"s": Fraction(1), "ms": Fraction(1, 1000), "us": Fraction(1, 10**6), "ns": Fraction(1, 10**9), "min": Fraction(60)},
@@ -74,7 +74,7 @@ def counted(count: int, noun: str, nouns: str = "") -> str:
 
 def identifier(number: int, *, extended: bool = False) -> str:
     """Return a CAN identifier in hexadecimal: three digits, eight where it has 29 bits."""
-    return f"0x{number:08X}" if extended or number > _STANDARD else f"0x{number:03X}"
+    return f"0x{number:08X}" if extended or number > CAN_ID_LIMIT else f"0x{number:03X}"
 
 
 def addresses(text: str, option: str, lowest: int = 1) -> list[int]:
@@ -87,10 +87,10 @@ def addresses(text: str, option: str, lowest: int = 1) -> list[int]:
             high = int(last, 0) if dash else low
         except ValueError:
             low = high = -1
-        if low > _STANDARD and low <= high <= _EXTENDED:
+        if low > CAN_ID_LIMIT and low <= high <= CAN_ID_MASK:
             raise UsageError(f"{option}: got {quote(part)}, an identifier of 29 bits: drives have 11, 0x7FF at most")
-        if not lowest <= low <= high <= _STANDARD:
-            wanted = f"addresses from {lowest} to {_STANDARD} (0x{_STANDARD:X})"
+        if not lowest <= low <= high <= CAN_ID_LIMIT:
+            wanted = f"addresses from {lowest} to {CAN_ID_LIMIT} (0x{CAN_ID_LIMIT:X})"
             raise UsageError(f"{option}: got {quote(part)}, expected {wanted}, as 1-32 or 1,2,0x123-0x12F")
         found |= dict.fromkeys(range(low, high + 1))
     return list(found)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from analyzer.catalogue import Role
 from analyzer.export import Writer
 from analyzer.records import CanFrame, Chunk
-from analyzer.values import SECOND_NS
+from analyzer.values import CAN_ID_LIMIT, SECOND_NS
 
 _ERROR_FLAG = 0x2000_0000
 
@@ -29,7 +29,7 @@ class CandumpWriter(Writer):
         if item.error:
             ident = f"{item.id | _ERROR_FLAG:08X}"
         else:
-            ident = f"{item.id:08X}" if item.extended or item.id > 0x7FF else f"{item.id:03X}"
+            ident = f"{item.id:08X}" if item.extended or item.id > CAN_ID_LIMIT else f"{item.id:03X}"
         mark = "#R" if item.remote else f"##0{item.data.hex().upper()}" if item.fd else f"#{item.data.hex().upper()}"
         sent = " T" if item.direction is Role.REQUEST else ""
         fraction = f"{rest:09d}"[: self.choices.digits]

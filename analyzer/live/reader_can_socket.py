@@ -27,7 +27,7 @@ from analyzer.live.reader_port import BadCount, Lost, Opened, Stop, Unopened, li
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import MOST_BYTES, CanFlag
 from analyzer.system.decoding import UNDECODABLE
-from analyzer.values import counted
+from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK, counted
 
 MULTICAST_PORT = 43113
 #: Wished size of the kernel's buffer: a tenth of a second of a full bus needs about a megabyte.
@@ -99,7 +99,7 @@ def dissect_kernel(frame: bytes) -> tuple[int, int, bytes]:
         flags |= CanFlag.ERROR
     if len(frame) == _FD:
         flags |= CanFlag.FD
-    can_id = word & (0x1FFFFFFF if word & (_EFF | _ERR) else 0x7FF)
+    can_id = word & (CAN_ID_MASK if word & (_EFF | _ERR) else CAN_ID_LIMIT)
     # A remote frame says a length and has no data.
     return can_id, flags, b"" if word & _RTR else frame[_CAN_HEAD.size : _CAN_HEAD.size + length]
 

@@ -25,7 +25,8 @@ from analyzer.findings import Issue, of_message
 from analyzer.link import Check, Head, Link
 from analyzer.pipeline import Entry, Options, Pipeline
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Message
-from analyzer.reference.hex_frame import CAN_DATA_LIMIT, CAN_ID_LIMIT, LONGEST_TEXT, Given, read_frame, write_frame
+from analyzer.reference.hex_frame import CAN_DATA_LIMIT, LONGEST_TEXT, Given, read_frame, write_frame
+from analyzer.values import CAN_ID_LIMIT
 
 #: A frame told by its head alone has this many bytes at least.
 _LEAST_BY_HEAD = 4

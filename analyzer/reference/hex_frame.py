@@ -16,14 +16,12 @@ import re
 from typing import NamedTuple
 
 from analyzer.errors import UnreadableError
-from analyzer.values import quote
+from analyzer.values import CAN_ID_LIMIT, quote
 
 #: The longest frame of any bus here is one of Modbus (256); text for many more bytes is no frame.
 LONGEST = 512
 LONGEST_TEXT = 16 * LONGEST
 _LONGEST_CAN_TEXT = 256
-#: Largest identifier of CAN 2.0A.
-CAN_ID_LIMIT = 0x7FF
 CAN_DATA_LIMIT = 8
 
 _SEPARATORS = re.compile(r"[\s,;:_\-\[\](){}]+")

@@ -24,7 +24,7 @@ from analyzer.records import CanFrame
 from analyzer.sources import magic
 from analyzer.sources.budget import CONTAINER_LIMIT
 from analyzer.sources.source import TOGETHER, Source
-from analyzer.values import SECOND_NS, counted
+from analyzer.values import CAN_ID_MASK, SECOND_NS, counted
 
 _SIGNATURE = b"LOBJ"
 _OBJECT = struct.Struct("<4sHHLL")  # signature, header size, header version, object size, object type
@@ -47,7 +47,7 @@ _CAN = struct.Struct("<HBBL8s")  # channel, flags, length, identifier, data
 _ERROR = struct.Struct("<HHLBBBxLLH2x8s")  # channel, ..., length (5), ..., identifier (7), ..., data (9)
 _FD = struct.Struct("<HBBLLBBB5x64s")  # channel, flags, length, identifier, ..., FD flags (6), data bytes (7), data
 _FD64 = struct.Struct("<BBBBLLLLLLLHBBL")  # channel, length, data bytes, ..., identifier (4), flags (6), sent (12), ...
-_ID_MASK, _EXTENDED = 0x1FFF_FFFF, 0x8000_0000
+_EXTENDED = 0x8000_0000
 _SENT, _REMOTE = 0x01, 0x80
 _FD_BYTES = 64
 #: Types of objects that are CAN messages of 8 bytes.
@@ -268,7 +268,7 @@ def _frame(source: Source, kind: int, data: bytes, start_ns: int) -> CanFrame | 
     t_ns = start_ns + ticks * (10_000 if flags == _TEN_MICROSECONDS else 1)
     port = source.port(f"can{channel}" if channel else None)
     role = Role.REQUEST if sent else Role.UNKNOWN
-    return source.carried(CanFrame(t_ns, port, number & _ID_MASK, payload, role, extended and not error, remote, error, fd))
+    return source.carried(CanFrame(t_ns, port, number & CAN_ID_MASK, payload, role, extended and not error, remote, error, fd))
 
 
 _Taken = tuple[int, int, bytes, bool, bool, bool, bool, bool]

@@ -16,7 +16,7 @@ from analyzer.errors import ServotapError
 from analyzer.records import CanFrame
 from analyzer.sources.lines import Lines, cut_note
 from analyzer.sources.source import Source, describe, quote
-from analyzer.values import SECOND_NS, counted
+from analyzer.values import CAN_ID_MASK, SECOND_NS, counted
 
 if TYPE_CHECKING:
     from can import Message
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 # The library logs whole lines that it cannot read; without a handler they would end on the terminal.
 logging.getLogger("can").addHandler(logging.NullHandler())
 
-ID_MASK = 0x1FFF_FFFF
 #: Data bytes of the longest frame (CAN FD).
 MOST_BYTES = 64
 #: Lines of a header that are kept to be given again.
@@ -36,7 +35,7 @@ def frame(message: Message, t_ns: int | None, port: str) -> CanFrame:
 
     Only the mark of a sent frame tells its sender: a listener receives everything. Raises ValueError for no valid CAN frame.
     """
-    if not 0 <= message.arbitration_id <= ID_MASK or len(message.data or b"") > MOST_BYTES:
+    if not 0 <= message.arbitration_id <= CAN_ID_MASK or len(message.data or b"") > MOST_BYTES:
         raise ValueError(
             f"expected an identifier of 29 bits and up to {MOST_BYTES} bytes, got {message.arbitration_id:#x} and "
             f"{counted(len(message.data), 'byte')}"

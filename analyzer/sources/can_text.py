@@ -32,6 +32,7 @@ from analyzer.sources.marks import ACTIONS, MATTERS, SIGNS, role_of
 from analyzer.sources.prose import role_in_text
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import ANY, STAMPS, Stamp, StampClock
+from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK
 
 _words = "|".join(sorted((*ACTIONS, *MATTERS), key=len, reverse=True))
 _signs = "|".join(map(re.escape, SIGNS))
@@ -52,11 +53,9 @@ _CAN_BYTES = 8
 _FD_BYTES = (12, 16, 20, 24, 32, 48, 64)
 _LONGEST_LINE = 1000
 _BYTE = re.compile(r"[0-9A-Fa-f]{1,2}")
-_STANDARD = 0x7FF
 #: Below this a number is the same in both, and with so many digits tools print hexadecimal.
 _ALIKE = 10
 _PADDED = (3, 4, 8)
-_ID_MASK = 0x1FFF_FFFF
 _EXTENDED_FLAG, _REMOTE_FLAG, _ERROR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _FLAGGED = 0xFFFF_FFFF
 _SLCAN_ID = {"t": 3, "T": 8, "r": 3, "R": 8}
@@ -336,11 +335,11 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
         role = _MARKS.get(mark, Role.UNKNOWN)
     if groups.get("time"):
         stamp = Stamp("clock" if ":" in groups["time"] else "seconds", groups["time"])
-    extended = bool(groups.get("extended")) or number > _STANDARD or "extended" in (groups.get("before") or "").lower()
-    if number > _ID_MASK:
+    extended = bool(groups.get("extended")) or number > CAN_ID_LIMIT or "extended" in (groups.get("before") or "").lower()
+    if number > CAN_ID_MASK:
         # SocketCAN's own numbers: the three bits above are flags.
         error, remote = bool(number & _ERROR_FLAG), bool(number & _REMOTE_FLAG)
-        extended, number = bool(number & _EXTENDED_FLAG) or number & _ID_MASK > _STANDARD, number & _ID_MASK
+        extended, number = (bool(number & _EXTENDED_FLAG) or number & CAN_ID_MASK > CAN_ID_LIMIT, number & CAN_ID_MASK)
     frame = CanFrame(None, "", number, data, role, extended and not error, remote, error, len(data) > _CAN_BYTES)
     # Two digits, or more than tools pad with zeros: 17 can be 0x17, or 0x11.
     open_id = (
@@ -368,8 +367,8 @@ def _called(groups: dict[str, str | None], stamp: Stamp) -> _Line | None:
     number = _number(groups["id"] or "")
     values = [_number(token) for token in _TOKEN.findall(groups["listed"] or "")] * int(groups.get("times") or 1)
     # A program that asks for 11 bits sends 11 bits, however large its number is.
-    extended = bool(groups.get("extended")) or (number > _STANDARD and not groups.get("standard"))
-    if number > _ID_MASK or not values or max(values) > 0xFF or (len(values) > _CAN_BYTES and len(values) not in _FD_BYTES):
+    extended = bool(groups.get("extended")) or (number > CAN_ID_LIMIT and not groups.get("standard"))
+    if number > CAN_ID_MASK or not values or max(values) > 0xFF or (len(values) > _CAN_BYTES and len(values) not in _FD_BYTES):
         return None
     data = bytes(values)
     return _Line(CanFrame(None, "", number, data, Role.REQUEST, extended, fd=len(data) > _CAN_BYTES), stamp, None)
@@ -379,12 +378,12 @@ def _record(groups: dict[str, str], stamp: Stamp) -> _Line | None:
     """Return the frame of a record of gs_usb: numbers have their low byte first; what was received has no echo number."""
     own, bits = (int.from_bytes(bytes.fromhex(groups[name]), "little") for name in ("own", "record"))
     data = bytes.fromhex(groups["data"])
-    size, flags = int(groups["length"]), bits & ~_ID_MASK
-    if (own > _OWN_LAST and own != _RECEIVED) or (not flags and bits > _STANDARD) or any(data[size:]):
+    size, flags = int(groups["length"]), bits & ~CAN_ID_MASK
+    if (own > _OWN_LAST and own != _RECEIVED) or (not flags and bits > CAN_ID_LIMIT) or any(data[size:]):
         return None
     role = Role.UNKNOWN if own == _RECEIVED else Role.REQUEST
     error, extended = bool(flags & _ERROR_FLAG), bool(flags & _EXTENDED_FLAG)
-    number = bits & _ID_MASK
+    number = bits & CAN_ID_MASK
     return _Line(CanFrame(None, "", number, data[:size], role, extended, bool(flags & _REMOTE_FLAG), error), stamp, None)
 
 
@@ -407,7 +406,7 @@ def _slcan(kind: str, rest: str, stamp: Stamp, role: Role) -> _Line | None:
     if len(data) != size or len(behind) not in (0, _SLCAN_STAMP):
         return None
     number = int(rest[:digits], 16)
-    if number > (_STANDARD if digits == 3 else _ID_MASK):
+    if number > (CAN_ID_LIMIT if digits == 3 else CAN_ID_MASK):
         return None
     if behind and not stamp.kind:
         stamp = Stamp("units", f"{int(behind, 16)}ms")

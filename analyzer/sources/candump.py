@@ -24,7 +24,7 @@ from analyzer.records import CanFrame, Comment
 from analyzer.sources.lines import Lines, cut_note, head_lines, share
 from analyzer.sources.source import Source, quote
 from analyzer.sources.times import Clock, Deltas, clock_ns, day_ns, falls, number_ns
-from analyzer.values import SECOND_NS
+from analyzer.values import CAN_ID_MASK, SECOND_NS
 
 LOG = re.compile(
     r"\s*\((\d{1,18})\.(\d{1,9})\) +(\S+) +([0-9A-Fa-f]{1,8})#([0-9A-Fa-f]*)([#RrXx_][0-9A-Fa-f]*|)(?: +([RTrt]))?\s*$"
@@ -43,7 +43,6 @@ _DATED = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{1,9})$")
 
 _EXTENDED_DIGITS = 3
 _ERROR_FLAG = 0x2000_0000
-_ID_MASK = 0x1FFF_FFFF
 _POWERS = tuple(10**n for n in range(10))
 _ROLES = {None: Role.UNKNOWN, "R": Role.UNKNOWN, "r": Role.UNKNOWN, "T": Role.REQUEST, "t": Role.REQUEST}
 _ROLES |= {"RX": Role.UNKNOWN, "TX": Role.REQUEST}
@@ -106,7 +105,7 @@ def _records(source: Source, screen_time: Callable[[str], int]) -> Iterator[CanF
         seconds, fraction, name, ident, data, tail, mark = found.groups()
         t_ns = int(seconds) * SECOND_NS + int(fraction) * _POWERS[9 - len(fraction)]
         number = int(ident, 16)
-        if tail or number > _ID_MASK or len(data) & 1:
+        if tail or number > CAN_ID_MASK or len(data) & 1:
             record = _special(source, lines.number, t_ns, found)
             if record is not None:
                 yield record
@@ -126,7 +125,7 @@ def frame_of(line: str) -> CanFrame | None:
     error = len(ident) > _EXTENDED_DIGITS and bool(bits & _ERROR_FLAG)
     extended = len(ident) > _EXTENDED_DIGITS and not error
     data = bytes.fromhex(text or "")
-    return CanFrame(None, name, bits & _ID_MASK, data, _ROLES[mark], extended, bool(remote), error, len(length) > 1)
+    return CanFrame(None, name, bits & CAN_ID_MASK, data, _ROLES[mark], extended, bool(remote), error, len(length) > 1)
 
 
 def _pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
@@ -140,7 +139,7 @@ def _special(source: Source, line: int, t_ns: int, found: re.Match[str]) -> CanF
     """Return a frame of the log form that is no plain data frame: FD, remote, error."""
     _, _, name, ident, data, tail, mark = found.groups()
     number, direction, kind = int(ident, 16), _ROLES[mark], tail[:1]
-    if (kind == "#" and data) or number > _ID_MASK | _ERROR_FLAG:
+    if (kind == "#" and data) or number > CAN_ID_MASK | _ERROR_FLAG:
         source.problem(f"{_EXPECTED}, got {quote(found[0].strip())!r}", line=line)
         return None
     if kind == "#" and len(tail) >= 2:
@@ -157,7 +156,7 @@ def _special(source: Source, line: int, t_ns: int, found: re.Match[str]) -> CanF
     return CanFrame(
         t_ns,
         source.port(name),
-        number & _ID_MASK,
+        number & CAN_ID_MASK,
         bytes.fromhex(data),
         direction,
         len(ident) > _EXTENDED_DIGITS and not number & _ERROR_FLAG,
@@ -193,4 +192,4 @@ def _screen(source: Source, line: str, number: int, time_of: Callable[[str], int
     error = len(ident) > _EXTENDED_DIGITS and bool(bits & _ERROR_FLAG)
     extended = len(ident) > _EXTENDED_DIGITS and not error
     port = source.port(name)
-    return CanFrame(t_ns, port, bits & _ID_MASK, data, _ROLES[mark], extended, bool(remote), error, len(length) > 1)
+    return CanFrame(t_ns, port, bits & CAN_ID_MASK, data, _ROLES[mark], extended, bool(remote), error, len(length) > 1)

@@ -29,7 +29,7 @@ from analyzer.sources.marks import role_of_name
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import Stamp, StampClock, stamp_of
 from analyzer.sources.times import number_ns
-from analyzer.values import SECOND_NS, counted
+from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK, SECOND_NS, counted
 
 #: What columns are called, in small letters and without anything but letters and digits.
 _NAMES: dict[str, tuple[str, ...]] = {
@@ -59,8 +59,6 @@ _WHOLE = re.compile(r"\d{1,19}")
 _NUMBER = re.compile(r"\d{1,19}[.,]\d{1,12}")
 #: What tools put before the bytes of a cell.
 _BEFORE = re.compile(r"x\|\s*")
-_ID_MASK = 0x1FFF_FFFF
-_STANDARD = 0x7FF
 _CAN_BYTES = 64
 #: Length codes beyond 8 and the bytes of CAN FD that they stand for; a classic frame then has 8.
 _CODED = {9: 12, 10: 16, 11: 20, 12: 24, 13: 32, 14: 48, 15: 64}
@@ -247,7 +245,7 @@ def read(source: Source) -> Iterator[Chunk | CanFrame | Comment]:
 def _is_can(rows: list[Row]) -> bool:
     """Say whether identifiers are those of CAN frames: not the numbers of rows, nor beside more bytes than a frame has."""
     numbers = [_identifier(row["id"]) for row in rows if "id" in row]
-    if not numbers or len(numbers) < len(rows) or any(n is None or n > _ID_MASK for n in numbers):
+    if not numbers or len(numbers) < len(rows) or any(n is None or n > CAN_ID_MASK for n in numbers):
         return False
     counting = len(numbers) > 2 and all(isinstance(n, int) and n == (numbers[0] or 0) + i for i, n in enumerate(numbers))
     return not counting and all(len(data) <= _CAN_BYTES for row in rows for data, _ in _bytes_in(row))
@@ -329,10 +327,10 @@ def _records(source: Source, table: _Table, is_can: bool, times: _Times) -> Iter
                 yield Chunk(t_ns, port, data, role, True)
                 continue
             number = _identifier(row.get("id"))
-            if number is None or number > _ID_MASK or len(data) > _CAN_BYTES:
+            if number is None or number > CAN_ID_MASK or len(data) > _CAN_BYTES:
                 source.problem(f"expected a CAN frame, got {quote(line.strip())!r}", line=lines.number)
                 continue
-            extended = str(row.get("extended", "")).lower() in _TRUE or number > _STANDARD
+            extended = str(row.get("extended", "")).lower() in _TRUE or number > CAN_ID_LIMIT
             remote = str(row.get("remote", "")).lower() in _TRUE
             direction = role if role is Role.REQUEST else Role.UNKNOWN
             length = _length(row, len(data))

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from analyzer.catalogue import Role
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources.source import Source
+from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK
 
 SOCKETCAN = 227
 _EXTENDED = 0x8000_0000
@@ -84,7 +85,7 @@ def _can(line: Line, t_ns: int | None, data: bytes, outgoing: bool | None, order
     taken = CanFrame(
         t_ns,
         line.port,
-        bits & (0x1FFF_FFFF if extended or bits & _ERROR else 0x7FF),
+        bits & (CAN_ID_MASK if extended or bits & _ERROR else CAN_ID_LIMIT),
         data[_CAN_HEADER : _CAN_HEADER + length],
         line.can_role(outgoing),
         extended,

@@ -22,7 +22,7 @@ from analyzer.records import CanFrame
 from analyzer.sources.lines import Lines, cut_note, head_lines, is_like, share
 from analyzer.sources.source import Source, quote
 from analyzer.sources.times import DAY, Clock, number_ns
-from analyzer.values import counted
+from analyzer.values import CAN_ID_MASK, counted
 
 _FIELD = re.compile(r"\s*;\$(FILEVERSION|STARTTIME|COLUMNS)\s*=\s*(\S+)")
 _FRAME = re.compile(r"\s*\d+\)?\s+\d+\.?\d*\s+(\w\w\s+)?(\d+\s+)?((Tx|Rx)\s+)?[0-9A-Fa-f]{4,8}\s")
@@ -35,7 +35,6 @@ _STATUS = ("ST", "EC", "ER", "EV", "Warng", "Error")
 _ID = re.compile(r"[0-9A-Fa-f]{1,8}")
 _NO_ID = "FFFFFFFF"
 _STANDARD_DIGITS = 4
-_ID_MASK = 0x1FFF_FFFF
 _CLASSIC_BYTES = 8
 _LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 #: 1970-01-01 in days since 1899-12-30.
@@ -107,7 +106,7 @@ def _frame(source: Source, cells: dict[str, str], start_ns: int) -> CanFrame:
         raise ValueError(f"expected one of {', '.join((*_KINDS, *_STATUS[:4]))}")
     if direction not in ("Rx", "Tx"):
         raise ValueError("expected Rx or Tx")
-    if not _ID.fullmatch(identifier) or int(identifier, 16) > _ID_MASK:
+    if not _ID.fullmatch(identifier) or int(identifier, 16) > CAN_ID_MASK:
         raise ValueError("expected an identifier of 29 bits in hexadecimal")
     printed = cells.get("D", "")
     remote, fd = kind == "RR" or printed == "RTR", kind not in ("DT", "RR")

@@ -18,7 +18,7 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Subject, Verb
 from analyzer.link import CanLink
 from analyzer.records import CanFrame
-from analyzer.reference.hex_frame import CAN_ID_LIMIT
+from analyzer.values import CAN_ID_LIMIT
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import (
     LISTEN_NS,
