@@ -23,10 +23,6 @@ EVERY = pytest.mark.parametrize("dialect", ALL, ids=lambda d: d.name)
 EVERY_MKS = pytest.mark.parametrize("dialect", MKS, ids=lambda d: d.name)
 
 
-def verbs(dialect: Dialect, *kinds: MotionKind) -> set[Verb]:
-    return {c.verb for c in dialect.motions(*kinds)}
-
-
 def having(dialect: Dialect, *wanted: Verb) -> set[Verb]:
     return set(dialect.by_verb) & set(wanted)
 

@@ -78,15 +78,8 @@ def whole(path: Path, *, replace: bool = True) -> Iterator[IO[bytes]]:
     Raises UsageError where it cannot be written.
     """
     output = Output(path, replace)
-    try:
+    with kept(output, "the incomplete file was removed"):
         yield output.stream
-        output.keep()
-    except OSError as error:
-        output.drop()
-        raise UsageError(f"cannot write {path}: {error.strerror or error}; the incomplete file was removed") from None
-    except BaseException:
-        output.drop()
-        raise
 
 
 class Output:
@@ -143,6 +136,23 @@ class Output:
             self.stream.close()
         self.part.unlink(missing_ok=True)
         self._lock = let_go(self._lock)
+
+
+@contextlib.contextmanager
+def kept(output: Output, otherwise: str) -> Iterator[None]:
+    """Give a file its name when this ends; leave none where something is raised. `otherwise`: what is then, in words.
+
+    Raises UsageError where it cannot be written.
+    """
+    try:
+        yield
+        output.keep()
+    except OSError as error:
+        output.drop()
+        raise UsageError(f"cannot write {output.target}: {error.strerror or error}; {otherwise}") from None
+    except BaseException:
+        output.drop()
+        raise
 
 
 class OutputFolder:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import msgspec
 
-from analyzer.cli.output import Output
+from analyzer.cli.output import Output, kept
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UnreadableError, UsageError
@@ -276,20 +276,13 @@ def _repair(path: Path, target: Path | None, replace: bool) -> None:
                 print(f"{printable(path.name)} is whole: nothing was changed")
                 return
         output = Output(into, replace or target is None)
-        try:
+        with kept(output, f"{path.name} is as it was"):
             with showing_progress(f"recovering {path.name}", size, lambda: interrupt.place):
                 outcome = repair(path, output.stream, interrupt.reached)
                 output.stream.flush()
                 trouble = unreadable(output.part, interrupt.reached)
             if trouble:
                 raise UnreadableError(f"{path} was repaired, but the result cannot be read back: {trouble}; it is as it was")
-            output.keep()
-        except OSError as error:
-            output.drop()
-            raise UsageError(f"cannot write {into}: {error.strerror or error}; {path.name} is as it was") from None
-        except BaseException:
-            output.drop()
-            raise
     _report(path, into, outcome)
 
 
