@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from analyzer.columns.plain import Plain
 
 __all__ = [
-    "CAN_ID_LIMIT", "CAN_OVERHEAD_BITS", "Entry", "EventSink", "Item", "Options", "Pipeline", "PlainSink", "Port",
+    "CAN_OVERHEAD_BITS", "Entry", "EventSink", "Item", "Options", "Pipeline", "PlainSink", "Port",
     "PortSetup", "RunSink", "Sink", "topic_name",
 ]  # fmt: skip
 
