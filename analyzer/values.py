@@ -28,6 +28,8 @@ _DECIMALS = 6
 #: The highest CAN identifier of 11 bits, and all 29 bits of a longer one.
 CAN_ID_LIMIT = 0x7FF
 CAN_ID_MASK = 0x1FFF_FFFF
+#: Bytes of a CAN FD frame by its length code.
+FD_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 #: Nanoseconds of a second.
 SECOND_NS = 1_000_000_000
 #: Units as people write them: how many of the first unit of their kind each is.

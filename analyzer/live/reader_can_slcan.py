@@ -17,6 +17,7 @@ from analyzer.live.reader_can_library import CanLibraryPort
 from analyzer.live.reader_port import BadCount, Lost, Stop, listen, readable
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import CanFlag
+from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK, FD_LENGTHS
 
 _READ_SIZE = 1 << 16
 #: The longest line: an extended FD frame with 64 bytes and a time.
@@ -39,8 +40,6 @@ _FRAMES: dict[int, tuple[int, int, bool, bool]] = {
 }
 #: Python's numbers can have a sign, blanks and underlines, too.
 _DIGITS = re.compile(rb"[0-9A-Fa-f]*")
-_LARGEST, _LARGEST_EXTENDED = (1 << 11) - 1, (1 << 29) - 1
-_FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 #: Lines that are answers: z and Z to a frame sent, a version, a serial number, flags; and nothing at all.
 _ANSWERS = frozenset(b"zZvVNF")
 
@@ -56,11 +55,11 @@ def dissect_line(line: bytes) -> tuple[int, int, bytes] | None:
     if not digits or len(line) < digits + 2 or not _DIGITS.fullmatch(line, 1, digits + 2):
         raise ValueError(f"{line[:20]!r} is no frame")
     can_id = int(line[1 : digits + 1], 16)
-    if can_id > (_LARGEST_EXTENDED if flags & CanFlag.EXTENDED else _LARGEST):
+    if can_id > (CAN_ID_MASK if flags & CanFlag.EXTENDED else CAN_ID_LIMIT):
         raise ValueError(f"{line[:20]!r} has an identifier of too many bits")
     length = int(line[digits + 1 : digits + 2], 16)
     if coded:
-        length = _FD_LENGTHS[length]
+        length = FD_LENGTHS[length]
     elif length > 8:
         raise ValueError(f"{line[:20]!r} says a length of {length}")
     if not has_data:

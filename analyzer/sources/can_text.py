@@ -32,7 +32,7 @@ from analyzer.sources.marks import ACTIONS, MATTERS, SIGNS, role_of
 from analyzer.sources.prose import role_in_text
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import ANY, STAMPS, Stamp, StampClock
-from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK
+from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK, FD_LENGTHS
 
 _words = "|".join(sorted((*ACTIONS, *MATTERS), key=len, reverse=True))
 _signs = "|".join(map(re.escape, SIGNS))
@@ -50,7 +50,6 @@ _ONLY_ID = re.compile(r"(?:.*[^A-Za-z])?id\s*[:=]?\s*0x[0-9A-F]{1,8}\s*", re.IGN
 _ONLY_BYTES = re.compile(r"\s*(?:0x)?[0-9A-F]{1,2}(?:[\s,]+(?:0x)?[0-9A-F]{1,2}){0,7}\s*", re.IGNORECASE)
 _MARKS = {"tx": Role.REQUEST, "t": Role.REQUEST, "cansend": Role.REQUEST, "send": Role.REQUEST, "false": Role.REQUEST}
 _CAN_BYTES = 8
-_FD_BYTES = (12, 16, 20, 24, 32, 48, 64)
 _LONGEST_LINE = 1000
 _BYTE = re.compile(r"[0-9A-Fa-f]{1,2}")
 #: Below this a number is the same in both, and with so many digits tools print hexadecimal.
@@ -323,7 +322,7 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
     remote, error = bool(groups.get("remote")), bool(groups.get("error"))
     if (
         data is None
-        or (len(data) > _CAN_BYTES and len(data) not in _FD_BYTES and mark != "cansend")
+        or (len(data) not in FD_LENGTHS and mark != "cansend")
         or number > _FLAGGED
         or (length is not None and int(length) != len(data) and not remote)
     ):
@@ -368,7 +367,7 @@ def _called(groups: dict[str, str | None], stamp: Stamp) -> _Line | None:
     values = [_number(token) for token in _TOKEN.findall(groups["listed"] or "")] * int(groups.get("times") or 1)
     # A program that asks for 11 bits sends 11 bits, however large its number is.
     extended = bool(groups.get("extended")) or (number > CAN_ID_LIMIT and not groups.get("standard"))
-    if number > CAN_ID_MASK or not values or max(values) > 0xFF or (len(values) > _CAN_BYTES and len(values) not in _FD_BYTES):
+    if number > CAN_ID_MASK or not values or max(values) > 0xFF or len(values) not in FD_LENGTHS:
         return None
     data = bytes(values)
     return _Line(CanFrame(None, "", number, data, Role.REQUEST, extended, fd=len(data) > _CAN_BYTES), stamp, None)

@@ -29,7 +29,7 @@ from analyzer.sources.marks import role_of_name
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import Stamp, StampClock, stamp_of
 from analyzer.sources.times import number_ns
-from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK, SECOND_NS, counted
+from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK, FD_LENGTHS, SECOND_NS, counted
 
 #: What columns are called, in small letters and without anything but letters and digits.
 _NAMES: dict[str, tuple[str, ...]] = {
@@ -60,8 +60,6 @@ _NUMBER = re.compile(r"\d{1,19}[.,]\d{1,12}")
 #: What tools put before the bytes of a cell.
 _BEFORE = re.compile(r"x\|\s*")
 _CAN_BYTES = 64
-#: Length codes beyond 8 and the bytes of CAN FD that they stand for; a classic frame then has 8.
-_CODED = {9: 12, 10: 16, 11: 20, 12: 24, 13: 32, 14: 48, 15: 64}
 #: Lines among which the heading must be.
 _HEADING_LINES = 10
 _LEAST_SHARE = 0.5
@@ -334,7 +332,8 @@ def _records(source: Source, table: _Table, is_can: bool, times: _Times) -> Iter
             remote = str(row.get("remote", "")).lower() in _TRUE
             direction = role if role is Role.REQUEST else Role.UNKNOWN
             length = _length(row, len(data))
-            if not remote and len(data) != length and not (length in _CODED and len(data) in (8, _CODED[length])):
+            # Of the codes beyond 8, each stands for more bytes of CAN FD; a classic frame then has 8.
+            if not remote and len(data) != length and not (8 < length <= 15 and len(data) in (8, FD_LENGTHS[length])):
                 source.problem(
                     f"expected {counted(length, 'byte')}, got {len(data)}; the frame has them all", line=lines.number
                 )

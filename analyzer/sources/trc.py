@@ -22,7 +22,7 @@ from analyzer.records import CanFrame
 from analyzer.sources.lines import Lines, cut_note, head_lines, is_like, share
 from analyzer.sources.source import Source, quote
 from analyzer.sources.times import DAY, Clock, number_ns
-from analyzer.values import CAN_ID_MASK, counted
+from analyzer.values import CAN_ID_MASK, FD_LENGTHS, counted
 
 _FIELD = re.compile(r"\s*;\$(FILEVERSION|STARTTIME|COLUMNS)\s*=\s*(\S+)")
 _FRAME = re.compile(r"\s*\d+\)?\s+\d+\.?\d*\s+(\w\w\s+)?(\d+\s+)?((Tx|Rx)\s+)?[0-9A-Fa-f]{4,8}\s")
@@ -36,7 +36,6 @@ _ID = re.compile(r"[0-9A-Fa-f]{1,8}")
 _NO_ID = "FFFFFFFF"
 _STANDARD_DIGITS = 4
 _CLASSIC_BYTES = 8
-_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 #: 1970-01-01 in days since 1899-12-30.
 _EPOCH_DAYS = 25569
 _MILLISECOND = 1_000_000
@@ -127,11 +126,11 @@ def _frame(source: Source, cells: dict[str, str], start_ns: int) -> CanFrame:
 def _length(cells: dict[str, str], fd: bool) -> int:
     """Return how many bytes a line says; `L` is the code of a length, `l` the length itself."""
     text = cells.get("l") or cells.get("L", "")
-    if not re.fullmatch(r"[0-9]{1,2}", text) or int(text) > (_LENGTHS[-1] if "l" in cells else len(_LENGTHS) - 1):
+    if not re.fullmatch(r"[0-9]{1,2}", text) or int(text) > (FD_LENGTHS[-1] if "l" in cells else len(FD_LENGTHS) - 1):
         raise ValueError("expected a length")
     if "l" in cells:
         return int(text)
-    return _LENGTHS[int(text) if fd else min(int(text), _CLASSIC_BYTES)]
+    return FD_LENGTHS[int(text) if fd else min(int(text), _CLASSIC_BYTES)]
 
 
 def _data(text: str) -> bytes:
