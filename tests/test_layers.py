@@ -167,6 +167,12 @@ def test_no_name_that_says_nothing():
     assert [name for name, path in MODULES.items() if path.stem in ("utils", "helpers", "base", "common")] == []
 
 
+def test_the_page_for_those_who_add_names_each_folder():
+    named = (ROOT / "docs" / "adding.md").read_text()
+    folders = {path.parent.relative_to(ROOT).parts[:2][-1] for path in MODULES.values()}
+    assert [folder for folder in sorted(folders) if f"{folder}/" not in named] == []
+
+
 def test_help_needs_nothing_heavy():
     code = "import sys; from analyzer.cli import main; main(['--help']); print(sorted(sys.modules), file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
