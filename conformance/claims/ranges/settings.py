@@ -238,15 +238,8 @@ def _unchanged(probe: Probe, command: Command, field: Field, effect: SettingEffe
         shown = edges.text(field, value)
         if answer is not Acceptance.REFUSED:
             raise Inconclusive(f"{shown} is {answer.value}, which another claim of this field judges")
-        now = effect.see(probe)
-        probe.expect(
-            effect.words(now),
-            holds=effect.same(probe, before, now),
-            expected=f"as before: {effect.words(before)}",
-            refutes=f"{command.name}: {shown} is refused and changes something",
-            exchange=exchange,
-            key=f"{command.name} refused and stored",
-        )
+        text = f"{command.name}: {shown} is refused and changes something"
+        effect.expect(probe, effect.see(probe), before, text, exchange, f"{command.name} refused and stored")
 
 
 # --- reserved bits ----------------------------------------------------------------------------------------------------
