@@ -28,7 +28,7 @@ from conformance.claims.ranges import edges
 from conformance.claims.settings import kept_effects, setting_effects
 from conformance.claims.settings.kept_effects import Kept
 from conformance.claims.settings.known_settings import Setting, every_setting, needs
-from conformance.claims.settings.link_changes import NEW_ADDRESS_ANSWERS, change_address, other_address, visit_another_rate
+from conformance.claims.settings.link_changes import NEW_ADDRESS_ANSWERS, another_rate, at_rate, change_address, other_address
 from conformance.claims.settings.read_back import fields_of, of_read_back
 from conformance.claims.settings.setting_effects import SettingEffect
 from conformance.model import limits
@@ -96,7 +96,8 @@ def _group_stays(probe: Probe, command: Command, effect: SettingEffect, others: 
         probe.ask(each.command, each.values[0])
     exchange = change_address(probe, address, other)
     change_address(probe, address, own, at=other)
-    visit_another_rate(probe)
+    with at_rate(probe, another_rate(probe)):
+        pass
     effect.ready(probe)
     seen, should = effect.see(probe), effect.expected(probe.dialect, values)
     effect.expect(probe, seen, should, "a drive leaves its group when something else is set", exchange)

@@ -33,13 +33,13 @@ from conformance.claims.settings.known_settings import every_setting
 from conformance.claims.settings.link_changes import (
     NEW_ADDRESS_ANSWERS,
     SETTLE_NS,
+    another_rate,
     ask_in,
+    at_rate,
     change_address,
-    follow,
     is_reply,
     need_reply_or_silence,
     other_address,
-    settle,
 )
 from conformance.claims.settings.read_back import expect_values, fields_of, of_read_back, parameters, text
 from conformance.claims.settings.setting_effects import SettingEffect
@@ -56,8 +56,6 @@ from conformance.talk.restarts import DEAF_NS, power_cycle, restart, wait_for_an
 RESTORED_NS = 4_000 * MS
 #: The speed of a run, and as what share of it two are one.
 _RPM, _SHARE = 60, 0.1
-#: Speeds of the line that each drive has, of which one is another than that of the line.
-_OTHER_RATES = (19_200, 38_400)
 #: How long a shaft is watched that is to stand.
 _LOOK_NS = 300 * MS
 #: How long a drive takes to start, and its shaft to have the speed of a motion that is taken up again.
@@ -202,29 +200,17 @@ def _kept_links(effect: Effect) -> Cases:
 
 
 @_of_restart(each=_kept_links(Effect.BAUD_RATE), refuted_by="silence at the new speed", alone=True)
-def _speed_of_the_line(probe: Probe, command: Command, field: str) -> None:
+def _speed_of_the_line(probe: Probe, command: Command) -> None:
     """A restart keeps the speed of the line."""
     need_reliable_replies(probe)
-    codes = {rate: value for value, rate in probe.dialect.rates.items()}
-    before = probe.gate.line.endpoint.bits_per_second
-    other = next(rate for rate in _OTHER_RATES if rate != before)
-    if before not in codes:
-        raise Inconclusive(f"the line is at {before} bits per second, which is no setting of the drive")
-    exchange = probe.ask(command, {field: codes[other]})
-    follow(probe, other)
-    try:
-        settle(probe)
+    other = another_rate(probe)
+    with at_rate(probe, other) as exchange:
         if not answers(probe, probe.address):
             raise Inconclusive(f"the drive does not answer at {other} bits per second")
         probe.ask(Verb.RESTART)
         with contextlib.suppress(Inconclusive):
             wait_for_answer(probe, limit_ns=RESTORED_NS)
         kept = answers(probe, probe.address)
-        if kept:
-            probe.ask(command, {field: codes[before]})
-    finally:
-        follow(probe, before)
-    settle(probe)
     text = f"{command.name}: a restart loses the speed of the line"
     expected = f"an answer at {other}"
     probe.expect("silence", holds=kept, expected=expected, refutes=text, exchange=exchange, key=f"{command.name} lost")
