@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeVar
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive, Observed
@@ -73,8 +74,9 @@ class _Limited:
         return abs(self.seen - self.limit) <= self.within
 
 
-#: Moves or runs under limits, once for all claims about them.
+#: Moves or runs under limits, once for all claims about them; and what any such record has seen.
 _Record = Callable[[Probe, Command], tuple[_Limited, ...]]
+_Seen = TypeVar("_Seen")
 
 
 def limited_speeds(probe: Probe, command: Command) -> tuple[_Limited, ...]:
@@ -127,8 +129,9 @@ def limited_places(probe: Probe, move: Command) -> tuple[_Limited, ...]:
     return tuple(found)
 
 
-def _limited(probe: Probe, record: _Record, move: Command) -> tuple[_Limited, ...]:
-    found = probe.recorded(record, move)
+def tried(probe: Probe, record: Callable[[Probe, Command], tuple[_Seen, ...]], command: Command) -> tuple[_Seen, ...]:
+    """Return what a motion showed, once for all claims; nothing, which is a known quirk, where the parameter is not there."""
+    found = probe.recorded(record, command)
     if not found:
         probe.meets(OTHER_FIRMWARE)
     return found
@@ -140,7 +143,7 @@ def _from_begin(found: tuple[_Limited, ...]) -> tuple[_Limited, ...]:
 
 def _expect_each_way(probe: Probe, record: _Record, move: Command, limit: str) -> None:
     """Refute a limit that holds one way alone."""
-    found = _from_begin(_limited(probe, record, move))
+    found = _from_begin(tried(probe, record, move))
     beyond = [one for one in found if not one.holds]
     if found and len(beyond) == len(found):
         raise Observed(f"the {limit} does not hold for {move.name}")
@@ -164,7 +167,7 @@ _of_speed_limit = partial(_of_parameter, each=_unlimited_motions, at_best=Certai
 @_of_speed_limit(name="{command}/speed-limit-{move}-at-once", refuted_by="the speed of before")
 def _speed_limit_at_once(probe: Probe, move: Command) -> None:
     """A speed limit that holds for {move} from its begin holds as soon as it is written for one that is under way."""
-    found = _limited(probe, limited_speeds, move)
+    found = tried(probe, limited_speeds, move)
     if not all(one.holds for one in _from_begin(found)):
         raise Observed(f"the speed limit does not hold for {move.name}")
     for one in found:

@@ -17,8 +17,8 @@ from math import inf
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive, Observed, Theme
 from conformance.claims.declare import Case, commands
-from conformance.claims.lk.limits import of_run
-from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
+from conformance.claims.lk.limits import of_run, tried
+from conformance.model.lk_parameters import parameter, set_parameter
 from conformance.motion import motion
 from conformance.motion.motion import MS, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
@@ -140,14 +140,6 @@ def ramped_each_way(probe: Probe, run: Command) -> tuple[_Ramp, ...]:
 _BACK_RAMP = 36_000
 
 
-def _ramps(probe: Probe, run: Command) -> tuple[_Ramp, ...] | None:
-    found = probe.recorded(ramped_each_way, run)
-    if not found:
-        probe.meets(OTHER_FIRMWARE)
-        return None
-    return found
-
-
 @_of_ramp(
     each=_ramped,
     name="{command}/speed-ramp-{run}-each-way",
@@ -157,7 +149,7 @@ def _ramps(probe: Probe, run: Command) -> tuple[_Ramp, ...] | None:
 )
 def _speed_ramp_each_way(probe: Probe, run: Command) -> None:
     """The speed ramp that holds for {run} one way holds the other way too."""
-    if (found := _ramps(probe, run)) is None:
+    if not (found := tried(probe, ramped_each_way, run)):
         return
     forward, back = found
     probe.measured["deg_s2"] = forward.value
