@@ -125,7 +125,7 @@ def _at_corners(dialect: Dialect) -> Iterator[Case]:
     aspect=Aspect.BOUNDARY,
 )
 def _refused_at_corners(probe: Probe, command: Command, rows: Sequence[tuple[Field, int, dict[str, int]]]) -> None:
-    """A value next to the limits of a field is refused beside the highest and beside the lowest values of the others."""
+    """A value next to the limits of a field is refused where the others have their highest values, and where their lowest."""
     edges.prepare(probe, command)
     for field, value, others in rows:
         if field.models and not probe.rig.model and not probe.rig.emulated:
