@@ -261,11 +261,7 @@ def _without_switch(dialect: Dialect) -> Iterator[Case]:
 
 def _can_meet_a_wall(dialect: Dialect) -> bool:
     """Say whether a drive can home without a switch."""
-    return any(_has_mode(dialect.by_verb[v]) for v in SETS_HOME if v in dialect.by_verb)
-
-
-def _has_mode(command: Command) -> bool:
-    return any("home_mode" in form.layout.named for form in command.request_forms)
+    return "home_mode" in fields(dialect)
 
 
 @_of_homing("another place", each=_without_switch, name="{command}/without-switch-{way}-{angle:x}")

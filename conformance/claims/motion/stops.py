@@ -94,10 +94,6 @@ def _of_motions(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, stop, {"run": run})
 
 
-def _ask_stop(probe: Probe, stop: Command, acceleration: int) -> Exchange:
-    return probe.ask(stop, {"acceleration": acceleration}, quiet_ns=0)
-
-
 @dataclass(frozen=True)
 class StopOnRamp:
     """A motion that was stopped by the slow ramp.
@@ -125,7 +121,7 @@ def stopped_by_ramp(probe: Probe, run: Command, stop: Command) -> StopOnRamp:
     set_going(probe, run, _RPM, _RAMP_TURNS)
     before = motion.speed(probe)
     since = len(probe.traffic)
-    exchange = _ask_stop(probe, stop, _SLOW_RAMP)
+    exchange = probe.ask(stop, {"acceleration": _SLOW_RAMP}, quiet_ns=0)
     probe.wait(exchange.sent_ns + _RAMP_NS * 2 // 5 - probe.gate.now_ns())
     midway, at_once = motion.speed(probe), motion.position(probe)
     over_ns = exchange.sent_ns + _RAMP_NS + 200 * MS

@@ -118,15 +118,14 @@ def _kept_fields(dialect: Dialect) -> Iterator[Case]:
     if Verb.RESTART in dialect.by_verb:
         for command, row in kept_effects.rows(dialect):
             facts = row.effect.needed(
-                dialect, edges.needs(dialect, command, [row.values]), *_restarting(dialect), *motion.risks(dialect)
+                dialect,
+                edges.needs(dialect, command, [row.values]),
+                *dialect.by_verb[Verb.RESTART].all_risks,
+                *motion.risks(dialect),
             )
             # They take long, and the whole command is looked at by a claim that every run makes.
             facts |= {"parameters": {"field": row.name}, "emulated": row.hands, "by_name": not row.hands}
             yield Case(dialect, command, {"row": row}, facts)
-
-
-def _restarting(dialect: Dialect) -> frozenset[Risk]:
-    return dialect.by_verb[Verb.RESTART].all_risks
 
 
 @of_read_back(each=_kept_fields, name="{command}/restart-{row}", refuted_by="another setting", fields=fields_of)
