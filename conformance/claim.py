@@ -123,7 +123,7 @@ class Refuted(AssertionError):
         self.got = got
         self.exchange = exchange
         self.key = key or text
-        #: What led there, where the claim was a sequence of steps (`conformance.model.walk`).
+        #: What led there, where the claim was a sequence of steps (`conformance.model.steps`).
         self.steps: tuple[Any, ...] = ()
 
 

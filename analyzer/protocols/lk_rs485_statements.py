@@ -86,7 +86,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "Single motor command/executes-then-answers",
         "A motor that has heard a command answers it, once.",
-        ("shape/*/answered", "shape/*/once", "timing/replies/every-time", "resilience/reads/answered", "traffic/answered"),
+        ("shape/*/answered", "shape/*/once", "timing/replies/every-time", "traffic/answered"),
     ),
     S(
         "Single motor command/delay",
@@ -315,7 +315,7 @@ STATEMENTS: tuple[S, ...] = (
         "Max Torque Current",
         max_speed=("motion/write_parameter/speed-limit-run_speed-each-way",),
         max_acceleration=("timing/write_parameter/one-ramp", "timing/write_parameter/speed-ramp-run_speed-each-way"),
-        max_torque_current=("motion/write_parameter/torque-limit",),
+        max_torque_current=("motion/write_parameter/torque-limit-*",),
     ),
     _tells_state("11", "run_speed"),
     # --- 12 and 13: positions over all turns ---
@@ -325,21 +325,13 @@ STATEMENTS: tuple[S, ...] = (
         "It moves the motor to a position over all turns.",
         ("motion/move_multi_turn/reaches", "motion/move_multi_turn/absolute"),
     ),
-    S(
-        "12/type",
-        "The position is signed, of eight bytes, low byte first.",
-        ("ranges/move_multi_turn/position/*", "motion/move_multi_turn/wide"),
-    ),
+    S("12/type", "The position is signed, of eight bytes, low byte first.", ("ranges/move_multi_turn/position/*",)),
     S(
         "12/unit",
         "One unit is 0.01 degrees: 36000 are a turn.",
         ("motion/move_multi_turn/reaches", "motion/set_position/and-moves"),
     ),
-    S(
-        "12/direction",
-        "It turns from where it is towards the target.",
-        ("motion/move_multi_turn/reaches", "motion/move_multi_turn/wide"),
-    ),
+    S("12/direction", "It turns from where it is towards the target.", ("motion/move_multi_turn/reaches",)),
     *_limited(
         "12",
         "Max Angle",
@@ -358,17 +350,9 @@ STATEMENTS: tuple[S, ...] = (
         "It moves the motor to a position over all turns.",
         ("motion/move_multi_turn_limited/reaches", "motion/move_multi_turn_limited/absolute"),
     ),
-    S(
-        "13/type",
-        "The position is signed, of eight bytes, low byte first.",
-        ("ranges/move_multi_turn_limited/position/*", "motion/move_multi_turn_limited/wide"),
-    ),
+    S("13/type", "The position is signed, of eight bytes, low byte first.", ("ranges/move_multi_turn_limited/position/*",)),
     S("13/unit", "One unit of position is 0.01 degrees: 36000 are a turn.", ("motion/move_multi_turn_limited/reaches",)),
-    S(
-        "13/direction",
-        "It turns from where it is towards the target.",
-        ("motion/move_multi_turn_limited/reaches", "motion/move_multi_turn_limited/wide"),
-    ),
+    S("13/direction", "It turns from where it is towards the target.", ("motion/move_multi_turn_limited/reaches",)),
     S(
         "13/max-speed",
         "It turns no faster than max_speed.",
@@ -563,7 +547,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "22/position",
         "It reads the position over all turns, signed, of eight bytes, low byte first.",
-        ("motion/set_position/counts-on", "motion/set_position/reads"),
+        ("motion/set_position/counts-on", "ranges/set_position/position/*"),
     ),
     S(
         "22/clockwise",
@@ -601,7 +585,7 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "25/sets",
         "It calls the present position any angle over all turns.",
-        ("motion/set_position/reads", "motion/set_position/and-moves"),
+        ("ranges/set_position/position/*", "motion/set_position/and-moves"),
     ),
     S("25/turns-nothing", "It gives a name, and moves nothing.", ("motion/set_position/stands",)),
     S(
@@ -610,11 +594,7 @@ STATEMENTS: tuple[S, ...] = (
         unclaimed="observed by motion/set_position/under-way: what 95h does to its end is not said",
     ),
     S("25/ram", "The name is gone when power was off.", ("motion/set_position/lost",)),
-    S(
-        "25/type",
-        "The angle is signed, of four bytes, low byte first.",
-        ("ranges/set_position/position/*", "motion/set_position/reads"),
-    ),
+    S("25/type", "The angle is signed, of four bytes, low byte first.", ("ranges/set_position/position/*",)),
     S("25/unit", "One unit is 0.01 degrees.", ("motion/set_position/and-moves", "motion/set_position/counts-on")),
     S("25/echo", "The reply has the angle that was sent.", ("shape/set_position/echo",)),
     # --- appendix 1 ---

@@ -85,7 +85,7 @@ STATEMENTS: tuple[Statement, ...] = (
     ),
     said("1.2/subdivision", "A full step has up to 256 subdivisions.", "motion/set_subdivision/pulses-at-256"),
     unseen("1.2/pulse-frequency", "Pulses come at up to 300 kHz.", _PULSES),
-    said("1.2/speed", "The highest speed is 3000 rpm.", "motion/*/crossed-speed", "motion/*/beyond-highest"),
+    said("1.2/speed", "The highest speed is 3000 rpm.", "motion/*/crossed-speed", "ranges/*/speed/above"),
     said(
         "1.2/angle-while-free",
         "The angle is kept up to date, whether the motor is enabled or not.",
@@ -332,12 +332,7 @@ STATEMENTS: tuple[Statement, ...] = (
     ),
     said("3.2.2/default", "Mode 03 is the default.", "read-back/restore/settings"),
     unseen("3.2.2/pulse-frequency", "In pulse modes the frequency is up to 300 kHz.", _PULSES),
-    said(
-        "3.2.2/bus-speed",
-        "In bus modes the speed is up to 3000 rpm.",
-        "motion/run_speed/highest-*",
-        "ranges/run_speed/speed/bus_*",
-    ),
+    said("3.2.2/bus-speed", "In bus modes the speed is up to 3000 rpm.", "motion/run_speed/highest-*"),
     unseen(
         "3.2.2/no-encoder", "Without an encoder its value cannot be read.", "what is answered in place of the value is not said"
     ),
@@ -549,14 +544,13 @@ STATEMENTS: tuple[Statement, ...] = (
         "3.4.1/direction",
         "HmDir is the way home: 0 clockwise, 1 counter-clockwise.",
         "motion/home/finds-switch-*",
-        "read-back/set_home/home_direction",
+        "motion/home/turns",
     ),
     said(
         "3.4.1/speed",
         "HmSpeed is the speed of homing, 0 to 3000 rpm.",
         "motion/home/speed-*",
-        "read-back/set_home/home_speed",
-        "read-back/set_home/home_speed-at-8",
+        "motion/home/turns",
         "ranges/set_home/home_speed/*",
         "ranges/set_home/at-corners",
     ),
@@ -848,10 +842,10 @@ STATEMENTS: tuple[Statement, ...] = (
     said(
         "4.4.3/saved",
         "A saved run begins again when power comes on, either way, at its speed.",
-        "motion/save_speed/runs-direction-*",
+        "read-back/save_speed/power",
         "read-back/save_speed/restart",
     ),
-    said("4.4.3/cleaned", "A cleaned one does not.", "motion/save_speed/clean", "read-back/save_speed/clean"),
+    said("4.4.3/cleaned", "A cleaned one does not.", "read-back/save_speed/clean"),
     said(
         "4.4.3/status",
         "Status 1 says that it is done, and 0 that it is not.",
@@ -893,7 +887,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "Pulses are 0 to FFFFFFh.",
         "ranges/move_relative_pulses/pulses/*",
         "motion/move_relative_pulses/crossed-replies",
-        "motion/move_relative_pulses/far",
+        "ranges/move_relative_pulses/pulses/width",
         "motion/move_relative_pulses/low-word",
     ),
     said("4.5.1/examples", "The frames of the manual turn the shaft 20 times, either way.", "examples/move_relative_pulses/*"),
@@ -953,7 +947,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.6.1/range",
         "The target is -8388607 to 8388607.",
         "ranges/move_absolute_pulses/position/*",
-        "motion/move_absolute_pulses/far",
+        "ranges/move_absolute_pulses/position/width",
         "motion/move_absolute_pulses/low-word",
     ),
     said("4.6.1/examples", "The frames of the manual move to 4000h and to -4000h.", "examples/move_absolute_pulses/*"),
@@ -1015,7 +1009,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "The way is -8388607 to 8388607.",
         "ranges/move_relative_axis/position/*",
         "motion/move_relative_axis/crossed-replies",
-        "motion/move_relative_axis/far",
+        "ranges/move_relative_axis/position/width",
         "motion/move_relative_axis/low-word",
     ),
     said("4.7.1/examples", "The frames of the manual move by 4000h and by -4000h.", "examples/move_relative_axis/*"),
@@ -1079,7 +1073,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.8.1/range",
         "The target is -8388607 to 8388607.",
         "ranges/move_absolute_axis/position/*",
-        "motion/move_absolute_axis/far",
+        "ranges/move_absolute_axis/position/width",
         "motion/move_absolute_axis/low-word",
     ),
     said("4.8.1/examples", "The frames of the manual move to 4000h and to -4000h.", "examples/move_absolute_axis/*"),
@@ -1115,11 +1109,9 @@ STATEMENTS: tuple[Statement, ...] = (
     # Part 5: examples
     said("5.3/encoder", "30 is answered with carry 1 and value 29EFh.", "examples/read_encoder_carry/2"),
     said("5.4/run", "F6 runs the motor and is answered by 1.", "examples/run_speed/3"),
-    said(
-        "5.4/save", "FF C8 saves the run and is answered by 1.", "examples/save_speed/1", "motion/save_speed/runs-direction-0"
-    ),
+    said("5.4/save", "FF C8 saves the run and is answered by 1.", "examples/save_speed/1", "read-back/save_speed/power"),
     said("5.4/stop", "F6 with speed 0 stops the motor and is answered by 1.", "examples/stop_speed/3"),
-    said("5.4/after-power-on", "The saved run begins again after power comes on.", "motion/save_speed/runs-direction-*"),
+    said("5.4/after-power-on", "The saved run begins again after power comes on.", "read-back/save_speed/power"),
     said("5.5/move", "FD moves by 200 turns and is answered by 1, then 2.", "examples/move_relative_pulses/5"),
     said("5.5/long-move", "FD backwards by 1000 turns is answered by 1 when it begins.", "examples/move_relative_pulses/6"),
     said(

@@ -212,12 +212,7 @@ _WRITES = (
             "8.2.19/on", "With 1 it holds.", "motion/enable/is-read", "motion/enable/on-holds-here", "read-back/enable/effect"
         ),
         said("8.2.19/serial", "It works in serial modes alone.", "motion/enable/pulse-mode"),
-        said(
-            "8.2.19/motion",
-            "A disabled motor is not turned by any motion command.",
-            "motion/*/disabled",
-            "motion/enable/off-holds-all",
-        ),
+        said("8.2.19/motion", "A disabled motor is not turned by any motion command.", "motion/*/disabled"),
     ),
     *_write_many(
         "8.2.20",
@@ -234,7 +229,7 @@ _MOTION = (
         "8.3.1",
         "emergency_stop",
         "F7h with 1 stops the motor at once.",
-        said("8.3.1/stops", "The motor stops at once.", "motion/emergency_stop/ends-*", "motion/home/stopped"),
+        said("8.3.1/stops", "The motor stops at once.", "motion/emergency_stop/ends-*"),
     ),
     *_write(
         "8.3.2",
@@ -263,11 +258,11 @@ _MOTION = (
         said(
             "8.3.3.3/save",
             "A kept run begins when power comes on, either way.",
-            "motion/save_speed/runs-direction-*",
+            "read-back/save_speed/power",
             "read-back/save_speed/restart",
             "read-back/save_speed/as-it-was",
         ),
-        said("8.3.3.3/clean", "A forgotten run does not.", "motion/save_speed/clean", "read-back/save_speed/clean"),
+        said("8.3.3.3/clean", "A forgotten run does not.", "read-back/save_speed/clean"),
     ),
     *_move(
         "8.3.4.1",

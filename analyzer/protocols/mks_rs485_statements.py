@@ -138,7 +138,6 @@ _SETTINGS = (
             "Motion is answered at once by 1, or by 0 when it fails.",
             "timing/*/answered-soon",
             "motion/*/disabled",
-            "motion/enable/off-holds-all",
         ),
     ),
     *setting(
@@ -193,7 +192,7 @@ _SETTINGS = (
     *setting("5.3.1", "set_home", "90 sets trigger level, direction, speed and end limit."),
     said("5.3.2/homes", "91 looks for home.", "motion/home/finds-switch-*", "motion/home/zero"),
     *effects("5.3.2", "home"),
-    said("5.3.2/fails", "Status 0: homing failed.", "motion/home/disabled", "motion/home/stopped"),
+    said("5.3.2/fails", "Status 0: homing failed.", "motion/home/disabled"),
     said("5.3.2/starts", "Status 1: homing starts.", "motion/home/replies"),
     said("5.3.2/done", "Status 2: home is found.", "motion/home/replies", "motion/home/told-though"),
     said("5.3.3/zero", "92 makes the present place zero.", "motion/set_zero/*"),
@@ -378,16 +377,10 @@ _MOTION = (
         "6.2.2/disabled-motion",
         "A disabled motor is not turned by any motion command.",
         *each(RUNS, "motion/{}/disabled"),
-        "motion/enable/off-holds-all",
+        "motion/*/disabled",
         "motion/home/disabled",
     ),
-    said(
-        "6.3/stops",
-        "F7 stops the motor at once.",
-        "motion/emergency_stop/ends-*",
-        "motion/home/stopped",
-        "motion/calibrate/halted",
-    ),
+    said("6.3/stops", "F7 stops the motor at once.", "motion/emergency_stop/ends-*", "motion/calibrate/halted"),
     said("6.3/status", "It is answered by 1, or by 0 when that fails.", "motion/emergency_stop/replies"),
     said(
         "6.4/broadcast",
@@ -433,19 +426,15 @@ _MOTION = (
     said(
         "6.5.3/save",
         "FF with C8 keeps the present run.",
-        "motion/save_speed/runs-direction-*",
+        "read-back/save_speed/power",
         "read-back/save_speed/restart",
         "read-back/save_speed/as-it-was",
     ),
-    said("6.5.3/clean", "FF with CA forgets the kept run.", "motion/save_speed/clean", "read-back/save_speed/clean"),
+    said("6.5.3/clean", "FF with CA forgets the kept run.", "read-back/save_speed/clean"),
     said(
         "6.5.3/status", "It is answered by 1 or 2, or by 0 when that fails.", "shape/save_speed/status", "examples/save_speed/1"
     ),
-    said(
-        "6.5.3/power-on",
-        "With a kept run the motor turns when power comes on, either way.",
-        "motion/save_speed/runs-direction-*",
-    ),
+    said("6.5.3/power-on", "With a kept run the motor turns when power comes on, either way.", "read-back/save_speed/power"),
     # 6.6 to 6.9 Positions
     *_move(
         "6.6.1",
@@ -534,7 +523,7 @@ _MOTION = (
     said("7.4/run", "FA 01 F6 01 40 02 is answered by status 1.", "examples/run_speed/*"),
     said("7.4/save", "FA 01 FF C8 is answered by status 1.", "examples/save_speed/1"),
     said("7.4/stop", "FA 01 F6 00 00 02 stops the motor.", "examples/stop_speed/*"),
-    said("7.4/power-on", "Then the motor turns as was kept when power comes on.", "motion/save_speed/runs-direction-*"),
+    said("7.4/power-on", "Then the motor turns as was kept when power comes on.", "read-back/save_speed/power"),
     said(
         "7.5/200-turns",
         "9C400h pulses are 200 turns, told by 1 and then by 2.",

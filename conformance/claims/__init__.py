@@ -53,6 +53,8 @@ MODULES = (
     "settings.read_back",
     "settings.effects",
     "settings.restart",
+    "settings.kept_run",
+    "settings.kept_zero",
     "settings.restart_together",
     "settings.restore",
     # timing
@@ -94,7 +96,6 @@ MODULES = (
     "motion.homing",
     "motion.end_limits",
     "motion.protection",
-    "settings.power_on",
     "motion.calibrating",
     # state
     "state",

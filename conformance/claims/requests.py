@@ -32,8 +32,6 @@ from conformance.talk.restarts import wait_for_answer
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
 
-_BITS = 10
-
 #: Moves to a place, and the read that tells where in its own unit the shaft is: verb -> (read, field, field of the move).
 _PLACES: Mapping[Verb, tuple[Verb, str, str]] = {
     Verb.MOVE_ABSOLUTE_PULSES: (Verb.READ_PULSES, "pulses", "position"),
@@ -42,7 +40,6 @@ _PLACES: Mapping[Verb, tuple[Verb, str, str]] = {
 }
 #: Commands that turn a motor which no bus command can be refused for: they need no preparation and leave it turning.
 _TURNING = frozenset({Verb.HOME, Verb.CALIBRATE})
-_RESTARTING = frozenset({Verb.RESTART, Verb.RESTORE})
 
 
 def needs_motion(command: Command) -> bool:

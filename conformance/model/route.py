@@ -25,7 +25,7 @@ from analyzer.catalogue import Command, Dialect, Form, MotionKind, Risk, Verb
 from analyzer.layout import Effect, Field
 from conformance.gate.bounds import NO_BOUNDS, Leeway
 from conformance.model import covering, limits, lk_parameters
-from conformance.model.walk import LEAVE, LOOK, Step, selectors
+from conformance.model.steps import LEAVE, LOOK, Step, selectors
 from conformance.motion import motion, ramp
 from conformance.talk import samples
 

@@ -16,7 +16,8 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 from conformance.claim import Inconclusive, NotRun, Refuted
-from conformance.model.walk import Step, Walk
+from conformance.model.steps import Step
+from conformance.model.walk import Walk
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe

@@ -4,9 +4,6 @@
     walk.do(Step("set_subdivision", {"subdivision": 8}))     raises Refuted where the two differ
     walk.do(Step("look", {"first": 3, "count": 4}))          some of the reads, compared
 
-A step is a request as it is sent, a motion by its amounts (degrees, rpm, acceleration), or a look. So it is data, which can be
-repeated, shortened and stored.
-
 Rules kept here:
 - What is discrete must be the same: whether there is a reply, its status, settings, flags. It is compared away from changes.
 - Places, speeds and errors are compared through the resolution and the measured noise, of a shaft that stands or has its speed.
@@ -19,16 +16,16 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, MotionKind, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Inconclusive, NotRun, Refuted
 from conformance.gate.gate import Refused as GateRefused
+from conformance.model.steps import LEAVE, LOOK, Step, beginning, selectors, steps_text
 from conformance.model.twin import Told, Twin
+from conformance.model.unasked import Unasked
 from conformance.motion import motion, ramp
 from conformance.motion.motion import MS, QUICK
 from conformance.talk.exchange import Answer, Exchange
@@ -53,8 +50,8 @@ _AGAIN_NS, _AT_ONCE_NS = (200 * MS, 1_200 * MS), (0, 20 * MS)
 _ASKED = 4
 #: What is left of a move that is looked at on its way, at least.
 _WORTH_NS = 60 * MS
-#: How late a reply to a motion was seen to come.
-_BEHIND_NS, _SLOW_REPLY_NS = 800 * MS, 250 * MS
+#: How late what is told unasked was seen to come.
+_BEHIND_NS = 800 * MS
 #: By then a run has its speed.
 _LONG_NS = 100_000 * MS
 #: How long a shaft may take to come to rest that its twin's has, and the speed of one that surely turns.
@@ -65,37 +62,6 @@ _TURNING = frozenset({MotionKind.RUN, MotionKind.HOME, *motion.MOVES})
 _LETS_GO = 2.0
 #: A shaft on its way may be so far before its law or behind it.
 _SPREAD_NS = 18 * MS
-
-
-@dataclass(frozen=True)
-class Step:
-    """One thing that is done. `values`: integers as sent, or the amounts of a motion."""
-
-    name: str
-    values: Mapping[str, int] = field(default_factory=dict)
-
-    def __str__(self) -> str:
-        """Return it as `parse_steps` reads it."""
-        return " ".join([self.name, *(f"{n}={v}" for n, v in self.values.items())])
-
-
-def steps_text(steps: Iterable[Step]) -> str:
-    """Return steps as text."""
-    return "; ".join(map(str, steps))
-
-
-def parse_steps(text: str) -> list[Step]:
-    """Return the steps of a text that `steps_text` wrote. Raises ValueError for another."""
-    steps = []
-    for part in filter(None, (p.strip() for p in text.split(";"))):
-        name, *pairs = part.split()
-        steps.append(Step(name, {n: int(v) for n, _, v in (p.partition("=") for p in pairs)}))
-    return steps
-
-
-#: A motion by its amounts: it is left to itself, so that the next step comes meanwhile.
-LEAVE = "leave"
-LOOK = "look"
 #: What may leave the shaft a little elsewhere, or anywhere if it turned.
 _LOOSENS = frozenset(
     {Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF, Verb.BRAKE, Verb.SET_WORK_MODE, Verb.RESTART, Verb.RELEASE_PROTECTION}
@@ -121,11 +87,7 @@ class Walk:
         self._missing: set[Verb] = set()
         #: Settings, by field, that the drive does not tell and the walk has not set.
         self._untold = set() if Verb.READ_PARAMETER in self.dialect.by_verb else {_EN_LEVEL}
-        #: The codes whose statuses are compared when the shaft has come to rest: what ends is told unasked.
-        self._codes = {c.code for c in self.dialect.commands if c.motion is not None and c.motion.tells_end}
-        #: What the twin said of them since the shaft stood last; since when the drive may have.
-        self._expected: list[tuple[int, int]] = []
-        self._since = len(probe.traffic)
+        self._unasked = Unasked(probe)
         self._rpm: float = 0
         #: The code of the last motion that was left to itself.
         self._left = -1
@@ -152,7 +114,7 @@ class Walk:
         self._place(anywhere=True)
         self._learn_own(*self.reads)
         self.steps.clear()
-        self._expected, self._since = [], len(self.probe.traffic)
+        self._unasked.forget()
 
     def _take_settings(self) -> None:
         """Make the twin hold what the drive holds, as far as it tells."""
@@ -355,35 +317,23 @@ class Walk:
         left_ns = 0.0
         if twin.turning or twin.drive.next_ns() is not None:
             begun_ns = twin.now_ns
-            self._expected += self._statuses(twin.settle())
+            self._unasked.expect(twin.settle())
             left_ns = twin.now_ns - begun_ns
-        missing = len(self._expected) - len(self._said())
+        missing = self._unasked.missing()
         until_ns = probe.gate.now_ns() + int(left_ns * _SLOW) + (_LATE_NS + 5 * probe.noise.latency_ns if missing > 0 else 0)
         while (now_ns := probe.gate.now_ns()) < until_ns and (missing > 0 or left_ns):
             heard = probe.listen(until_ns - now_ns, Until.REPLY if missing > 0 else Until.TIMEOUT)
-            missing = len(self._expected) - len(self._said())
+            missing = self._unasked.missing()
             if missing <= 0 and heard.answers:
                 break
         if self.dialect.ramp is None or watched:
             self._watch()
         probe.wait(_TREMBLES_NS if probe.noise.live or probe.noise.lag else _SETTLES_NS)
         self._anchor()
-        if len(self._said()) < len(self._expected):
+        if self._unasked.missing() > 0:
             probe.listen(_BEHIND_NS)
-        # A slow drive may tell the begin of a motion behind its end.
-        said, expected, late_ns = sorted(self._said()), sorted(self._expected), self._late_ns()
-        lost = (Counter(expected) - Counter(said)).total()
-        if lost and lost <= self._damaged():
-            # What the line damaged may have said it.
-            said = sorted((Counter(said) | Counter(expected)).elements())
-        self._expected, self._since = [], len(probe.traffic)
-        if said != expected:
-            # What was left to itself may have ended just when the next command came.
-            said, expected = ([each for each in told if each[0] != self._left] for told in (said, expected))
-        if said != expected and late_ns > _SLOW_REPLY_NS:
-            raise Inconclusive("replies during motion are so late that their order says nothing")
-        if said != expected:
-            self._refute("what is said at the end of a motion", _said_text(expected), _said_text(said))
+        if (different := self._unasked.taken(self._left)) is not None:
+            self._refute("what is said at the end of a motion", *different)
 
     def _watch(self) -> None:
         try:
@@ -394,28 +344,9 @@ class Walk:
                 self._refute("the shaft does not come to rest", "0 rpm", f"{rpm:.3g} rpm")
             raise
 
-    def _late_ns(self) -> int:
-        """Return how late the latest reply since the shaft stood last was."""
-        return max((a.latency_ns for e in self.probe.traffic[self._since :] if e.sent for a in e.answers[:1]), default=0)
-
-    def _damaged(self) -> int:
-        """Return how many frames or other bytes that came since the shaft stood last cannot be read."""
-        traffic = self.probe.traffic[self._since :]
-        return sum(len(e.junk) + sum(not a.message.frame.checksum_ok for a in e.answers) for e in traffic)
-
-    def _said(self) -> list[tuple[int, int]]:
-        """Return the statuses that the drive said of motions since the shaft stood last."""
-        answers = (a for exchange in self.probe.traffic[self._since :] for a in exchange.answers)
-        told = ((a.command.code, a.values) for a in answers if a.command is not None and a.message.frame.checksum_ok)
-        return [(code, values["status"]) for code, values in told if code in self._codes and "status" in values]
-
-    def _statuses(self, told: Iterable[Told]) -> list[tuple[int, int]]:
-        codes = self._codes
-        return [(t.command.code, t.values["status"]) for t in told if t.command.code in codes and "status" in t.values]
-
     def _hear_nothing(self) -> None:
         """Let the twin be where time is."""
-        self._expected += self._statuses(self.twin.wait(self._twin_ns(self.probe.gate.now_ns())))
+        self._unasked.expect(self.twin.wait(self._twin_ns(self.probe.gate.now_ns())))
 
     def _twin_ns(self, t_ns: int) -> int:
         return t_ns + self._shift_ns
@@ -481,7 +412,7 @@ class Walk:
         return exchange.reply if exchange.is_read else None, self._told(command, told)
 
     def _told(self, command: Command, told: list[Told]) -> Told | None:
-        self._expected += self._statuses(told)
+        self._unasked.expect(told)
         return next((t for t in told if t.command.name == command.name), None)
 
     def look(self, command: Command, values: Mapping[str, int] | None = None) -> None:
@@ -522,7 +453,7 @@ class Walk:
                 if more.answers or more.junk:
                     raise Inconclusive(f"the reply to {command.name} is late")
             self._unanswered(command, reply, exchange)
-        elif reply is not None and wanted is not None and command.code not in self._codes:
+        elif reply is not None and wanted is not None and command.code not in self._unasked.codes:
             away = self._different(command, reply, wanted)
             if away and not self._explained(command, reply, away):
                 self._refute_read(command, reply, wanted, away, exchange)
@@ -653,38 +584,3 @@ def _degrees(drive: Any, field: Field) -> float:
     if field.unit == "pulses":
         return 360 / (200 * int(drive.subdivision))
     return 360.0 if field.unit == "turns" else 360 / int(drive.counts_per_turn)
-
-
-def _said_text(said: list[tuple[int, int]]) -> str:
-    return ", ".join(f"{code:02X} {status}" for code, status in said) or "nothing"
-
-
-def selectors(dialect: Any) -> list[int]:
-    """Return the numbers of all parameters that can be read."""
-    if Verb.READ_PARAMETER not in dialect.by_verb:
-        return []
-    write = dialect.by_verb.get(Verb.WRITE_PARAMETER)
-    if write is not None:
-        return sorted({f.layout.named["parameter"].fixed for f in write.request_forms if f.layout.named["parameter"].fixed})
-    return [c.code for c in dialect.commands if c.readable]
-
-
-def beginning(dialect: Any) -> list[Step]:
-    """Return the steps that bring a drive into a known state."""
-    verbs = dialect.by_verb
-    wanted: list[tuple[Verb | str, dict[str, int]]] = []
-    if Verb.SET_WORK_MODE in verbs:
-        mode = motion.choice(verbs[Verb.SET_WORK_MODE], "work_mode", motion.bus_modes(dialect)[-1])
-        wanted.append((Verb.SET_WORK_MODE, {"work_mode": mode}))
-    wanted += [
-        (Verb.ENABLE, {"enabled": 1}),
-        (Verb.SET_SUBDIVISION, {"subdivision": motion.SUBDIVISION}),
-        (Verb.SET_DIRECTION, {"motor_direction": 0}),
-        (Verb.SET_RESPOND, {"respond": 1, "active": 1}),
-        (Verb.SET_ZERO, {}),
-        (Verb.MOTOR_ON, {}),
-    ]
-    steps = [Step(verbs[verb].name, values) for verb, values in wanted if verb in verbs]
-    if "set_position" in dialect.by_name:
-        steps = [s for s in steps if s.name != "set_zero"] + [Step("set_position", {"position": 0})]
-    return steps

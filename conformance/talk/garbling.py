@@ -31,7 +31,6 @@ Variant = tuple[str, Item]
 _BITS = 8
 _BYTE = 0xFF
 _CAN_LONGEST = 8
-_BUS = "bus"
 #: Bytes that begin no frame of any dialect.
 NOISE: tuple[bytes, ...] = (b"\0", b"\xff\xff\xff", b"\x55\xaa", bytes(12), b"\xff" * 12)
 

@@ -31,8 +31,8 @@ from conformance.talk.probe import Probe
 
 #: How far the older motion goes (degrees), when homing comes, and when that has its speed.
 _FAR, _GOING_NS, _RUNS_NS = 720, 80 * MS, 110 * MS
-#: At what speed homing turns, which is that of no older motion, and how long a shaft is looked at that homes.
-_HOME_RPM, _HOMES_NS = 120, 60 * MS
+#: At what speed homing turns, which is that of no older motion; one of two bytes; how long a shaft is looked at that homes.
+_HOME_RPM, _FAST_RPM, _HOMES_NS = 120, 300, 60 * MS
 #: By how much a speed of homing is above that of its mode (rpm).
 _ABOVE_MODE = 200
 
@@ -118,16 +118,17 @@ def _home_turns(probe: Probe, command: Command) -> None:
         "direction": (0, 1),
         "home_mode": (0, 1),
         "subdivision": (motion.SUBDIVISION, 8),
+        "home_speed": (_HOME_RPM, _FAST_RPM),
     }
-    for row in covering.rows(factors):
+    for row in covering.rows(factors, lambda home_speed, subdivision: home_speed == _HOME_RPM or subdivision in law.plain):
         motion.ready_to_move(probe, row["mode"], subdivision=row["subdivision"])
         homing.set_home(
-            probe, home_speed=_HOME_RPM, home_direction=row["direction"], home_mode=row["home_mode"], return_angle=0
+            probe, home_speed=row["home_speed"], home_direction=row["direction"], home_mode=row["home_mode"], return_angle=0
         )
         begun, (rpm, spread, _) = undamaged(probe, _homed, command)
         shown = ", ".join(f"{name} {value}" for name, value in row.items())
         text = "homing turns another way or at another speed in one condition"
-        real = _HOME_RPM if row["subdivision"] in law.plain else _HOME_RPM * law.counted_at / row["subdivision"]
+        real = row["home_speed"] * (1 if row["subdivision"] in law.plain else law.counted_at / row["subdivision"])
         # Which way clockwise is, is the drive's own word: that of the first row.
         way = 1 if row["direction"] == 0 else -1
         sense = sense or math.copysign(1, rpm * way)

@@ -28,8 +28,6 @@ from conformance.talk.probe import Probe
 _WIDTHS = (14, 15, 16)
 #: How far a position may be from what it should be, in degrees.
 _NEAR = 0.25
-#: Positions on both sides of zero and at the edge of 32 bits, as sent.
-_EDGES = (9_000, -3_600_050, 2_147_480_000, -2_147_480_000)
 
 
 def named(name: str) -> Cases:
@@ -57,16 +55,6 @@ def _expect_angle(probe: Probe, since: float, turned: float, refutes: str, excha
 
 
 # --- the position by another name -------------------------------------------------------------------------------------
-
-
-@_set_position(refuted_by="another position")
-def _reads(probe: Probe, command: Command) -> None:
-    """After 95 the position reads what was set, above and below zero."""
-    motion.ready_to_move(probe)
-    for value in _EDGES:
-        exchange = probe.do(command, {"position": value})
-        text = "the position does not read what 95 set"
-        probe.expect(_position(probe) / 100, near=value / 100, within=_NEAR, unit="degrees", refutes=text, exchange=exchange)
 
 
 @_set_position(refuted_by="a shaft that moved")

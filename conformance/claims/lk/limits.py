@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeVar
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive, Observed
@@ -23,7 +24,7 @@ from conformance.claims.motion.motion_claim import command_of, of_motion, risks_
 from conformance.claims.motion.moves import without_max_speed
 from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
 from conformance.motion import motion
-from conformance.motion.motion import FORCE, MOVES, MS, SECOND_NS
+from conformance.motion.motion import CALM, FORCE, MOVES, MS, SECOND_NS
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
@@ -53,37 +54,6 @@ _TRIES = 3
 _HOLDS_NS, _SEEN_NS = 300 * MS, 300 * MS
 
 
-def limited_runs(probe: Probe, run: Command) -> tuple[_Limited, ...]:
-    """Run either way under a speed limit, then with one that is written under way; nothing where there is no such limit."""
-    return _limited_speeds(probe, lambda way: motion.run_at(probe, way * 60))
-
-
-@of_run(refuted_by="a faster shaft")
-def _speed_limit(probe: Probe) -> None:
-    """The speed limit holds for a run, in both directions."""
-    _expect_held(probe, limited_runs, probe.command(Verb.RUN_SPEED))
-
-
-@of_run(name="{command}/speed-limit-at-once", refuted_by="the speed of before", at_best=Certainty.LIKELY, rests_on=())
-def _speed_limit_at_once(probe: Probe) -> None:
-    """A speed limit that holds for a run from its begin holds as soon as it is written for one that is under way."""
-    _expect_at_once(probe, limited_runs, probe.command(Verb.RUN_SPEED))
-
-
-def _unlimited_motions(dialect: Dialect) -> Iterator[Case]:
-    """Yield the run and the moves that have no highest speed of their own."""
-    for case in commands(Verb.WRITE_PARAMETER)(dialect):
-        for run in dialect.motions(MotionKind.RUN):
-            yield Case(dialect, case.command, {"move": run})
-    yield from _unlimited_moves(dialect)
-
-
-def _unlimited_moves(dialect: Dialect) -> Iterator[Case]:
-    for case in commands(Verb.WRITE_PARAMETER)(dialect):
-        for move in without_max_speed(dialect):
-            yield Case(dialect, case.command, {"move": move.command})
-
-
 @dataclass(frozen=True)
 class _Limited:
     """A motion under a limit: `seen` is what the limit holds at `limit`, `within` so much (rpm or degrees).
@@ -104,22 +74,19 @@ class _Limited:
         return abs(self.seen - self.limit) <= self.within
 
 
-#: Moves or runs under limits, once for all claims about them.
+#: Moves or runs under limits, once for all claims about them; and what any such record has seen.
 _Record = Callable[[Probe, Command], tuple[_Limited, ...]]
+_Seen = TypeVar("_Seen")
 
 
-def limited_speeds(probe: Probe, move: Command) -> tuple[_Limited, ...]:
-    """Move either way under a speed limit, then with one that is written under way; nothing where there is no such limit."""
-    return _limited_speeds(probe, lambda way: motion.begin(probe, move, way * _WAY))
-
-
-def _limited_speeds(probe: Probe, begin: Callable[[int], object]) -> tuple[_Limited, ...]:
+def limited_speeds(probe: Probe, command: Command) -> tuple[_Limited, ...]:
+    """Move or run either way under a speed limit, then with one written under way; nothing where there is no such limit."""
     kept = parameter(probe, "speed_limit")
     found = []
     for one in _SPEED_LIMITS if kept is not None else ():
         for _ in range(_TRIES):
             since = len(probe.traffic)
-            seen = _limited_speed(probe, begin, *one)
+            seen = _limited_speed(probe, command, *one)
             damaged = any(exchange.damaged for exchange in probe.traffic[since:])
             motion.stand_still(probe)
             set_parameter(probe, "speed_limit", kept or 0)
@@ -132,11 +99,11 @@ def _limited_speeds(probe: Probe, begin: Callable[[int], object]) -> tuple[_Limi
     return tuple(found)
 
 
-def _limited_speed(probe: Probe, begin: Callable[[int], object], way: int, limit: int, under_way: bool) -> _Limited:
+def _limited_speed(probe: Probe, command: Command, way: int, limit: int, under_way: bool) -> _Limited:
     """Begin a motion under a speed limit, or write that under way, and measure its speed."""
     motion.ready_to_move(probe)
     exchange = set_parameter(probe, "speed_limit", _WIDER if under_way else limit)
-    begin(way)
+    motion.begin(probe, command, way * _WAY, rpm=way * CALM)
     probe.wait(_HOLDS_NS)
     if under_way:
         exchange = set_parameter(probe, "speed_limit", limit)
@@ -162,8 +129,9 @@ def limited_places(probe: Probe, move: Command) -> tuple[_Limited, ...]:
     return tuple(found)
 
 
-def _limited(probe: Probe, record: _Record, move: Command) -> tuple[_Limited, ...]:
-    found = probe.recorded(record, move)
+def tried(probe: Probe, record: Callable[[Probe, Command], tuple[_Seen, ...]], command: Command) -> tuple[_Seen, ...]:
+    """Return what a motion showed, once for all claims; nothing, which is a known quirk, where the parameter is not there."""
+    found = probe.recorded(record, command)
     if not found:
         probe.meets(OTHER_FIRMWARE)
     return found
@@ -173,26 +141,9 @@ def _from_begin(found: tuple[_Limited, ...]) -> tuple[_Limited, ...]:
     return tuple(one for one in found if not one.under_way)
 
 
-def _expect_held(probe: Probe, record: _Record, command: Command) -> None:
-    """Refute a speed limit that does not hold for a motion from its begin."""
-    for one in _from_begin(_limited(probe, record, command)):
-        text = f"the speed limit does not hold for {command.name}"
-        probe.expect(one.seen, near=one.limit, within=one.within, unit="rpm", refutes=text, exchange=one.exchange)
-
-
-def _expect_at_once(probe: Probe, record: _Record, command: Command) -> None:
-    """Refute a speed limit that holds for a motion from its begin, and not for one under way."""
-    found = _limited(probe, record, command)
-    if not all(one.holds for one in _from_begin(found)):
-        raise Observed(f"the speed limit does not hold for {command.name}")
-    for one in found:
-        text = f"a speed limit that is written while {command.name} is under way does not hold for it"
-        probe.expect(one.seen, near=one.limit, within=one.within, unit="rpm", refutes=text, exchange=one.exchange)
-
-
 def _expect_each_way(probe: Probe, record: _Record, move: Command, limit: str) -> None:
     """Refute a limit that holds one way alone."""
-    found = _from_begin(_limited(probe, record, move))
+    found = _from_begin(tried(probe, record, move))
     beyond = [one for one in found if not one.holds]
     if found and len(beyond) == len(found):
         raise Observed(f"the {limit} does not hold for {move.name}")
@@ -201,49 +152,39 @@ def _expect_each_way(probe: Probe, record: _Record, move: Command, limit: str) -
         probe.expect(one.seen, near=one.limit, within=one.within, refutes=text, exchange=one.exchange)
 
 
-@_of_parameter(each=_unlimited_moves, name="{command}/speed-limit-{move}", refuted_by="a faster shaft")
-def _speed_limit_moves(probe: Probe, move: Command) -> None:
-    """The speed limit holds for {move}, which has no highest speed of its own."""
-    _expect_held(probe, limited_speeds, move)
+def _unlimited_motions(dialect: Dialect) -> Iterator[Case]:
+    """Yield the run and the moves that have no highest speed of their own."""
+    unlimited = (*motions(MotionKind.RUN)(dialect), *without_max_speed(dialect))
+    for case in commands(Verb.WRITE_PARAMETER)(dialect):
+        for each in unlimited:
+            risks = {*command_of(each).all_risks, Risk.SETTING}
+            yield Case(dialect, case.command, {"move": each.command}, {"risks": motion.risks(dialect, *risks)})
 
 
-@_of_parameter(
-    each=_unlimited_moves,
-    name="{command}/speed-limit-{move}-at-once",
-    refuted_by="the speed of before",
-    at_best=Certainty.LIKELY,
-    rests_on=(),
-)
-def _speed_limit_moves_at_once(probe: Probe, move: Command) -> None:
+_of_speed_limit = partial(_of_parameter, each=_unlimited_motions, at_best=Certainty.LIKELY, rests_on=())
+
+
+@_of_speed_limit(name="{command}/speed-limit-{move}-at-once", refuted_by="the speed of before")
+def _speed_limit_at_once(probe: Probe, move: Command) -> None:
     """A speed limit that holds for {move} from its begin holds as soon as it is written for one that is under way."""
-    _expect_at_once(probe, limited_speeds, move)
+    found = tried(probe, limited_speeds, move)
+    if not all(one.holds for one in _from_begin(found)):
+        raise Observed(f"the speed limit does not hold for {move.name}")
+    for one in found:
+        text = f"a speed limit that is written while {move.name} is under way does not hold for it"
+        probe.expect(one.seen, near=one.limit, within=one.within, unit="rpm", refutes=text, exchange=one.exchange)
 
 
-@_of_parameter(
-    each=_unlimited_motions,
-    name="{command}/speed-limit-{move}-each-way",
-    refuted_by="a faster shaft one way",
-    at_best=Certainty.LIKELY,
-    rests_on=(),
-    risks=risks_by(Verb.RUN_SPEED),
-)
+@_of_speed_limit(name="{command}/speed-limit-{move}-each-way", refuted_by="a faster shaft one way")
 def _speed_limit_each_way(probe: Probe, move: Command) -> None:
     """The speed limit that holds for {move} one way holds the other way too."""
-    _expect_each_way(probe, limited_runs if move.verb is Verb.RUN_SPEED else limited_speeds, move, "speed limit")
+    _expect_each_way(probe, limited_speeds, move, "speed limit")
 
 
 def _moves_to_positions(dialect: Dialect) -> Iterator[Case]:
     for case in commands(Verb.WRITE_PARAMETER)(dialect):
         for move in dialect.motions(MotionKind.MOVE_TO):
             yield Case(dialect, case.command, {"move": move})
-
-
-@_of_parameter(each=_moves_to_positions, name="{command}/angle-limit-{move}", refuted_by="a shaft beyond it")
-def _angle_limit(probe: Probe, move: Command) -> None:
-    """{move} goes no farther than the angle limit, on either side of zero."""
-    for one in _limited(probe, limited_places, move):
-        text = f"{move.name} goes beyond the angle limit"
-        probe.expect(one.seen, near=one.limit, within=one.within, unit="degrees", refutes=text, exchange=one.exchange)
 
 
 @_of_parameter(
@@ -256,24 +197,6 @@ def _angle_limit(probe: Probe, move: Command) -> None:
 def _angle_limit_each_way(probe: Probe, move: Command) -> None:
     """The angle limit that holds for {move} on one side of zero holds on the other side too."""
     _expect_each_way(probe, limited_places, move, "angle limit")
-
-
-@_of_parameter(refuted_by="motion", risks=lambda case: {*risks_by(Verb.RUN_SPEED)(case), Risk.TORQUE})
-def _torque_limit(probe: Probe) -> None:
-    """With a torque limit of 0 nothing turns."""
-    kept = parameter(probe, "torque_limit")
-    if kept is not None:
-        motion.ready_to_move(probe)
-        exchange = set_parameter(probe, "torque_limit", 0)
-        before = motion.position(probe)
-        motion.run_at(probe, 30)
-        probe.wait(SECOND_NS)
-        went = abs(motion.position(probe).value - before.value)
-        probe.do(Verb.STOP)
-        set_parameter(probe, "torque_limit", kept)
-        motion.stand_still(probe)
-        text = "the shaft turns with a torque limit of 0"
-        probe.expect(went, at_most=1, unit="degrees", refutes=text, exchange=exchange)
 
 
 _every_motion = motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from math import inf, sqrt
 
@@ -22,6 +23,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Ve
 from conformance.claim import Inconclusive, Observed, Theme
 from conformance.claims.declare import Case, motions
 from conformance.claims.known_quirks import may_meet
+from conformance.claims.lk.limits import tried
 from conformance.claims.lk.speed_ramp import SHORTER
 from conformance.claims.motion.motion_claim import command_of, of_motion
 from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
@@ -171,21 +173,21 @@ def _motions(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, dialect.by_verb[Verb.WRITE_PARAMETER], {"run": command}, facts)
 
 
-@of_motion(
+_of_ramp = partial(
+    of_motion,
     theme=Theme.TIMING,
     each=_motions,
-    name="{command}/one-slope-{run}",
-    refuted_by="a steeper or a slower ramp on the way",
     at_best=Certainty.LIKELY,
     settings=("speed_ramp", "speed_limit"),
     own=lambda case: {Risk.SETTING},
     quirks=may_meet(OTHER_FIRMWARE),
 )
+
+
+@_of_ramp(name="{command}/one-slope-{run}", refuted_by="a steeper or a slower ramp on the way")
 def _one_slope(probe: Probe, run: Command) -> None:
     """{run} changes its speed by one ramp all the way: from rest, to a faster and a slower one, round, and to its end."""
-    seen = probe.recorded(changes, run)
-    if not seen:
-        probe.meets(OTHER_FIRMWARE)
+    if not (seen := tried(probe, changes, run)):
         return
     slopes = [slope for change in seen for slope in _slopes(change)]
     begins = slopes[0]
@@ -244,21 +246,10 @@ def rising(probe: Probe, command: Command) -> tuple[_Rising, ...]:
     return tuple(found)
 
 
-@of_motion(
-    theme=Theme.TIMING,
-    each=_motions,
-    name="{command}/speed-ramp-under-way-{run}",
-    refuted_by="a shaft that is as slow as by the ramp of before",
-    at_best=Certainty.LIKELY,
-    settings=("speed_ramp", "speed_limit"),
-    own=lambda case: {Risk.SETTING},
-    quirks=may_meet(OTHER_FIRMWARE),
-)
+@_of_ramp(name="{command}/speed-ramp-under-way-{run}", refuted_by="a shaft that is as slow as by the ramp of before")
 def _ramp_under_way(probe: Probe, run: Command) -> None:
     """A steep speed ramp that holds for {run} from its begin holds as soon as it is written while the speed still rises."""
-    seen = probe.recorded(rising, run)
-    if not seen:
-        probe.meets(OTHER_FIRMWARE)
+    if not (seen := tried(probe, rising, run)):
         return
     steep, late = seen
     if abs(steep.speed.value) < _RISEN * _RISING_RPM:

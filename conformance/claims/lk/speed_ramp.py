@@ -17,8 +17,8 @@ from math import inf
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive, Observed, Theme
 from conformance.claims.declare import Case, commands
-from conformance.claims.lk.limits import of_run
-from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
+from conformance.claims.lk.limits import of_run, tried
+from conformance.model.lk_parameters import parameter, set_parameter
 from conformance.motion import motion
 from conformance.motion.motion import MS, SECOND_NS, Sample
 from conformance.talk.exchange import Exchange
@@ -126,15 +126,6 @@ def _ramped(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, case.command, {"run": run})
 
 
-@_of_ramp(each=_ramped, name="{command}/speed-ramp-{run}", refuted_by="another acceleration")
-def _speed_ramp(probe: Probe, run: Command) -> None:
-    """The speed of {run} rises by the speed ramp: 0.01 deg/s2 a unit."""
-    if (found := _ramps(probe, run)) is not None:
-        seen, text = found[0], "the speed rises by another ramp"
-        probe.measured["deg_s2"] = seen.value
-        _expect_ramp(probe, seen, 180, 5, text)
-
-
 def ramped_each_way(probe: Probe, run: Command) -> tuple[_Ramp, ...]:
     """Return the accelerations by two ramps, the steeper one the other way; nothing where the drive has no such parameter."""
     kept = parameter(probe, "speed_ramp")
@@ -149,14 +140,6 @@ def ramped_each_way(probe: Probe, run: Command) -> tuple[_Ramp, ...]:
 _BACK_RAMP = 36_000
 
 
-def _ramps(probe: Probe, run: Command) -> tuple[_Ramp, ...] | None:
-    found = probe.recorded(ramped_each_way, run)
-    if not found:
-        probe.meets(OTHER_FIRMWARE)
-        return None
-    return found
-
-
 @_of_ramp(
     each=_ramped,
     name="{command}/speed-ramp-{run}-each-way",
@@ -166,9 +149,10 @@ def _ramps(probe: Probe, run: Command) -> tuple[_Ramp, ...] | None:
 )
 def _speed_ramp_each_way(probe: Probe, run: Command) -> None:
     """The speed ramp that holds for {run} one way holds the other way too."""
-    if (found := _ramps(probe, run)) is None:
+    if not (found := tried(probe, ramped_each_way, run)):
         return
     forward, back = found
+    probe.measured["deg_s2"] = forward.value
     if not forward.near(180, 180 * (1 - SHORTER)):
         raise Observed(f"the speed of {run.name} rises by another ramp than was set")
     text, wanted = f"the speed of {run.name} rises by another ramp the other way", _BACK_RAMP / 100

@@ -16,14 +16,12 @@ from conformance.claims import bench
 from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
-from conformance.claims.motion.motion_claim import expect_not_turned, expect_stays, expect_taken, of_motion, risks_by
+from conformance.claims.motion.motion_claim import expect_stays, expect_taken, of_motion, risks_by
 from conformance.claims.motion.stops import expect_standing, set_going
 from conformance.motion import arriving, motion
 from conformance.motion.motion import MOVES, MS, SECOND_NS
 from conformance.talk.probe import Probe
 
-#: Motion that turns the shaft by itself, without a switch to find.
-_TURNING = (MotionKind.RUN, *MOVES)
 _enable, _off, _on = commands(Verb.ENABLE), commands(Verb.MOTOR_OFF), commands(Verb.MOTOR_ON)
 
 
@@ -134,24 +132,6 @@ def _on_goes_on(probe: Probe) -> None:
     probe.expect(after.value, near=before.value, within=within, unit="rpm", refutes=text, exchange=exchange)
     text = "a motor that was switched on while it turned reads as off"
     probe.expect("off", holds=is_on is not False, expected="on", refutes=text, exchange=exchange)
-
-
-@of_motion(
-    each=_enable,
-    name="{command}/off-holds-all",
-    refuted_by="motion",
-    risks=lambda case: frozenset().union(*(c.all_risks for c in case.dialect.motions(*_TURNING))),
-)
-def _off_holds_all(probe: Probe) -> None:
-    """No run and no move turns a disabled motor, also where the drive answers that it does."""
-    motion.ready_to_move(probe)
-    motion.switch(probe, False)
-    for command in probe.dialect.motions(*_TURNING):
-        before = motion.position(probe)
-        exchange = motion.ask(probe, command, 30, quiet_ns=0)
-        probe.wait(300 * MS)
-        expect_not_turned(probe, before, exchange, f"{command.name} turns a disabled motor")
-    motion.switch(probe, True)
 
 
 #: What may switch a motor on or off, and what is not sent: it is of the link, wears, begins anew, or goes on without end.

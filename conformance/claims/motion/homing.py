@@ -261,11 +261,7 @@ def _without_switch(dialect: Dialect) -> Iterator[Case]:
 
 def _can_meet_a_wall(dialect: Dialect) -> bool:
     """Say whether a drive can home without a switch."""
-    return any(_has_mode(dialect.by_verb[v]) for v in SETS_HOME if v in dialect.by_verb)
-
-
-def _has_mode(command: Command) -> bool:
-    return any("home_mode" in form.layout.named for form in command.request_forms)
+    return "home_mode" in fields(dialect)
 
 
 @_of_homing("another place", each=_without_switch, name="{command}/without-switch-{way}-{angle:x}")
@@ -396,37 +392,6 @@ def _disabled(probe: Probe, command: Command) -> None:
 
 def _statuses(probe: Probe, since: int, command: Command) -> list[int]:
     return arriving.statuses(probe.traffic[since:], command)
-
-
-@_of_homing("a shaft that goes on, or success", at_best=Certainty.LIKELY)
-def _stopped(probe: Probe, command: Command) -> None:
-    """An emergency stop ends homing, and it is not told as done."""
-    _prepared(probe)
-    since = len(probe.traffic)
-    exchange = probe.do(command)
-    probe.wait(SECOND_NS)
-    _expect_going_on(probe, since, command)
-    _halt(probe)
-    _expect_still(probe, exchange, 3 * SECOND_NS, "an emergency stop does not end homing")
-    if arriving.tells_end(probe.dialect):
-        statuses = _statuses(probe, since, command)
-        text = "homing that was stopped is told as done"
-        probe.expect(statuses, holds=2 not in statuses, expected="no status 2", refutes=text, exchange=exchange)
-
-
-@_of_homing("a shaft that goes on", at_best=Certainty.LIKELY)
-def _ends_by_disabling(probe: Probe, command: Command) -> None:
-    """Disabling the motor ends homing."""
-    _prepared(probe)
-    probe.do(command)
-    probe.wait(SECOND_NS)
-    exchange = probe.ask(Verb.ENABLE, {"enabled": 0})
-    before = motion.position(probe)
-    probe.wait(SECOND_NS)
-    went = abs(motion.position(probe).value - before.value)
-    _halt(probe)
-    text = "disabling the motor does not end homing"
-    probe.expect(went, at_most=motion.same(probe), unit="degrees", refutes=text, exchange=exchange)
 
 
 @_of_homing("others", each=that_tell_their_end(_homings))

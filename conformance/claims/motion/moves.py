@@ -13,7 +13,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind
 from conformance.claims.declare import Case, motions, with_values
@@ -31,16 +31,12 @@ from conformance.claims.motion.motion_claim import (
 from conformance.claims.motion.stops import endless
 from conformance.motion import arriving, motion
 from conformance.motion.arriving import Move
-from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS, takes_pulses
+from conformance.motion.motion import MOVES, MS, QUICK, takes_pulses
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
 #: A way that no power of two divides, one back that is shorter, and a short one, in degrees.
 _THERE, _BACK, _SHORT = 97.2, -39.6, 41.4
-#: More units than 16 bits hold, and the subdivision at which so many pulses are less than two turns.
-_FAR, _FINE = 70_000, 256
-#: Positions that 32 bits hold, just so, in 0.01 degrees.
-_EDGE = 2_147_480_000
 #: How far a shaft may go beyond its target on the way, in degrees.
 _OVERSHOOT = 2.0
 #: Short moves, in units, and their way; how often each is asked for, and how long one takes.
@@ -165,48 +161,6 @@ def _opposite(probe: Probe, command: Command) -> None:
         refutes=f"{command.name} does not turn two ways",
         exchange=back.exchange,
     )
-
-
-@of_motion(
-    each=_distances,
-    statement=f"{{command}} takes all bits of its {{unit}}: {_FAR} of them, either way, are {_FAR}.",
-    refuted_by="a shaft that went as far as fewer bits say",
-)
-def _far(probe: Probe, command: Command) -> None:
-    subdivision = _FINE if takes_pulses(command) else motion.SUBDIVISION
-    motion.ready_to_move(probe, subdivision=motion.finest(probe) if takes_pulses(command) else None)
-    degrees = _FAR * 360 / motion.units_per_turn(probe.dialect, command, subdivision)
-    for way in (degrees, -degrees):
-        move = arriving.follow(probe, command, way, rpm=240, acceleration=QUICK, subdivision=subdivision)
-        _expect_way(probe, move, False, f"{command.name} does not go by {_FAR} units")
-
-
-def _where_a_position_can_be_set(dialect: Dialect) -> Iterable[Case]:
-    return motions(MotionKind.MOVE_TO, where=takes_angle)(dialect) if "set_position" in dialect.by_name else ()
-
-
-@of_motion(
-    each=_where_a_position_can_be_set,
-    refuted_by="a shaft that turns the wrong way",
-    risks=lambda case: case.dialect.by_name["set_position"].all_risks,
-)
-def _wide(probe: Probe, command: Command) -> None:
-    """{command} takes positions of more than 32 bits."""
-    motion.ready_to_move(probe)
-    read = probe.command(motion.of(command).counted_by)
-    name = next(iter(read.reply_forms[0].layout.named))
-    before = probe.read(read, name)
-    for side in (1, -1):
-        probe.do("set_position", {"position": side * _EDGE})
-        here = motion.position(probe)
-        exchange = motion.begin(probe, command, side * 90, start=side * _EDGE)
-        probe.wait(SECOND_NS)
-        went = (motion.stand_still(probe).value - here.value) * side
-        # An angle limit of 32 bits would end the way after 36 degrees.
-        text = f"{command.name} to a position of more than 32 bits does not go there"
-        probe.expect(went, at_least=30, expected="90 degrees that way", unit="degrees", refutes=text, exchange=exchange)
-    # Not at the edge of what 32 bits hold, where other claims could not move.
-    probe.do("set_position", {"position": before})
 
 
 @of_motion(

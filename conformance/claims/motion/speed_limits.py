@@ -10,14 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind
-from analyzer.layout import Field
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import LATE, may_meet
-from conformance.claims.motion.motion_claim import command_of, expect_speed, expect_stays, expect_taken, of_motion
-from conformance.claims.motion.moves import keeps_position, with_max_speed
-from conformance.claims.ranges import edges
+from conformance.claims.motion.motion_claim import command_of, expect_speed, expect_taken, of_motion
+from conformance.claims.motion.moves import with_max_speed
 from conformance.motion import motion
 from conformance.motion.attempts import anew
 from conformance.motion.motion import MOVES, MS, SUBDIVISION, Sample
@@ -28,8 +26,6 @@ from conformance.talk.probe import Probe
 _HIGHEST = 3000
 #: The max_speed of a move that others are not to keep, in rpm.
 _SLOW = 5
-#: What is left of a speed of which a drive drops the highest bit (rpm).
-_LEFT = 60
 
 
 #: How long a move keeps its speed at least.
@@ -38,27 +34,11 @@ _KEEPS_NS = 350 * MS
 _TURNS = 19.9
 
 
-def too_fast(field: Field) -> tuple[int, ...]:
-    """Return two speeds above a field's highest: one of which little is left in fewer bits, or with a sign, and its last."""
-    left = (1 << field.bit_width - 1) + _LEFT
-    return (left, field.wire_maximum) if left > field.high else edges.above(field)
-
-
-def _limited_runs(dialect: Dialect) -> Iterator[Case]:
-    """Yield the runs and moves whose speed is in rpm and whose ramp is known: such drives turn at most at the highest speed."""
-    for command in dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ():
-        speed = motion.of(command).speed
-        if speed and motion.field_of(command, speed).unit == "rpm":
-            yield Case(dialect, command, {"speed": _HIGHEST, "beyond": too_fast(motion.field_of(command, speed))})
-
-
 class Spun(NamedTuple):
-    """A motion at a speed as sent, in a mode. `rpm`: as the drive reads it; `by_places`: as two positions have it, `unsure`."""
+    """A motion at a speed as sent, in a mode. `rpm`: as the drive reads it."""
 
     exchange: Exchange
     rpm: Sample
-    by_places: float
-    unsure: float
 
 
 def _way(probe: Probe, speed: int, mode: str) -> int:
@@ -77,15 +57,14 @@ def spun(probe: Probe, command: Command, speed: int, mode: str) -> Spun:
     )
     # At 50 us for one rpm the shaft has 3000 rpm after 150 ms. A move of so many turns keeps that speed for 250 ms.
     probe.wait(exchange.sent_ns + 180 * MS - probe.gate.now_ns())
-    before, seen = motion.position(probe), motion.speed(probe)
-    probe.wait(exchange.sent_ns + 260 * MS - probe.gate.now_ns())
-    by_places, unsure = motion.speed_between(before, motion.position(probe))
+    seen = motion.speed(probe)
     motion.stop(probe, 255)
     motion.wait_standing(probe)
-    return Spun(exchange, seen, by_places, unsure)
+    return Spun(exchange, seen)
 
 
-def _expect_spun(probe: Probe, command: Command, speed: int, mode: str, rpm: int) -> None:
+def expect_spun(probe: Probe, command: Command, speed: int, mode: str, rpm: int) -> None:
+    """Refute unless a motion at a speed as sent, in a mode, turns the shaft at `rpm`."""
     seen = probe.recorded(spun, command, speed, mode)
     expect_taken(probe, seen.exchange, f"{command.name} at speed {speed} is refused in mode {mode}")
     if seen.rpm.t_ns > seen.exchange.sent_ns + _KEEPS_NS:
@@ -96,23 +75,6 @@ def _expect_spun(probe: Probe, command: Command, speed: int, mode: str, rpm: int
         return
     text = f"{command.name} at speed {speed} in mode {mode} turns at another speed"
     expect_speed(seen.rpm, rpm, seen.exchange, text)
-
-
-def _expect_highest(probe: Probe, command: Command, speed: int) -> None:
-    _expect_spun(probe, command, speed, motion.bus_modes(probe.dialect)[-1], _HIGHEST)
-
-
-@of_motion(
-    each=_limited_runs,
-    refuted_by="a refusal, or another speed",
-    at_best=Certainty.LIKELY,
-    quirks=may_meet(LATE),
-    parameters=lambda case: {"speeds": case["beyond"]},
-)
-def _beyond_highest(probe: Probe, command: Command, beyond: tuple[int, ...]) -> None:
-    """{command} at a greater speed than {speed} turns the shaft at {speed} rpm and is no error."""
-    for speed in beyond:
-        _expect_highest(probe, command, speed)
 
 
 def _modes(dialect: Dialect) -> Iterator[Case]:
@@ -127,7 +89,7 @@ def _modes(dialect: Dialect) -> Iterator[Case]:
 def _highest_of_mode(probe: Probe, command: Command, mode: str, rpm: int) -> None:
     """In mode {mode} the shaft turns at up to {rpm} rpm, and at {rpm} rpm when more is asked for."""
     for speed in (rpm, _HIGHEST):
-        _expect_spun(probe, command, speed, mode, rpm)
+        expect_spun(probe, command, speed, mode, rpm)
 
 
 def _moves_by_mode(dialect: Dialect) -> Iterator[Case]:
@@ -143,7 +105,7 @@ def _moves_by_mode(dialect: Dialect) -> Iterator[Case]:
 def _mode_limit(probe: Probe, command: Command, limits: dict[str, int]) -> None:
     """{command} at a greater speed than that of the work mode turns the shaft at the mode's."""
     for mode, rpm in limits.items():
-        _expect_spun(probe, command, _HIGHEST, mode, rpm)
+        expect_spun(probe, command, _HIGHEST, mode, rpm)
 
 
 # --- the max_speed of a move ------------------------------------------------------------------------------------------
@@ -177,24 +139,3 @@ def _own_speed(probe: Probe, command: Command, limited: tuple[str, ...]) -> None
             exchange=exchange,
             key=key,
         )
-
-
-@of_motion(
-    each=with_max_speed,
-    refuted_by="motion",
-    rests_on=(Doubt.MEANING,),
-    quirks=may_meet("lk-zero-speed-moves"),
-    settings=keeps_position,
-)
-def _max_speed_0(probe: Probe, command: Command) -> None:
-    """{command} with max_speed 0 turns nothing: 0 is a limit like any other."""
-    motion.prepare(probe, command)
-    here = motion.position(probe)
-    exchange = motion.begin(probe, command, 90, rpm=0)
-    probe.wait(500 * MS)
-    end = motion.stand_still(probe)
-    near = motion.near(probe.dialect)
-    if "lk-zero-speed-moves" in probe.claim.quirks and abs(abs(end.value - here.value) - 90) <= near:
-        probe.meets("lk-zero-speed-moves")
-    else:
-        expect_stays(here, end, exchange, f"{command.name} with max_speed 0 turns the shaft", near)

@@ -49,7 +49,6 @@ _READS = (
     Verb.READ_SINGLE_TURN,
     Verb.READ_ENCODER,
 )
-_STAY = (Verb.READ_ZERO_STATUS, Verb.READ_PROTECTION)
 _Values = Mapping[str, int]
 
 

@@ -36,8 +36,6 @@ from conformance.talk.probe import Probe, Until
 _SLOW_RAMP, _RPM, _RAMP_NS = 136, 120, 720 * MS
 #: How long the shaft is given to come to its speed, and how long it is looked at whether it stands.
 _SET_OFF_NS, _LOOK_NS = 250 * MS, 150 * MS
-#: How long a shaft that was stopped has to come to rest.
-_RESTS_NS = 500 * MS
 #: The turns of a motion that is stopped so, and how long they last at 120 rpm. A move at 60 rpm lasts a second for each
 #: turn; how long it is listened for its end.
 _RAMP_TURNS, _LEFT_NS, _HALF, _TOLD_NS = 3.5, 1750 * MS, 0.5, 300 * MS
@@ -85,20 +83,6 @@ def _expect_turning(seen: Sample, least: float) -> None:
         raise Inconclusive(f"the shaft does not turn before the stop ({seen.value:g} rpm)")
 
 
-def _expect_halt(probe: Probe, exchange: Exchange, at_once: Sample, refutes: str) -> None:
-    """Refute where the shaft went on after it was to stand."""
-    later = motion.position(probe)
-    probe.wait(_LOOK_NS)
-    end = motion.position(probe)
-    went = max(abs(later.value - at_once.value), abs(end.value - at_once.value))
-    most = motion.SAME + probe.noise.swing
-    if went > most:
-        motion.stop(probe)
-    got = f"{went:.2f} degrees in {(end.t_ns - at_once.t_ns) / 1e6:.0f} ms"
-    expected = "no motion after the reply"
-    probe.expect(got, holds=went <= most, expected=expected, refutes=refutes, exchange=exchange)
-
-
 # --- the stop of a motion ---------------------------------------------------------------------------------------------
 
 
@@ -108,10 +92,6 @@ def _of_motions(dialect: Dialect) -> Iterator[Case]:
         stop = dialect.stops_of(run)[0]
         if motion.of(stop).acceleration:
             yield Case(dialect, stop, {"run": run})
-
-
-def _ask_stop(probe: Probe, stop: Command, acceleration: int) -> Exchange:
-    return probe.ask(stop, {"acceleration": acceleration}, quiet_ns=0)
 
 
 @dataclass(frozen=True)
@@ -141,7 +121,7 @@ def stopped_by_ramp(probe: Probe, run: Command, stop: Command) -> StopOnRamp:
     set_going(probe, run, _RPM, _RAMP_TURNS)
     before = motion.speed(probe)
     since = len(probe.traffic)
-    exchange = _ask_stop(probe, stop, _SLOW_RAMP)
+    exchange = probe.ask(stop, {"acceleration": _SLOW_RAMP}, quiet_ns=0)
     probe.wait(exchange.sent_ns + _RAMP_NS * 2 // 5 - probe.gate.now_ns())
     midway, at_once = motion.speed(probe), motion.position(probe)
     over_ns = exchange.sent_ns + _RAMP_NS + 200 * MS

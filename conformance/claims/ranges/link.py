@@ -16,7 +16,7 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, Doubt, Risk
 from analyzer.layout import Effect, Field
 from analyzer.link import HeadLink
-from conformance.claim import Aspect, Inconclusive, NotRun
+from conformance.claim import Aspect, NotRun
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.ranges import edges
@@ -25,13 +25,12 @@ from conformance.claims.settings.link_changes import (
     NEW_ADDRESS_ANSWERS,
     SETTLE_NS,
     ask_in,
+    at_rate,
     change_address,
     expect_not_refused,
-    follow,
     is_reply,
     need_reply_or_silence,
     other_address,
-    settle,
 )
 from conformance.talk.acceptance import answers, expect_accepted, need_reliable_replies
 from conformance.talk.probe import Probe
@@ -129,25 +128,13 @@ def _rates(dialect: Dialect) -> Iterator[Case]:
 
 
 @of_ranges(each=_rates, refuted_by="a refusal, or silence at the new speed")
-def _rate(probe: Probe, command: Command, field: Field, value: int, rate: int) -> None:
+def _rate(probe: Probe, command: Command, rate: int) -> None:
     """A drive that is set to {rate} bits per second answers there."""
-    before = probe.gate.line.endpoint.bits_per_second
-    codes = {r: v for v, r in probe.dialect.rates.items()}
-    if before not in codes:
-        raise Inconclusive(f"the line is at {before} bits per second, which is no setting of the drive")
     need_reliable_replies(probe)
-    exchange = probe.ask(command, {field.name: value})
-    if not exchange.silent:
-        expect_not_refused(probe, command, rate, exchange)
-    follow(probe, rate)
-    try:
-        settle(probe)
+    with at_rate(probe, rate) as exchange:
+        if not exchange.silent:
+            expect_not_refused(probe, command, rate, exchange)
         there = answers(probe, probe.address)
-        if there and rate != before:
-            probe.ask(command, {field.name: codes[before]})
-    finally:
-        follow(probe, before)
-    settle(probe)
     probe.expect(
         f"an answer at {rate}" if there else "silence",
         holds=there,

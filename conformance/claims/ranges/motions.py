@@ -14,32 +14,29 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, Risk
 from analyzer.layout import Field, FieldKind
 from conformance.claim import Aspect, Inconclusive
 from conformance.claims.declare import Case
-from conformance.claims.motion.speed_limits import spun, too_fast
+from conformance.claims.known_quirks import LATE, may_meet
+from conformance.claims.motion.speed_limits import expect_spun
 from conformance.claims.ranges import edges
 from conformance.claims.ranges.edges import of_ranges
 from conformance.claims.requests import with_reserved
 from conformance.model import limits
 from conformance.motion import motion
 from conformance.motion.motion import MS
-from conformance.talk.acceptance import Acceptance, acceptance, can_refuse, expect_accepted, expect_refused
+from conformance.talk.acceptance import can_refuse, expect_accepted, expect_refused
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe, Until
 
 #: How slow a move is whose distance does not matter, and how steep the ramp of one that is to reach a high speed. (Not 250:
 #: that byte begins a frame, and what follows it would have to be allowed as one.)
 SLOW, STEEP = 10, 252
-#: How long a move is watched.
-_WATCH_NS = 300 * MS
 #: How long a move at 300 rpm is watched that is to go half a turn.
 _WAY_NS = 150 * MS
-#: A speed that reads so much off (a share) is another one.
-_SPEED_SHARE = 0.015
-#: A speed both bytes of which are filled.
-_TWO_BYTE_RPM = 257
+#: A speed both bytes of which are filled, and what is left of one of which a drive drops the highest bit.
+_TWO_BYTE_RPM, _LEFT = 257, 60
 
 
 def turns(command: Command) -> bool:
@@ -173,41 +170,15 @@ def _reserved(probe: Probe, command: Command, masks: tuple[int, ...]) -> None:
 # --- speeds -----------------------------------------------------------------------------------------------------------
 
 
-def _expect_speed(probe: Probe, command: Command, mode: str, speed: int, expected: int, why: str) -> None:
-    seen = probe.recorded(spun, command, speed, mode)
-    exchange = seen.exchange
-    if exchange.silent:
-        _ready(probe, mode)
-        expect_accepted(probe, command, _values(probe, command, speed=speed), f"speed {speed}")
-        raise Inconclusive(f"{command.name} was answered only when it was sent again")
-    taken = acceptance(probe, exchange) is Acceptance.DONE
-    text = f"{command.name}: speed {speed} is refused"
-    probe.expect("a refusal", holds=taken, expected="that it begins", refutes=text, exchange=exchange)
-    rpm = abs(seen.rpm.value)
-    within = max(2.0, expected * _SPEED_SHARE)
-    is_near = abs(abs(seen.by_places) - expected) <= seen.unsure + within
-    if is_near and abs(abs(seen.by_places) - rpm) > seen.unsure + max(2.0, 0.02 * rpm):
-        raise Inconclusive(f"the speed reads {rpm:.0f} rpm, and two positions say {seen.by_places:.0f}")
-    if rpm < 1 and speed:
-        raise Inconclusive(f"{command.name} at speed {speed} is over already: how far it goes is another claim's")
-    probe.expect(
-        rpm,
-        near=expected,
-        within=within,
-        unit="rpm",
-        refutes=f"{command.name} at speed {speed} turns the shaft at {rpm:.0f} rpm, {why}",
-        exchange=exchange,
-        key=f"{command.name} speed {expected}",
-    )
-
-
 def _with_speed(dialect: Dialect) -> Iterator[tuple[Command, Field]]:
     for command in _runs(dialect):
         yield command, command.request_forms[0].layout.named["speed"]
 
 
-def _highest(dialect: Dialect, mode: str, field: Field) -> int:
-    return dialect.mode_speeds.get(mode, field.high)
+def too_fast(field: Field) -> tuple[int, ...]:
+    """Return two speeds above a field's highest: one of which little is left in fewer bits, or with a sign, and its last."""
+    left = (1 << field.bit_width - 1) + _LEFT
+    return (left, field.wire_maximum) if left > field.high else edges.above(field)
 
 
 def _too_fast(dialect: Dialect) -> Iterator[Case]:
@@ -222,11 +193,12 @@ def _too_fast(dialect: Dialect) -> Iterator[Case]:
     refuted_by="a refusal, or another speed",
     statement=lambda case: f"A speed above {case['field'].high} runs at the highest of the mode.",
     rests_on=(Doubt.LIMITS,),
+    quirks=may_meet(LATE),
 )
 def _clipped(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
     mode = motion.bus_modes(probe.dialect)[-1]
     for value in values:
-        _expect_speed(probe, command, mode, value, _highest(probe.dialect, mode, field), f"expected the highest of {mode}")
+        expect_spun(probe, command, value, mode, probe.dialect.mode_speeds.get(mode, field.high))
 
 
 def _speeds(dialect: Dialect) -> Iterator[Case]:
@@ -234,34 +206,10 @@ def _speeds(dialect: Dialect) -> Iterator[Case]:
         yield edges.case(dialect, command, field, "width", (), parameters={"field": "speed"}, **_needs(dialect, command))
 
 
-@of_ranges(each=_speeds, refuted_by="the speed of its low byte alone")
+@of_ranges(each=_speeds, refuted_by="the speed of its low byte alone", quirks=may_meet(LATE))
 def _speed_width(probe: Probe, command: Command) -> None:
     """All bits of a speed count."""
-    mode = motion.bus_modes(probe.dialect)[-1]
-    _expect_speed(probe, command, mode, _TWO_BYTE_RPM, _TWO_BYTE_RPM, "expected the speed that was sent")
-
-
-def _modes(dialect: Dialect) -> Iterator[Case]:
-    for command, field in _with_speed(dialect):
-        for mode in motion.bus_modes(dialect) if command.verb is Verb.RUN_SPEED else ():
-            given = {"mode": mode, "highest": _highest(dialect, mode, field)}
-            yield Case(dialect, command, given, {"parameters": {"mode": mode}, **_needs(dialect, command)})
-
-
-@of_ranges(
-    each=_modes,
-    name="{command}/speed/{mode}",
-    refuted_by="a refusal, or another speed",
-    rests_on=(Doubt.LIMITS,),
-    aspect=Aspect.BOUNDARY,
-    fields=("speed", "work_mode"),
-)
-def _highest_of_mode(probe: Probe, command: Command, mode: str, highest: int) -> None:
-    """In {mode} the shaft turns at {highest} rpm at most, and at less as sent."""
-    below = highest - 50
-    above = min(highest + 100, command.request_forms[0].layout.named["speed"].wire_maximum)
-    for speed, expected in ((below, below), (highest, highest), (above, highest)):
-        _expect_speed(probe, command, mode, speed, expected, f"in {mode}, whose highest speed is {highest}")
+    expect_spun(probe, command, _TWO_BYTE_RPM, motion.bus_modes(probe.dialect)[-1], _TWO_BYTE_RPM)
 
 
 # --- distances --------------------------------------------------------------------------------------------------------

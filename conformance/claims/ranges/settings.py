@@ -125,7 +125,7 @@ def _at_corners(dialect: Dialect) -> Iterator[Case]:
     aspect=Aspect.BOUNDARY,
 )
 def _refused_at_corners(probe: Probe, command: Command, rows: Sequence[tuple[Field, int, dict[str, int]]]) -> None:
-    """A value next to the limits of a field is refused beside the highest and beside the lowest values of the others."""
+    """A value next to the limits of a field is refused where the others have their highest values, and where their lowest."""
     edges.prepare(probe, command)
     for field, value, others in rows:
         if field.models and not probe.rig.model and not probe.rig.emulated:
@@ -238,15 +238,8 @@ def _unchanged(probe: Probe, command: Command, field: Field, effect: SettingEffe
         shown = edges.text(field, value)
         if answer is not Acceptance.REFUSED:
             raise Inconclusive(f"{shown} is {answer.value}, which another claim of this field judges")
-        now = effect.see(probe)
-        probe.expect(
-            effect.words(now),
-            holds=effect.same(probe, before, now),
-            expected=f"as before: {effect.words(before)}",
-            refutes=f"{command.name}: {shown} is refused and changes something",
-            exchange=exchange,
-            key=f"{command.name} refused and stored",
-        )
+        text = f"{command.name}: {shown} is refused and changes something"
+        effect.expect(probe, effect.see(probe), before, text, exchange, f"{command.name} refused and stored")
 
 
 # --- reserved bits ----------------------------------------------------------------------------------------------------

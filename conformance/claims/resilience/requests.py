@@ -43,8 +43,6 @@ from conformance.talk.probe import Probe, Until
 
 _SECOND_NS = 1_000_000_000
 _MANY = 100
-#: Reads in a row: more than two hundred, for what comes at every so many-th.
-_IN_A_ROW = 220
 _TRIES = 3
 _FLOOD = 40
 #: Bytes of noise at a time, and in all.
@@ -63,21 +61,6 @@ def _resilience(refuted_by: str, **facts: Any) -> Callable[[Callable[..., None]]
 
 
 # --- many reads -------------------------------------------------------------------------------------------------------
-
-
-@_resilience("a reply that does not come", name="reads/answered", statement=f"{_IN_A_ROW} reads in a row are all answered.")
-def _reads_answered(probe: Probe) -> None:
-    read = plain_read(probe.dialect)
-    exchanges = [probe.ask(read, quiet_ns=0, timeout_ns=probe.rig.late_ns) for _ in range(_IN_A_ROW)]
-    lost = [e for e in exchanges if e.silent]
-    probe.expect(
-        f"{_IN_A_ROW - len(lost)} replies",
-        holds=not lost,
-        expected=f"{_IN_A_ROW} replies",
-        refutes=f"{len(lost)} of {_IN_A_ROW} reads in a row are not answered",
-        exchange=next(iter(lost), None),
-        key="reads in a row are lost",
-    )
 
 
 @_resilience(

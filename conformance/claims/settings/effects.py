@@ -28,18 +28,15 @@ from conformance.claims.ranges import edges
 from conformance.claims.settings import kept_effects, setting_effects
 from conformance.claims.settings.kept_effects import Kept
 from conformance.claims.settings.known_settings import Setting, every_setting, needs
-from conformance.claims.settings.link_changes import NEW_ADDRESS_ANSWERS, change_address, other_address, visit_another_rate
+from conformance.claims.settings.link_changes import NEW_ADDRESS_ANSWERS, another_rate, at_rate, change_address, other_address
 from conformance.claims.settings.read_back import fields_of, of_read_back
 from conformance.claims.settings.setting_effects import SettingEffect
 from conformance.model import limits
 from conformance.motion import arriving, motion
 from conformance.motion.motion import MOVES, MS
 from conformance.talk import samples
-from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
 from conformance.talk.settings import LINK_EFFECTS
-
-_SPEED_SHARE = 0.06
 
 
 def _effects(dialect: Dialect) -> Iterator[Case]:
@@ -61,14 +58,8 @@ def _effect(probe: Probe, command: Command, effect: SettingEffect) -> None:
             continue
         exchange = probe.do(command, edges.plain(probe, command, form, **values))
         seen, should = effect.see(probe), effect.expected(probe.dialect, values)
-        probe.expect(
-            effect.words(seen),
-            holds=effect.same(probe, should, seen),
-            expected=effect.words(should),
-            refutes=f"{command.name} {' '.join(f'{n} {v}' for n, v in values.items())}: {effect.words(seen)}",
-            exchange=exchange,
-            key=f"{command.name} effect",
-        )
+        text = f"{command.name} {' '.join(f'{n} {v}' for n, v in values.items())}: {effect.words(seen)}"
+        effect.expect(probe, seen, should, text, exchange, f"{command.name} effect")
 
 
 def _grouped(dialect: Dialect) -> Iterator[Case]:
@@ -105,11 +96,11 @@ def _group_stays(probe: Probe, command: Command, effect: SettingEffect, others: 
         probe.ask(each.command, each.values[0])
     exchange = change_address(probe, address, other)
     change_address(probe, address, own, at=other)
-    visit_another_rate(probe)
+    with at_rate(probe, another_rate(probe)):
+        pass
     effect.ready(probe)
     seen, should = effect.see(probe), effect.expected(probe.dialect, values)
-    text = "a drive leaves its group when something else is set"
-    probe.expect(effect.words(seen), holds=seen == should, expected=effect.words(should), refutes=text, exchange=exchange)
+    effect.expect(probe, seen, should, "a drive leaves its group when something else is set", exchange)
 
 
 def _fields_with_hands(dialect: Dialect) -> Iterator[Case]:
@@ -139,87 +130,44 @@ def _and_back(probe: Probe, command: Command, row: Kept) -> None:
         seen.append(row.effect.see(probe))
     first, other, again = seen
     kept_effects.need_difference(probe, row, other, first)
-    text = f"{row.name} that is set back acts on"
-    holds, expected = row.effect.same(probe, first, again), row.effect.words(first)
-    probe.expect(row.effect.words(again), holds=holds, expected=expected, refutes=text, exchange=exchange)
+    row.effect.expect(probe, again, first, f"{row.name} that is set back acts on", exchange)
 
 
 # --- home -------------------------------------------------------------------------------------------------------------
 
 
-def _home(*names: str) -> Any:
-    def cases(dialect: Dialect) -> Iterator[Case]:
-        command = dialect.by_verb.get(Verb.SET_HOME)
-        sent = frozenset[Risk]().union(*(c.all_risks for v in SETS_HOME if (c := dialect.by_verb.get(v)) is not None))
-        for name in names if command is not None else ():
-            facts = {
-                "name": f"{{command}}/{name}",
-                "fields": (name,),
-                "risks": motion.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE, *sent),
-                "settings": motion.settings(dialect, *fields_of_homing(dialect)),
-                "parameters": {},
-            }
-            yield Case(dialect, command, {"name": name}, facts)
-
-    return cases
+def _home_trigger(dialect: Dialect) -> Iterator[Case]:
+    command = dialect.by_verb.get(Verb.SET_HOME)
+    sent = frozenset[Risk]().union(*(c.all_risks for v in SETS_HOME if (c := dialect.by_verb.get(v)) is not None))
+    if command is not None:
+        facts = {
+            "fields": ("home_trigger",),
+            "risks": motion.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE, *sent),
+            "settings": motion.settings(dialect, *fields_of_homing(dialect)),
+        }
+        yield Case(dialect, command, {}, facts)
 
 
 #: So far from a closed end stop a shaft is still on its way when its speed has been looked at (counts).
 _LONG_BACK = 0x8000
 
 
-def _homing_with(probe: Probe, **values: int) -> tuple[setting_effects.Homing, Exchange]:
-    exchange = set_home(probe, return_angle=_LONG_BACK, **values)
-    return setting_effects.homing(probe), exchange
-
-
-@of_read_back(each=_home("home_speed"), refuted_by="another speed")
-def _home_speed(probe: Probe, command: Command) -> None:
-    """Homing turns at the speed that was set."""
+@of_read_back(each=_home_trigger, name="{command}/home_trigger", refuted_by="the same way", at_best=Certainty.LIKELY)
+def _other_trigger(probe: Probe) -> None:
+    """With the other level the end stop counts as closed, and homing first leaves it."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    for rpm in (90, 300):
-        seen, exchange = _homing_with(probe, home_speed=rpm)
-        probe.expect(
-            str(seen),
-            holds=abs(seen.rpm - rpm) <= max(2.0, rpm * _SPEED_SHARE) + probe.noise.speed(rpm),
-            expected=f"homing at {rpm} rpm",
-            refutes=f"{command.name} {rpm} rpm: {seen}",
-            exchange=exchange,
-            key="home_speed effect",
-        )
-
-
-def _home_at_8(dialect: Dialect) -> Iterator[Case]:
-    for case in _home("home_speed")(dialect):
-        yield Case(dialect, case.command, {}, {**case.facts, "name": "{command}/home_speed-at-8"})
-
-
-@of_read_back(each=_home_at_8, refuted_by="another speed", at_best=Certainty.LIKELY)
-def _home_speed_at_8(probe: Probe, command: Command) -> None:
-    """At 8 subdivisions homing turns at twice the speed that was set, as a run does."""
-    motion.ready_to_move(probe, subdivision=8)
-    seen, exchange = _homing_with(probe, home_speed=60)
-    text = f"at 8 subdivisions home_speed 60 is {seen}"
-    probe.expect(seen.rpm, near=120, within=120 * _SPEED_SHARE, unit="rpm", refutes=text, exchange=exchange)
-
-
-@of_read_back(each=_home("home_direction"), statement="The other direction homes the other way.", refuted_by="the same way")
-@of_read_back(
-    each=_home("home_trigger"),
-    statement="With the other level the end stop counts as closed, and homing first leaves it.",
-    refuted_by="the same way",
-    at_best=Certainty.LIKELY,
-)
-def _opposite_homing(probe: Probe, command: Command, name: str) -> None:
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    (one, _), (other, exchange) = (_homing_with(probe, home_speed=90, **{name: value}) for value in (0, 1))
+    seen = []
+    for level in (0, 1):
+        exchange = set_home(probe, return_angle=_LONG_BACK, home_speed=90, home_trigger=level)
+        seen.append(setting_effects.homing(probe))
+    one, other = seen
     probe.expect(
         str(other),
         holds=one.way != other.way,
         expected="opposite ways",
-        refutes=f"{name} 0 and 1 both begin homing the same way",
+        refutes="home_trigger 0 and 1 both begin homing the same way",
         exchange=exchange,
-        key=f"{name} effect",
+        key="home_trigger effect",
     )
 
 

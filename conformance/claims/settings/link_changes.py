@@ -6,13 +6,16 @@ Rules kept here:
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from analyzer import encoder
 from analyzer.catalogue import Command, Dialect
 from analyzer.errors import UsageError
 from analyzer.layout import Effect
 from conformance.claim import Inconclusive, NotRun
 from conformance.motion.motion import MS
-from conformance.talk.acceptance import Acceptance, acceptance, plain_read
+from conformance.talk.acceptance import Acceptance, acceptance, answers, plain_read
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
@@ -76,27 +79,43 @@ def follow(probe: Probe, rate: int) -> None:
         raise NotRun(f"this end cannot follow the drive to {rate} bits per second: {error}") from None
 
 
-def set_rate(probe: Probe, rate: int) -> None:
+def set_rate(probe: Probe, rate: int) -> Exchange:
     """Set the drive to a speed, without following it. Raises Inconclusive where it has no such setting."""
+    command, name, code = _setting_of(probe, rate)
+    return probe.ask(command, {name: code})
+
+
+def _setting_of(probe: Probe, rate: int) -> tuple[Command, str, int]:
     code = next((v for v, r in probe.dialect.rates.items() if r == rate), None)
     found = probe.dialect.effect(Effect.BAUD_RATE)
     if found is None or code is None:
         raise Inconclusive(f"{probe.dialect.name} has no setting for {rate} bits per second")
-    probe.ask(found[0], {found[1].name: code})
+    return found[0], found[1].name, code
 
 
-def visit_another_rate(probe: Probe) -> None:
-    """Bring the drive and this end to another speed and back. Raises NotRun where this end cannot be there."""
+def another_rate(probe: Probe) -> int:
+    """Return a speed of the line that the drive can have, and has not."""
+    return next(rate for rate in probe.dialect.rates.values() if rate != probe.gate.line.endpoint.bits_per_second)
+
+
+@contextmanager
+def at_rate(probe: Probe, rate: int) -> Iterator[Exchange]:
+    """Bring the drive and this end to a speed, yield the exchange that asked for it, and bring both back.
+
+    Raises NotRun where this end cannot be there, and Inconclusive where the drive could not be set back.
+    """
     before = probe.gate.line.endpoint.bits_per_second
-    other = next(rate for rate in probe.dialect.rates.values() if rate != before)
-    # A drive that has changed is not found again by an end that cannot follow.
-    for rate in (other, before):
-        follow(probe, rate)
-    set_rate(probe, other)
-    follow(probe, other)
+    # A drive that has changed is not found again by an end that cannot follow, nor set back where it has no such setting.
+    for each in (rate, before):
+        _setting_of(probe, each)
+        follow(probe, each)
+    exchange = set_rate(probe, rate)
+    follow(probe, rate)
     try:
         settle(probe)
-        set_rate(probe, before)
+        yield exchange
+        if rate != before and answers(probe, probe.address):
+            set_rate(probe, before)
     finally:
         follow(probe, before)
     settle(probe)

@@ -172,8 +172,7 @@ def _kept_field(probe: Probe, command: Command, row: Kept, way: _Way) -> None:
     should = row.effect.see(probe)
     kept_effects.need_difference(probe, row, should, default)
     text = f"{row.name} that was set {way.how} is another one after a restart"
-    holds, expected = row.effect.same(probe, should, seen), row.effect.words(should)
-    probe.expect(row.effect.words(seen), holds=holds, expected=expected, refutes=text, exchange=exchange)
+    row.effect.expect(probe, seen, should, text, exchange)
 
 
 #: The speed of a run that is kept, the other way of another one; how long a shaft has to get there.

@@ -151,14 +151,8 @@ def _expect_default_seen(probe: Probe, command: Command, effect: SettingEffect, 
     if command.verb is not Verb.SET_WORK_MODE:
         effect.ready(probe)
     seen, should = effect.see(probe), effect.expected(probe.dialect, wanted)
-    probe.expect(
-        effect.words(seen),
-        holds=effect.same(probe, should, seen),
-        expected=effect.words(should),
-        refutes=f"{command.name} after a restore: {effect.words(seen)}",
-        exchange=exchange,
-        key=f"{command.name} restore",
-    )
+    text = f"{command.name} after a restore: {effect.words(seen)}"
+    effect.expect(probe, seen, should, text, exchange, f"{command.name} restore")
 
 
 # --- settings whose default no manual prints --------------------------------------------------------------------------
@@ -218,9 +212,7 @@ def _restored_field(probe: Probe, command: Command, setter: Command, row: Kept) 
     exchange = _restore(probe, command)
     row.effect.ready(probe)
     seen = row.effect.see(probe)
-    text = f"{row.name} is not the default after a restore"
-    holds, expected = row.effect.same(probe, default, seen), row.effect.words(default)
-    probe.expect(row.effect.words(seen), holds=holds, expected=expected, refutes=text, exchange=exchange)
+    row.effect.expect(probe, seen, default, f"{row.name} is not the default after a restore", exchange)
 
 
 def _restore(probe: Probe, command: Command) -> Exchange:

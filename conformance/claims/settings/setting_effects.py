@@ -94,6 +94,11 @@ class SettingEffect:
             return dict(self.values[0]), dict(self.values[1])
         return differing(form)
 
+    def expect(self, probe: Probe, seen: Seen, should: Seen, refutes: str, exchange: Exchange, key: str = "") -> None:
+        """Refute unless what is seen is what should be."""
+        holds, expected = self.same(probe, should, seen), self.words(should)
+        probe.expect(self.words(seen), holds=holds, expected=expected, refutes=refutes, exchange=exchange, key=key)
+
     def risks(self, dialect: Dialect) -> frozenset[Risk]:
         """Return the risks of what `ready` and `see` send, beside reads."""
         found: set[Risk] = set(motion.risks(dialect)) if self.moves else set()

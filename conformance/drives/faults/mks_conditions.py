@@ -1030,6 +1030,11 @@ DOING: Rows = {
         Row("zero-not-cleaned", "9A does not clean the zero", before(Verb.SET_ZERO_MODE, _zero_not_cleaned)),
         Row("zero-direction-turned", "9A goes back the other way", _back_with("zero_direction", lambda v: 1 - v)),
         Row("zero-speed-fixed", "9A goes back at one speed", _back_with("zero_speed", lambda v: 2)),
+        Row(
+            "zero-off-ignored",
+            "9A goes back in zero mode 0 too",
+            _back_with("zero_mode", lambda v: v or int(mks_shared.ZeroMode.NEAR)),
+        ),
         Row("zero-speed-4-as-3", "9A goes back at speed 4 as at speed 3", _back_with("zero_speed", lambda v: min(v, 3))),
         Row(
             "near-by-quarters",

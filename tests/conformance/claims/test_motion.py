@@ -80,8 +80,6 @@ MKS = (
     ("relative-as-absolute", "move_relative_axis/again"),
     ("absolute-as-relative", "move_absolute_axis/same-place"),
     ("negative-positions-cut", "move_relative_axis/opposite"),
-    ("position-16-bit", "move_absolute_axis/far"),
-    ("pulses-16-bit", "move_relative_pulses/far"),
     ("overshoot", "move_absolute_pulses/within"),
     ("relative-axis-direction-wrong", "move_relative_axis/sign"),
     ("absolute-axis-direction-wrong", "move_absolute_axis/sign"),
@@ -97,10 +95,10 @@ MKS = (
     ("speed-ignores-subdivision", "set_subdivision/speed-at-128"),
     ("speed-scaled-at-32", "set_subdivision/speed-at-32"),
     ("mode-limit-ignored", "run_speed/highest-sr_open"),
-    ("speed-unlimited", "move_relative_axis/beyond-highest"),
     ("speed-2800-at-most", "run_speed/crossed-speed"),
-    ("speed-above-3000-refused", "run_speed/beyond-highest"),
     ("speed-3000-refused", "move_absolute_pulses/crossed-taken"),
+    ("home-speed-low-byte", "home/turns"),
+    ("home-direction-not-stored", "home/turns"),
     # Newer motion, stops, enabling
     ("update-ignored", "move_absolute_axis/takes-over"),
     ("update-stops-first", "move_absolute_axis/update-without-stop"),
@@ -181,9 +179,6 @@ MKS = (
     ("zero-mode-ignored", "set_zero_mode/near"),
     ("zero-direction-ignored", "set_zero_mode/direction-ccw"),
     ("zero-status-frozen", "read_zero_status/tells"),
-    ("saved-run-not-stored", "save_speed/runs-direction-0"),
-    ("saved-direction-lost", "save_speed/runs-direction-1"),
-    ("clean-ignored", "save_speed/clean"),
     ("restart-lies", "restart/ends-motion"),
     ("calibration-without-interim", "calibrate/replies"),
 )
@@ -194,7 +189,6 @@ LK = (
     ("lk-asked-speed-sign-lost", "run_speed/opposite"),
     ("lk-speed-sign-lost", "read_state_2/crossed"),
     ("lk-target-tenfold", "move_multi_turn/reaches"),
-    ("lk-target-int32", "move_multi_turn/wide"),
     ("lk-position-int32", "set_position/counts-on"),
     ("lk-multi-turn-relative", "move_multi_turn_limited/absolute"),
     ("lk-increment-absolute", "move_increment/adds-up"),
@@ -226,7 +220,7 @@ LK = (
     ("lk-encoder-not-offset", "read_encoder/below-offset"),
     ("lk-encoder-coarse", "read_state_2/encoder"),
     ("lk-single-turn-runs-on", "read_single_turn/within-turn"),
-    ("lk-position-single-turn", "set_position/reads"),
+    ("lk-position-single-turn", "set_position/counts-on"),
     ("lk-clear-turns-ignored", "clear_turns/drops-turns"),
     ("lk-set-position-kept", "set_position/lost"),
     ("lk-zero-lost", "set_zero/at-power-up"),
@@ -314,19 +308,24 @@ def test_what_an_lk_drive_does_and_tells_in_motion_is_judged(fault, claim):
 
 @pytest.mark.parametrize(
     ("fault", "claim"),
-    [
-        ("lk-speed-limit-ignored", "write_parameter/speed-limit"),
-        ("lk-angle-limit-ignored", "write_parameter/angle-limit-move_multi_turn"),
-        ("lk-angle-limit-above-only", "write_parameter/angle-limit-move_multi_turn_limited"),
-        ("lk-torque-limit-ignored", "write_parameter/torque-limit"),
-        ("lk-overshoot", "move_increment/within"),
-        ("lk-stop-coasts", "stop/brakes"),
-        ("lk-zero-at-once", "set_zero/not-at-once"),
-    ],
+    [("lk-overshoot", "move_increment/within"), ("lk-stop-coasts", "stop/brakes"), ("lk-zero-at-once", "set_zero/not-at-once")],
 )
 def test_what_the_lk_manual_leaves_open_is_observed(fault, claim):
     verdict = judge(f"lk-rs485@1,fault={fault}", claim)
     assert (verdict.outcome, verdict.expected != "") == (Outcome.OBSERVED, True)
+
+
+@pytest.mark.parametrize(
+    ("fault", "claim", "text"),
+    [
+        ("lk-speed-limit-ignored", "speed-limit-run_speed-each-way", "the speed limit does not hold for run_speed"),
+        ("lk-angle-limit-ignored", "angle-limit-move_multi_turn-each-way", "the angle limit does not hold for move_multi_turn"),
+        ("lk-torque-limit-ignored", "torque-limit-move_increment", "a run turns the shaft with a torque limit of 0"),
+    ],
+)
+def test_a_limit_of_lk_that_never_holds_is_observed(fault, claim, text):
+    verdict = judge(f"lk-rs485@1,fault={fault}", f"write_parameter/{claim}")
+    assert (verdict.outcome, verdict.reason) == (Outcome.OBSERVED, text)
 
 
 def test_a_move_within_bounds_is_all_that_a_bounded_run_sends():
@@ -336,7 +335,7 @@ def test_a_move_within_bounds_is_all_that_a_bounded_run_sends():
     chosen = {name(c): c for c in every(rig)}
     assert engine.run_claim(chosen["move_relative_axis/distance"], rig).outcome is Outcome.CONFIRMED
     assert engine.run_claim(chosen["move_relative_axis/crossed-ends"], rig).outcome is Outcome.CONFIRMED
-    beyond = engine.run_claim(chosen["move_relative_axis/beyond-highest"], rig)
+    beyond = engine.run_claim(chosen["move_relative_axis/mode-limit"], rig)
     assert beyond.outcome is Outcome.NOT_RUN
     assert "rpm" in beyond.reason
     unbounded = engine.run_claim(chosen["run_speed/speed-60"], rig)

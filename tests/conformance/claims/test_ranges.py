@@ -34,7 +34,6 @@ FAULTS = (
     ("mks-can@1", "bit-rate-4-accepted", "set_bit_rate/bit_rate/unlisted"),
     ("mks-rs485@1", "save-any-state", "save_speed/save_state/unlisted"),
     ("mks-modbus@1", "refusal-says-success", "set_key_lock/key_lock/unlisted"),
-    ("mks-modbus@1", "mode-limit-ignored", "run_speed/speed/sr_close"),
     ("mks-rs485@1", "speed-above-3000-refused", "move_relative_pulses/speed/above"),
     ("mks-can@1", "speed-unlimited", "run_speed/speed/above"),
     ("mks-can@1", "speed-8-bit", "move_absolute_axis/speed/width"),

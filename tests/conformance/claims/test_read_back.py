@@ -38,8 +38,6 @@ FAULTS = (
     ("mks-rs485", "group-not-stored", "set_group_address/effect"),
     ("mks-can", "group-lost", "set_group_address/restart"),
     ("mks-rs485", "group-lost", "set_group_address/power"),
-    ("mks-modbus", "home-speed-low-byte", "set_home/home_speed"),
-    ("mks-rs485", "home-direction-not-stored", "set_home/home_direction"),
     ("mks-can", "home-trigger-not-stored", "set_home/home_trigger"),
     ("mks-rs485", "limit-remap-ignored", "set_limit_remap/effect"),
     ("mks-modbus", "address-lost", "set_address/restart"),

@@ -14,9 +14,6 @@ from tests.conformance.theme_runs import refuted, run
 @pytest.mark.parametrize(
     ("fault", "dialect", "name"),
     [
-        ("lost-reply", "mks-rs485", "reads/answered"),
-        ("first-reply-only", "mks-can", "reads/answered"),
-        ("lk-reply-lost", "lk-rs485", "reads/answered"),
         ("flaky-checksum", "mks-modbus", "reads/good"),
         ("unanswered-reads", "mks-can", "reads/run_speed"),
         ("reads-silent-while-off", "mks-modbus", "reads/off"),

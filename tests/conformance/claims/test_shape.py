@@ -40,6 +40,7 @@ def test_conforming_drives_confirm_every_claim(drive):
         ("spurious-bytes", "mks-rs485", "clean"),
         ("trailing-byte", "mks-modbus", "clean"),
         ("pause-in-frame", "mks-rs485", "one-piece"),
+        ("pause-in-frame", "mks-modbus", "one-piece"),
         ("late-reply", "mks-can", "answered"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 from conformance.claim import Refuted, Theme
 from conformance.drives import make
 from conformance.model import route, story
-from conformance.model.walk import parse_steps, steps_text
+from conformance.model.steps import parse_steps, steps_text
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance import theme_runs
 

@@ -47,8 +47,9 @@ FAULTS = (
     ("lk-rs485", "lk-ramp-steep-turning-round", "write_parameter/one-ramp"),
     ("lk-rs485", "lk-ramp-steep-slowing", "write_parameter/one-ramp"),
     ("lk-rs485", "lk-ramp-steep-below", "write_parameter/speed-ramp-move_increment_limited-each-way"),
-    ("mks-modbus", "pause-in-frame", "replies/in-one-piece"),
-    ("lk-rs485", "pause-in-frame", "replies/in-one-piece"),
+    ("mks-rs485", "lost-reply", "replies/every-time"),
+    ("mks-can", "first-reply-only", "replies/every-time"),
+    ("lk-rs485", "lk-reply-lost", "replies/every-time"),
 )
 
 

@@ -211,7 +211,7 @@ HONEST = [
         ("lk-rs485@1,model=MF,angle_limit=9000", None, claim)
         for claim in (
             "motion/move_multi_turn/own-speed",
-            "motion/move_multi_turn/wide",
+            "ranges/move_multi_turn/position/width",
             "motion/set_position/and-moves",
             "motion/move_multi_turn_limited/reaches",
             "ranges/move_multi_turn_limited/max_speed/width",

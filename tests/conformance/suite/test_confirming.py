@@ -9,7 +9,7 @@ import pytest
 from conformance.claim import Claim, Inconclusive, Outcome, Refuted, Theme, Verdict
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
-from conformance.model.walk import Step, parse_steps, steps_text
+from conformance.model.steps import Step, parse_steps, steps_text
 from conformance.suite import engine, plan
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance.safety.test_keeper import EVERYTHING, EmulatedPort

@@ -132,7 +132,7 @@ def test_the_group_of_a_drive_is_no_foreign_address(drive):
 
 
 LIMITED = [
-    ("mks-can@1,axis_lock=0", ("save_speed/restart", "save_speed/as-it-was", "runs-direction-0"), "set axis_lock to 1"),
+    ("mks-can@1,axis_lock=0", ("save_speed/restart", "save_speed/as-it-was", "save_speed/power"), "set axis_lock to 1"),
     ("lk-rs485@1,angle_limit=36000", ("state/walk/1",), "angle_limit is 36000: set it to"),
 ]
 
@@ -458,9 +458,9 @@ def test_a_drive_that_a_user_has_set_is_judged_as_any_other(drive, claim, told):
     ("drive", "claim", "reason"),
     [
         (
-            "lk-rs485@1,model=MF,angle_limit=536870911",
-            "move_multi_turn/wide",
-            "the drive is set to angle_limit 536870911, and this claim refutes an ideal drive that is set so",
+            "lk-rs485@1,model=MF,torque_limit=2",
+            "run_speed/speed-360",
+            "the drive is set to torque_limit 2, and this claim refutes an ideal drive that is set so",
         ),
         # What is set in the native dialect alone a Modbus drive does not tell.
         (
