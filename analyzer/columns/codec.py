@@ -38,6 +38,11 @@ class ColumnCodec:
         #: The same number where data have the same fields at the same places, and so the same text.
         self.reading = _READINGS.setdefault((start, tuple(map(_reading, layout.fields))), len(_READINGS))
 
+    @property
+    def takes_all(self) -> bool:
+        """Whether all data match and are valid, whatever they are."""
+        return not self._limits and all(field.fixed is None for _, field in self._every)
+
     @staticmethod
     def fits(layout: Layout) -> bool:
         """Say whether a layout can be read by columns: all fields have a fixed width and are exact as JSON numbers."""
