@@ -209,7 +209,7 @@ class _Done:
 
     def causes(self) -> list[str]:
         """Return what is wrong, where a cause was found."""
-        scenes = self.watch.scenes(self.reading.dialects)
+        scenes = [] if self.watch.quiet else self.watch.scenes(self.reading.dialects)
         if not scenes:
             # Nothing has to be explained, so nothing that explains is loaded.
             return []

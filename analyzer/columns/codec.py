@@ -19,6 +19,8 @@ Flags = NDArray[np.bool_]
 _WIDEST, _WORD = 53, 64
 #: The most values for which a table of allowed ones is made.
 _DENSE = 1 << 16
+#: What determines the text of data -> the number of that.
+_READINGS: dict[object, int] = {}
 #: Greatest divisor of a word's unit whose fractions are written without an exponent.
 _FINEST = 10_000
 
@@ -33,6 +35,13 @@ class ColumnCodec:
         self.layout = layout
         self._every = [(offset + 8 * start, field) for offset, field in layout]
         self._limits = [(offset, f, *limits) for offset, f in self._every if (limits := _limits(f)) is not None]
+        #: The same number where data have the same fields at the same places, and so the same text.
+        self.reading = _READINGS.setdefault((start, tuple(map(_reading, layout.fields))), len(_READINGS))
+
+    @property
+    def takes_all(self) -> bool:
+        """Whether all data match and are valid, whatever they are."""
+        return not self._limits and all(field.fixed is None for _, field in self._every)
 
     @staticmethod
     def fits(layout: Layout) -> bool:
@@ -63,6 +72,13 @@ class ColumnCodec:
             if field.fixed is not None:
                 good &= column(data, offset, field) == field.fixed
         return good
+
+
+def _reading(field: Field) -> object:
+    """Return what determines how a field reads: not what is allowed in it."""
+    choices = None if field.choices is None else tuple(field.choice_names.items())
+    state = None if field.state is None else (field.state.quantity, field.state.factor)
+    return field.kind, field.name, field.bit_width, field.order, field.scale, choices, state
 
 
 def _is_word(offset: int, field: Field) -> bool:

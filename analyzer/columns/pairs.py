@@ -114,7 +114,7 @@ class Pairing:
         self._known: dict[tuple[Head, int | None], int] = {}
         #: The first is that of all frames without a lane: there are as many heads of such as one likes.
         self._kinds = [_Kind()]
-        #: Of each kind whose data are one byte at most, what each byte says, by part.
+        #: Of each kind whose data are one byte at most, or say the same whatever they are: what each byte says, by part.
         self._said: list[tuple[NDArray[np.int8], ...]] = [(np.zeros(_BYTES, dtype=np.int8),)]
         self._said_by_reading: dict[object, tuple[NDArray[np.int8], ...]] = {}
         self._tables: _Tables | None = None
@@ -301,7 +301,7 @@ class Pairing:
             fits = (says > 0) & (exchanges.take(lanes, mode="wrap") == asked.take(open_))
             replies[open_] = np.where(fits & (says & 1 == 0), lanes, -1)
             open_ = open_[~fits]
-        places = np.flatnonzero(_first_of_two(replies >= 0))
+        places = _first_of_two(np.flatnonzero(replies >= 0))
         asking, telling = before.take(places), after.take(places)
         lane = np.full(len(block), -1, dtype=np.int64)
         lane[asking], lane[telling] = requests.take(asking), replies.take(places)
@@ -371,9 +371,16 @@ class Pairing:
         if not kind.asking and not kind.telling:
             return 0
         self._kinds.append(kind)
-        self._said.append(self._say_every(kind, block.data.shape[1]) if kind.stop - kind.start <= 1 else ())
+        few = kind.stop - kind.start <= 1 or self._says_the_same(kind)
+        self._said.append(self._say_every(kind, block.data.shape[1]) if few else ())
         self._tables = None
         return len(self._kinds) - 1
+
+    def _says_the_same(self, kind: _Kind) -> bool:
+        """Say whether frames of a kind say the same, whatever their data are."""
+        lanes = [self._lanes[n] for n in (*kind.asking, *kind.telling)]
+        judged = any(self._lanes[n].command.judged for n in kind.telling)
+        return not judged and all(column_codec(lane.form.layout, kind.start).takes_all for lane in lanes)
 
     def _say_every(self, kind: _Kind, width: int) -> tuple[NDArray[np.int8], ...]:
         """Return what each byte of data says, for frames of a kind that have one at most; kinds that read alike share it."""
@@ -478,12 +485,13 @@ def _reply_codes(command: Command) -> set[int | None]:
     return {command.code if form.code is None else form.code for form in command.reply_forms}
 
 
-def _first_of_two(pairs: Flags) -> Flags:
+def _first_of_two(pairs: Integers) -> Integers:
     """Return where exchanges begin that do not overlap: of rows that follow each other, the first, the third and so on."""
-    if not (pairs[1:] & pairs[:-1]).any():
+    follows = np.zeros(len(pairs), dtype=np.bool_)
+    np.equal(pairs[1:], pairs[:-1] + 1, out=follows[1:])
+    if not follows.any():
         return pairs
-    rows = np.arange(len(pairs))
-    before = np.concatenate(([False], pairs[:-1]))
-    begin = np.maximum.accumulate(np.where(pairs & ~before, rows, 0))
-    result: Flags = pairs & ((rows - begin) % 2 == 0)
+    places = np.arange(len(pairs))
+    begins = np.maximum.accumulate(np.where(follows, 0, places))
+    result: Integers = pairs[(places - begins) & 1 == 0]
     return result

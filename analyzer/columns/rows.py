@@ -9,7 +9,7 @@ chunk of the log.
 from __future__ import annotations
 
 from binascii import hexlify
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -114,16 +114,16 @@ class Rows:
         return Messages(self._data, self._ends[own], self._channels[own], self._entries[own])
 
 
-def alike(plain: Plain, wanted: Flags | None = None) -> Iterator[tuple[Integers, Lane]]:
-    """Yield the rows of lanes that read alike and have frames of one length, with one of these lanes.
+def alike(plain: Plain, keys: Sequence[Hashable], wanted: Flags) -> Iterator[tuple[Integers, Lane]]:
+    """Yield the rows of lanes that have the same key and frames of one length, with one of these lanes.
 
-    `wanted`: of each row, whether it is; None: all that are plain.
+    `keys`: of each lane; `wanted`: of each row, whether it is.
     """
-    kinds: dict[tuple[int, bool, int], int] = {}
-    numbers = [kinds.setdefault((id(lane.form), lane.is_request, lane.start), len(kinds)) for lane in plain.lanes]
+    kinds: dict[Hashable, int] = {}
+    numbers = [kinds.setdefault(key, len(kinds)) for key in keys]
     examples = dict(zip(numbers, plain.lanes, strict=True))
     kind = of_lanes(plain, [number + 1 for number in numbers], 0)
-    for number, rows in groups(kind if wanted is None else kind * wanted):
+    for number, rows in groups(kind * wanted):
         yield rows, examples[number - 1]
 
 
@@ -143,7 +143,9 @@ def _heads(plain: Plain, carried: list[_Part]) -> Iterator[_Part]:
     for rows, table in _few(plain):
         left[rows] = False
         yield rows, [table]
-    for rows, lane in alike(plain, left):
+    codecs = [column_codec(lane.form.layout, lane.start) for lane in plain.lanes]
+    keys = [(codec.reading, lane.states) for codec, lane in zip(codecs, plain.lanes, strict=True)]
+    for rows, lane in alike(plain, keys, left):
         data = taken(plain.block.data, rows)
         wire = column_codec(lane.form.layout, lane.start).wire(data)
         named = lane.form.layout.named

@@ -175,6 +175,12 @@ class Watch:
         """Whether nothing more is kept."""
         return len(self._kept) >= _MOST_KEPT or len(self._findings) >= _MOST_FINDINGS
 
+    @property
+    def quiet(self) -> bool:
+        """Whether all came in order, what came last frame by frame, and no words: then there is nothing to explain."""
+        self._spread()
+        return not self.found and not self._words and not any(isinstance(each, Entry) or each[0] is None for each in self._near)
+
     def forget(self) -> None:
         """Make room for what comes."""
         self._kept.clear()

@@ -8,6 +8,7 @@ A batch is all that its chunks need. So any thread or process can make them, and
 from __future__ import annotations
 
 import struct
+import threading
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -49,12 +50,26 @@ def record_bytes(record: McapRecord) -> bytes:
     return data
 
 
+def _compressor(size: int) -> zstandard.ZstdCompressor:
+    settings = zstandard.ZstdCompressionParameters.from_level(
+        _LEVEL, source_size=size, window_log=_WINDOW, write_content_size=1
+    )
+    return zstandard.ZstdCompressor(compression_params=settings)
+
+
+class _Kept(threading.local):
+    """What compresses whole chunks, one for each thread: its memory is made once."""
+
+    def __init__(self) -> None:
+        self.compressor = _compressor(CHUNK_SIZE)
+
+
+_kept = _Kept()
+
+
 def compressed(data: bytes | memoryview) -> bytes:
     """Return the records of a chunk compressed."""
-    settings = zstandard.ZstdCompressionParameters.from_level(
-        _LEVEL, source_size=len(data), window_log=_WINDOW, write_content_size=1
-    )
-    return zstandard.ZstdCompressor(compression_params=settings).compress(data)
+    return (_kept.compressor if len(data) >= CHUNK_SIZE else _compressor(len(data))).compress(data)
 
 
 class Indexed(NamedTuple):

@@ -196,7 +196,8 @@ class ParquetTables:
         """Give the rows of a block that have a number to their tables."""
         carried: list[tuple[Integers, dict[str, NDArray[np.float64]]]] = []
         places = _Places(plain, of_lanes(plain, [lane.address for lane in plain.lanes], 0), sequences)
-        for rows, lane in alike(plain, sequences > 0):
+        keys = [(id(lane.form), lane.is_request, lane.start) for lane in plain.lanes]
+        for rows, lane in alike(plain, keys, sequences > 0):
             wire = self._columns(places, rows, lane)
             if lane.states:
                 carried.append((rows, states(lane, wire)))

@@ -14,6 +14,7 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Role
 from analyzer.cli import main
 from analyzer.detect import choose
+from analyzer.diagnosis import diagnose
 from analyzer.diagnosis.causes import CAUSES
 from analyzer.diagnosis.diagnose import diagnosis
 from analyzer.diagnosis.ranking import ranked
@@ -23,6 +24,7 @@ from analyzer.encoder import assemble, build
 from analyzer.pipeline import Options, Pipeline
 from analyzer.records import CanFrame, Chunk
 from conformance.drives.serial_bus import SerialBus
+from tests.columns.serial_traffic import POLLS, polls
 from tests.conformance.drives.served import drives
 from tests.diagnosis.spoiled_line import Format, both, levels, received
 
@@ -34,15 +36,22 @@ _SPEC.loader.exec_module(captures)
 NATIVE, MODBUS, CAN, LK = (registry.get(n) for n in ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485"))
 
 
-def diagnosed(items):
-    chosen = choose(registry.every(), items).dialects
+def watched(items, spoken):
     watch = Watch()
-    pipeline = Pipeline(chosen, [watch], Options(timed=any(item.t_ns is not None for item in items)))
+    pipeline = Pipeline(spoken, [watch], Options(timed=any(item.t_ns is not None for item in items)))
     for item in items:
         watch.take(item)
         pipeline.feed(item)
     pipeline.close()
+    return watch
+
+
+def diagnosed(items):
+    chosen = choose(registry.every(), items).dialects
+    watch = watched(items, chosen)
+    quiet = watch.quiet
     found = diagnosis(watch, chosen)
+    assert not (quiet and found.causes)
     assert {each.suspicion.cause for each in found.causes} <= CAUSES.keys()
     return found
 
@@ -361,6 +370,35 @@ def generated(name, seed, frames):
 def test_clean_traffic_is_not_accused(name):
     for seed in range(10):
         assert diagnosed(generated(name, seed, 60)).verdict == "ok"
+
+
+@pytest.mark.parametrize("name", sorted(POLLS))
+def test_what_is_in_order_has_no_cause(name):
+    spoken = [registry.get(name)]
+    for seed in range(10):
+        rows = polls(name, random.Random(seed), 200)
+        watch = watched([Chunk(number * 1_000_000, "bus", row.data) for number, row in enumerate(rows)], spoken)
+        assert watch.quiet
+        assert not diagnosis(watch, spoken).causes
+
+
+def test_where_all_is_in_order_nothing_is_loaded_that_explains(tmp_path, capsys, monkeypatch):
+    asked = []
+
+    def weighed(scenes):
+        asked.append(scenes)
+        return weigh(scenes)
+
+    weigh = diagnose.weighed
+    monkeypatch.setattr(diagnose, "weighed", weighed)
+    path = tmp_path / "polls.log"
+    exchanges = "00:00:00.010 > FA 01 32 2D\n00:00:00.020 < FB 01 32 00 00 2E\n" * 100
+    for further in ("", "the motor does not turn\n", "00:00:01.010 > FA 01 32 2E\n", "00:00:01.010 > FA 01 32 2D\n"):
+        path.write_text(exchanges + further)
+        assert main(["decode", "--dialect", "mks-rs485", "--force", str(path)]) == 0
+        assert bool(asked) == bool(further)
+        asked.clear()
+    capsys.readouterr()
 
 
 @pytest.mark.parametrize("name", ["mks-rs485", "mks-modbus", "lk-rs485"])
