@@ -26,6 +26,8 @@ _LEAST_BITS = 2
 _LOOKED_AT = 200
 #: Head, address and code, of which no field can lack.
 _HEAD = 4
+#: A frame of CAN with a sum and no field.
+_SHORT_CAN = 2
 #: Bytes before a frame that are looked for.
 _STRAY = 3
 #: How programs print the number of bytes they sent.
@@ -159,8 +161,11 @@ def _turned_replies(scene: Scene) -> Iterator[Suspicion]:
 
 def _summed(failing: Failing) -> bool:
     """Say whether the last byte is the sum of those before: then the sum is there, and a byte of the fields is not."""
-    data = _data(failing)
-    return _sent_short(failing) and sum(data[:-1]) & 0xFF == data[-1]
+    data, stretch = _data(failing), failing.trouble.stretch
+    can_id = stretch.can_id if stretch is not None else None
+    # A frame of CAN is not cut on its way; its sum is that of its identifier, too.
+    short = _sent_short(failing) if can_id is None else len(failing.right) == len(data) + 1 > _SHORT_CAN
+    return short and (sum(data[:-1]) + (can_id or 0)) & 0xFF == data[-1]
 
 
 def _sent_short(failing: Failing) -> bool:

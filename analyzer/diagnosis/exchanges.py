@@ -66,6 +66,11 @@ class Awaited(NamedTuple):
         stop = at + self.size
         return stop <= len(data) and data.startswith(self.head, at) and self.link.fits(data[at:stop])
 
+    def with_head(self, data: bytes) -> bytes:
+        """Return the whole reply where bytes are one but for its head; empty where they are not."""
+        mended = self.head + data[len(self.head) :]
+        return mended if len(data) == self.size and self.stands(mended, 0) else b""
+
     def begins(self, data: bytes) -> bool:
         """Say whether bytes can be its beginning."""
         size = min(len(data), len(self.head))
@@ -179,6 +184,12 @@ def _cut(scene: Scene, run: list[Piece]) -> Iterator[Turn]:
 def placed(scene: Scene) -> tuple[Placed, ...]:
     """Return the sound replies among what was received, wherever they stand."""
     return tuple(found for chain in chains(scene) for found in _place(chain))
+
+
+@lru_cache(maxsize=1)
+def crossed(scene: Scene) -> frozenset[int]:
+    """Return where the reads begin of which a sound reply ends in a later one."""
+    return frozenset(each.read.offset for each in placed(scene) if each.crosses)
 
 
 def _place(chain: tuple[Exchange, ...]) -> Iterator[Placed]:

@@ -19,7 +19,7 @@ from analyzer.diagnosis.bits import Line, unread
 from analyzer.diagnosis.exchanges import Awaited, replies_to
 from analyzer.diagnosis.no_frame import no_reply_at_all, same_line_noise, unknown
 from analyzer.diagnosis.reader import Reader
-from analyzer.diagnosis.rendered import RATES, at_other_speeds, inverted, of_replies, of_what_was_sent
+from analyzer.diagnosis.rendered import RATES, at_other_speeds, of_inverted, of_replies, of_what_was_sent
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.diagnosis.seven_bits import all_of_seven, of_seven
 from analyzer.diagnosis.ways import ALMOST_ALL, LEAST, LINES, MOST_READ, MOST_STRETCHES, Fit, Garbled, Way
@@ -86,12 +86,17 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             continue
         asked = scene.asked_before(stretch.offset) if stretch.direction is not Role.REQUEST else None
         replies = replies_to(asked) or _begun(scene, stretch)
+        # A recording that knows no pause is one stretch; its beginning tells enough.
         sides[stretch.direction].append(Garbled(trouble, stretch.data[:MOST_READ], replies))
     for side, came in sides.items():
-        garbled = came if all_of_seven(came) else [each for each in came if each.trouble in scene.spoiled]
+        garbled = came if all_of_seven(came) else [each for each in came if not _is_checked(each)]
         # A line that is set up wrongly lets nothing through: of each sender if the capture does not tell them apart.
         if garbled and _sound(scene, side) <= len(garbled):
             yield from _side(scene, side, garbled)
+
+
+def _is_checked(garbled: Garbled) -> bool:
+    return garbled.trouble.stretch is not None and garbled.trouble.stretch.checked
 
 
 def _begun(scene: Scene, stretch: Stretch) -> list[Awaited]:
@@ -137,11 +142,7 @@ def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Susp
     garbled = _most_met(all_garbled) if side is Role.UNKNOWN else all_garbled[:MOST_STRETCHES]
     ways = [
         Way("wrong_parity", 1.0, list(of_seven(garbled))),
-        Way(
-            "inverted_lines",
-            1.0,
-            [Fit(*each[:2], frame, len(each.data)) for each in garbled if (frame := inverted().get(each.data))],
-        ),
+        Way("inverted_lines", 1.0, list(of_inverted(garbled))),
         *of_what_was_sent(scene, garbled),
         *(_back(scene.reader, garbled, cause, line) for cause, line in LINES),
     ]

@@ -37,7 +37,7 @@ def same_line_noise(garbled: Sequence[Garbled], *, repeats: bool) -> bool:
     stretches = [each.data for each in garbled]
     if all(byte in _PRINTED for data in stretches for byte in data):
         return False
-    if any(data[0] == reply.head[0] for _, data, replies in garbled for reply in replies):
+    if any(data[0] == reply.head[0] or reply.with_head(data) for _, data, replies in garbled for reply in replies):
         return False
     if _of_few_bytes(b"".join(stretches)):
         return True
@@ -77,11 +77,12 @@ def _common_beginning(rows: Sequence[bytes]) -> bytes:
 
 
 def no_reply_at_all(garbled: Sequence[Garbled]) -> bool:
-    """Say whether what comes at once behind each request has nothing of a reply: none of its bytes, no letters, no check."""
+    """Say whether what comes at once behind each request has nothing of a reply: no byte of its head, no letters, no check."""
     return all(
         len(data) >= FEWEST
         and bool(replies)
         and not any(byte in data for reply in replies for byte in reply.head[:ALIKE])
+        and not any(reply.with_head(data) for reply in replies)
         and not all(byte in _PRINTED for byte in data)
         and not all(byte.bit_count() >= _IDLE_BITS for byte in data)
         and not any(check(data) for check in _CHECKS)

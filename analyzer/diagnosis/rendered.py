@@ -44,6 +44,8 @@ _NEAR = 0.06
 _DISTINCT = 2
 #: Bytes that are sent and bytes that are read: so many must agree before one comes from the other.
 _SAME = 5
+#: So often bytes must come in one stretch that are fewer.
+_AGAIN = 2
 #: Stray bytes that may stand before.
 _STRAY = 3
 #: Idle cells between bytes: none, or a program that sends byte by byte.
@@ -116,10 +118,18 @@ def _levels() -> tuple[tuple[str, ...], Rows]:
 
 
 @cache
-def inverted() -> dict[bytes, bytes]:
+def _inverted() -> dict[bytes, bytes]:
     """Return the likely frames by what a receiver reads of them whose lines are swapped."""
     line = Line(inverted=True)
     return {came: frame for frame in likely() if len(came := read(levels(frame, line), line)) >= LEAST}
+
+
+def of_inverted(garbled: Sequence[Garbled]) -> Iterator[Fit]:
+    """Yield what swapped lines explain: a stretch that is a likely frame, or in which several stand."""
+    for trouble, data, _ in garbled:
+        found = [came for came in _inverted() if came in data] if len(data) > LEAST else [data] if data in _inverted() else []
+        if data in found or len(found) > 1:
+            yield from (Fit(trouble, data, _inverted()[came], len(came) * data.count(came)) for came in found)
 
 
 @cache
@@ -148,13 +158,15 @@ def at_other_speeds(garbled: Sequence[Garbled]) -> Iterator[Way]:
             if len(set(came)) < 2:
                 continue
             for trouble, data, _ in garbled:
-                if came == data or (len(came) >= LEAST and came in data):
+                again = _AGAIN if len(came) == LEAST - 1 and len(set(came)) == len(came) else 1
+                if came == data or (len(came) > LEAST - again and data.count(came) >= again):
                     found[trouble][came] = frames[row]
         fits = []
         for trouble, data, _ in garbled:
-            if own := found.get(trouble):
-                taken = sum(len(came) * data.count(came) for came in own)
-                fits.append(Fit(trouble, data, next(iter(own.values())), min(taken, len(data))))
+            own = found.get(trouble, {})
+            # A few bytes are found by chance, in a long stream more than once.
+            if data in own or any(len(came) >= LEAST for came in own) or len(own) >= FEWEST:
+                fits += [Fit(trouble, data, frame, len(came) * data.count(came)) for came, frame in own.items()]
         if fits and (max(len(fit.data) for fit in fits) >= LEAST or len({fit.data for fit in fits}) > 1):
             yield Way("wrong_baud", ratio, fits)
 

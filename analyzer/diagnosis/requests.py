@@ -336,7 +336,7 @@ def _other_count(scene: Scene, burst: Stretch) -> str:
     # One of the right length is damaged, among others or in its head alone; one that begins so is cut, or has more behind it.
     among = len(scene.damaged) > 1
     whole = any(p.sound for p in burst.pieces) or any(
-        r.begins(data[: r.size]) or (among and r.size == len(data)) or r.stands(r.head + data[len(r.head) :], 0) for r in wanted
+        r.begins(data[: r.size]) or (among and r.size == len(data)) or bool(r.with_head(data)) for r in wanted
     )
     # The request itself is no reply, also if its check came damaged.
     if not wanted or whole or asked.data.startswith(data[: _ANSWER - 2]):

@@ -230,7 +230,7 @@ def _late_driver(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
     replies = {p.data for p in scene.pieces if p.sound and p.can is None and (p.is_reply or not scene.directed)}
     own = []
     for each in spoiled:
-        for reply in replies:
+        for reply in (*replies, *(whole for r in replies_to(each.asked) if (whole := r.with_head(each.stretch.data)))):
             same = _same(each.stretch.data[::-1], reply[::-1])
             near = abs(len(each.stretch.data) - len(reply)) <= _LENGTHS
             # More than one byte at the start is spoiled, or one is too many or too few.
@@ -363,10 +363,9 @@ def _meant(spoiled: _Spoiled, alike: bool) -> bytes | None:
         size = len(reply.head)
         pairs = (reply.head[at : at + 2] for at in range(size - 1))
         begun = data[: size + _GAINED]
-        mended = reply.head + data[size:]
         begins = alike and (any(pair in begun for pair in pairs) or _near(reply.head, data[:size]))
-        if reply.stands(mended, 0) or (begins and abs(len(data) - reply.size) <= _GAINED):
-            return mended
+        if reply.with_head(data) or (begins and abs(len(data) - reply.size) <= _GAINED):
+            return reply.head + data[size:]
     return None
 
 

@@ -197,8 +197,12 @@ _SUPPOSED = re.compile(r"\beven if\b[^.!?\n]*", re.IGNORECASE)
 
 
 def _missed(scene: Scene) -> bool:
-    """Say whether a request that is all there is was sent, and its reply missed: bare bytes say that, or words beside them."""
-    return not scene.words or any(_MISSED.search(_SUPPOSED.sub("", words)) for words in scene.words)
+    """Say whether a request that is all there is was sent, and its reply missed: bare bytes say that, or words beside them.
+
+    A recording of the line may end there.
+    """
+    bare = not scene.words and (scene.shows_sent or not scene.timed)
+    return bare or any(_MISSED.search(_SUPPOSED.sub("", words)) for words in scene.words)
 
 
 def _falls_silent(scene: Scene, asked: _Asked, who: str) -> Iterator[Suspicion]:

@@ -8,7 +8,7 @@ from itertools import takewhile
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.exchanges import replies_to
+from analyzer.diagnosis.exchanges import crossed, replies_to
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.framer import GLITCHES
 from analyzer.link import FUNCTIONS, modbus_crc
@@ -80,6 +80,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         behind = parts[number + 1] if number + 1 < len(parts) else None
         if (edge := _glitch(scene, part, before, behind)) is not None:
             (leading if edge[0] else trailing).append(edge[1])
+    if leading and {edge.stray for edge in leading} == {edge.stray for edge in trailing} and not any(map(_ends, trailing)):
+        # Each sender begins so: what stands behind a reply stands before the next request.
+        leading, trailing = leading + trailing, []
     # What stands between frames and within one is no matter of their edges.
     among = [edge for edge in (*leading, *trailing) if edge.stray]
     inside = list(_inside(scene, {edge.stray for edge in among})) if among else []
@@ -300,6 +303,9 @@ def _opens(scene: Scene, stretch: Stretch) -> bool:
 def _cut(scene: Scene, trouble: Trouble, stretch: Stretch) -> _Edge | None:
     """Return a glitch before a reply that lacks as many bytes at its end: the host reads as many as the reply has."""
     asked = replies_to(scene.asked_before(stretch.offset))
+    if stretch.offset in crossed(scene):
+        # Its end opens the next read: the reads are out of step.
+        return None
     for size in range(1, min(_GLITCH_BYTES, len(stretch.data) - _LEAST_OF_REPLY) + 1):
         stray, rest = stretch.data[:size], stretch.data[size:]
         # Any bytes can be stray. Those that no pulse makes are taken as stray only where they are few.
@@ -343,6 +349,11 @@ def _lacks_last(data: bytes) -> bool:
 def _stretch(edge: _Edge) -> Stretch:
     assert edge.trouble.stretch is not None  # found in damaged bytes
     return edge.trouble.stretch
+
+
+def _ends(edge: _Edge) -> bool:
+    """Say whether stray bytes are the last of what was sent at once."""
+    return _stretch(edge).ends and _stretch(edge).data.endswith(edge.stray)
 
 
 def _is_firm(edge: _Edge) -> bool:

@@ -263,6 +263,10 @@ class _Times:
             source.time_source = "capture: numbers as printed, exact to their digits"
         if not whole or any(row.get("unit") for row in rows):
             return
+        if any(_NUMBER.fullmatch(text) for text in texts):
+            # JSON of some languages writes 2 for 2.0.
+            self._unit = SECOND
+            return
         if "cells" in rows[0] and "extended" in rows[0]:
             self._unit = _UNITS["us"]
             source.time_source = "capture: microseconds as SavvyCAN prints them"

@@ -213,10 +213,11 @@ def _as_it_stood(found: HexLine, line: str) -> HexLine:
     return found._replace(text=line.strip()) if found.shape is Shape.COMMENT else found
 
 
-#: A string of hex digits that a program writes: what goes out are its letters, unless something makes bytes of it.
+#: A string of hex digits that a program writes: what goes out are its letters, unless something makes bytes of it. With 0x it
+#: may be printed for a person.
 _AS_TEXT = re.compile(
-    r"""(?:[^"']*[\s=(;])?[A-Za-z_]\w*\.(?:write(?:Line)?|print(?:ln)?|send|puts)\(\s*[bu]?(["'])"""
-    r"""(?P<digits>(?:[0-9A-F]{2}[ ,:]?){3,})\1"""
+    r"""(?:[^"']*[\s=(;])?[A-Za-z_]\w*\.(?:write(?:Line)?|print(?:ln)?(?!\(.0x)|send|puts)\(\s*[bu]?(["'])"""
+    r"""(?P<digits>(?:(?:0x)?[0-9A-F]{2}[ ,:]{0,2}){3,})\1"""
     r"""(?:\.encode\([^()]*\))?\s*(?:,(?!\s*['"]hex)[^"']*)?\)(?P<rest>.*)""",
     re.IGNORECASE,
 )

@@ -11,7 +11,7 @@ from analyzer.catalogue import Role
 from analyzer.diagnosis.scene import Confidence
 from analyzer.encoder import build
 from analyzer.link.modbus import modbus_crc
-from analyzer.records import Chunk
+from analyzer.records import CanFrame, Chunk
 from tests.diagnosis.test_diagnosis import READS, diagnosed, exchanged, first, told
 
 NATIVE, MODBUS, CAN, LK = (registry.get(n) for n in ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485"))
@@ -103,6 +103,31 @@ def test_one_short_read_puts_all_behind_it_out_of_step():
     reads = [stream[a:b] for a, b in pairwise(cuts)]
     out = [row for (_, sent), read in zip(rows[::2], reads, strict=False) for row in ((">", sent), ("<", read))]
     assert first(*out) == "read_misaligned"
+
+
+def test_reads_of_lk_that_begin_with_the_end_of_the_reply_before():
+    """The end is no glitch, whose bytes are those of a pulse; the first read begins with what was left."""
+    rows = exchanged("lk-rs485@1,baud=38400", *[build(LK, "read_state_2", 1)] * 6)
+    sizes = {len(data) for mark, data in rows if mark == "<"}
+    size = sizes.pop()
+    stream = b"\x12\x9a\x40" + b"".join(data for mark, data in rows if mark == "<")
+    out = [row for n, (_, sent) in enumerate(rows[::2]) for row in ((">", sent), ("<", stream[n * size : (n + 1) * size]))]
+    assert [each.cause for each in told(*out)] == ["read_misaligned"]
+    assert sizes == set()
+
+
+def test_a_driver_that_is_on_too_long_at_each_reply():
+    """No reply came whole; the head that was asked for makes the CRC fit."""
+    rows = exchanged("mks-modbus@1", *POLLS["mks-modbus@1"])
+    cut = [(mark, bytes((0, data[1] & 0x40)) + data[2:] if mark == "<" else data) for mark, data in rows]
+    assert first(*cut) == "collision"
+
+
+def test_a_field_is_missing_on_can_where_the_sum_is_right():
+    short, whole = bytes.fromhex("F60150"), bytes.fromhex("F6015005")
+    for sent, cause in ((short + bytes((sum(short) + 3 & 0xFF,)), "wrong_length"), (whole, "missing_checksum")):
+        frames = [CanFrame(n * 10**8, "can0", 3, sent, Role.REQUEST) for n in range(3)]
+        assert diagnosed(frames).causes[0].suspicion.cause == cause
 
 
 @pytest.mark.parametrize("drive", POLLS)

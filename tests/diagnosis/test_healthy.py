@@ -75,6 +75,8 @@ HEALTHY = {
     "    data = int(value).to_bytes(4, 'little')\n    return head + data + bytes([sum(data) & 0xFF])\n",
     "a line of JavaScript": "const ask = Buffer.from('fa02f300','hex'); port.write(Buffer.concat([ask, sum(ask)]));\n",
     "a line of C": "void f(){ uint8_t a[] = {0x02,0x06,0x00,0xF3,0x00,0x00}; uint16_t c = crc(a,6); put(a,c); }\n",
+    "a recording of a wire that ends with a request": "Time [s],Value,Parity Error,Framing Error\n"
+    + "".join(f"1.{n}00000,0x{byte:02X},,\n" for n, byte in enumerate(bytes.fromhex(checked("02 03 10 00 00 04")))),
     "exchanges of another maker": "TX: A0 A0 00 01 21 01\nRX: A0 A0 00 02 21 02 03\n" * 4,
 }
 

@@ -4,12 +4,26 @@ import random
 
 import pytest
 
+from analyzer.catalogue import Role
 from analyzer.diagnosis.bits import Line, Rows, levels, read, unread
 from analyzer.diagnosis.reader import Reader
+from analyzer.records import Chunk
 from benchmarks import troubles
 from tests.diagnosis.spoiled_line import STEPS, both, received
 from tests.diagnosis.spoiled_line import levels as on_the_line
-from tests.diagnosis.test_diagnosis import LK_READS, MODBUS, NATIVE, READS, build, captures, changed, exchanged, first, told
+from tests.diagnosis.test_diagnosis import (
+    LK_READS,
+    MODBUS,
+    NATIVE,
+    READS,
+    build,
+    captures,
+    changed,
+    diagnosed,
+    exchanged,
+    first,
+    told,
+)
 
 SERIAL = Reader.of_bus("serial")
 
@@ -301,3 +315,49 @@ def test_a_reply_that_begins_as_its_request_does_on_an_inverted_line():
     came = received(on_the_line(modbus("04 03 20 " + "01 F4 00 07 " * 8)), inverted=True)
     assert told((">", modbus("04 03 00 10 00 10") + b"\0"), ("<", came[:20]))[0].cause == "inverted_lines"
     assert "inverted_lines" not in [each.cause for each in told((">", modbus("04 03 00 10 00 10")), ("<", came[5:20]))]
+
+
+# --- a recording that knows no pause: all that came is one stretch -----------------------------------------------------
+
+
+def unbroken(rows, **how):
+    """Return what is suspected of a recording without times, directions and pauses: all that came over a line."""
+    came = b"".join(received(on_the_line(data), **how) for _, data in rows)
+    chunk = Chunk(None, "bus", came, Role.UNKNOWN, False)
+    return [each.suspicion.cause for each in diagnosed([chunk]).causes]
+
+
+LONG = {
+    "native": NATIVES * 4,
+    "lk": exchanged("lk-rs485@1,baud=38400", *LK_READS) * 8,
+    "modbus": exchanged("mks-modbus@4", *(build(MODBUS, name, 4) for name in ("read_speed", "read_pulses"))) * 16,
+}
+
+
+@pytest.mark.parametrize("rows", LONG.values(), ids=LONG.keys())
+@pytest.mark.parametrize(
+    ("how", "cause"), [({"inverted": True}, "inverted_lines"), ({"ratio": 0.5}, "wrong_baud"), ({"ratio": 1.5}, "wrong_baud")]
+)
+def test_an_unbroken_recording_of_a_wrong_line(rows, how, cause):
+    assert unbroken(rows, **how)[:1] == [cause]
+    assert unbroken(rows) == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_unbroken_recording_of_other_bytes(seed):
+    chance = random.Random(seed)
+    head = chance.randbytes(4)
+    others = b"".join(head + bytes((number, chance.randrange(4))) + chance.randbytes(3) for number in range(70))
+    for data in (chance.randbytes(600), others):
+        found = diagnosed([Chunk(None, "bus", data, Role.UNKNOWN, False)]).causes
+        assert not {"wrong_baud", "inverted_lines", "wrong_parity"} & {each.suspicion.cause for each in found}
+
+
+def test_bytes_before_each_frame_of_an_unbroken_recording():
+    assert [each.suspicion.cause for each in diagnosed([joined(NATIVES, b"\0", b"")]).causes] == ["leading_glitch"]
+    replies = [(mark, data + b"\0" * (mark == "<")) for mark, data in NATIVES]
+    assert [each.suspicion.cause for each in diagnosed([joined(replies, b"", b"")]).causes] == ["trailing_glitch"]
+
+
+def joined(rows, before, behind):
+    return Chunk(None, "bus", b"".join(before + data + behind for _, data in rows), Role.UNKNOWN, False)

@@ -149,6 +149,8 @@ def value(frame: str, words: str) -> str:
         (value("01 03 02 00 01", "The energy is a 32 bit value, so 1 is wrong"), "wrong_register"),
         # What a program sends.
         ('ser.write("FA 01 30 2B".encode())  # always empty', "text_mode"),
+        ('In Python I use port.write("0xFA, 0x02, 0x31, 0x2D"), and get nothing.', "text_mode"),
+        ('Serial.println("0xFA 0x02 0x31 0x2D"); // on the screen\n', None),
         ("port.write(Buffer.from('FA01302B', 'hex')) // no answer", "no_reply"),
         ("<Buffer 30 31 30 33 30 30 30 30 30 30 30 31 38 34 30 41>\nmotor does not react", "text_mode"),
         ("byte data[3] = {0xF3, 0x01};\nCAN.sendMsgBuf(0x01, 0, 2, data);\n// does not enable", "missing_checksum"),

@@ -392,6 +392,12 @@ def test_a_time_since_1970_has_its_unit_by_its_size(number: str, t_ns: int, tmp_
     assert traffic(records)[0][0] == t_ns
 
 
+def test_a_whole_time_among_decimal_ones_is_in_seconds(tmp_path: Path) -> None:
+    """JSON of some languages writes 2 for 2.0."""
+    records = read(tmp_path, "".join(f'{{"t": {t}, "data": "FA 01 30 2B"}}\n' for t in ("1.75", "2", "2.5")))[1]
+    assert [t_ns for t_ns, _, _ in traffic(records)] == [1_750_000_000, 2_000_000_000, 2_500_000_000]
+
+
 @pytest.mark.parametrize("stamp", ["3/25/2024 12:00:00", "25/3/2024 12:00:00", "3/25/2024 12:00:00 PM"])
 def test_a_day_above_twelve_shows_the_order_of_a_date(stamp: str, tmp_path: Path) -> None:
     source, records = read(tmp_path, f"{stamp} TX: FA 01 30 2B\n")
