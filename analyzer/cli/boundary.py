@@ -148,8 +148,8 @@ class _Faults:
         shown = self._shown
         try:
             where = f"the file written to {_write_report(self._words, trace)}"
-        except OSError as refused:
-            where, shown = f"this traceback, for its file cannot be written ({refused.strerror})", True
+        except OSError as unwritten:
+            where, shown = f"this traceback, for its file cannot be written ({unwritten.strerror})", True
         what = printable(f"{type(error).__name__}: {error}"[:_LONGEST]).rstrip(": ")
         package = printable(whose(error))
         whom = f"the package {package}" if package else "servotap"
@@ -237,13 +237,13 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
     except BaseException as error:
         if not isinstance(error, Exception) and type(error).__name__ != _PANIC:
             raise
-        refused = _refused(error)
-        if refused:
+        why = refused(error)
+        if why:
             try:
                 sys.stdout.flush()
             except OSError:
                 _drop_output()
-            print(f"servotap: {refused}", file=sys.stderr)
+            print(f"servotap: {why}", file=sys.stderr)
             return max(status, 2)
         faults.add(error)
         return FAULT
@@ -256,11 +256,11 @@ _PANIC = "PanicException"
 _NO_THREAD, _TOO_MANY_DIGITS, _NO_ROOM = "can't start new thread", "Exceeds the limit (", "failed to map segment"
 
 
-def _refused(error: BaseException) -> str:
+def refused(error: BaseException) -> str:
     """Return what the system or Python refused; nothing where the error is none of theirs."""
     if type(error).__name__ == _PANIC:
         code = re.search(r"Os \{ code: (\d+),", str(error))
-        return _refused(OSError(int(code[1]), os.strerror(int(code[1])))) if code is not None else ""
+        return refused(OSError(int(code[1]), os.strerror(int(code[1])))) if code is not None else ""
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and str(error) == _NO_THREAD):
         return f"the system has no more for this process: {str(error) or 'memory'}"
     if isinstance(error, ImportError) and _NO_ROOM in str(error):
