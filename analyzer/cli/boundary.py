@@ -88,10 +88,10 @@ def _clean_streams() -> Iterator[None]:
     before = sys.stdout, sys.stderr
     if None in (sys.stdin, *before):
         _reserve_descriptors()
-    for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
+    for number, name, stream in ((1, "stdout", sys.stdout), (2, "stderr", sys.stderr)):
         if not isinstance(stream, _Clean):
-            # What is printed to a stream that was closed from the start goes nowhere, as Python has it.
-            usable = stream or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+            # Errors that cannot be told go nowhere; an output that cannot be written is one.
+            usable = stream or open(number, "w", encoding="utf-8", closefd=False)
             setattr(sys, name, _Clean(usable, forgiving=name == "stderr"))
     try:
         yield
@@ -100,12 +100,15 @@ def _clean_streams() -> Iterator[None]:
 
 
 def _reserve_descriptors() -> None:
-    """Open what was closed of the descriptors 0, 1 and 2, so that no file gets them and then what others print."""
+    """Open what was closed of the descriptors 0, 1 and 2, so that no file gets them and then what others print.
+
+    The output is only opened for reading: what is printed has to fail.
+    """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)
+            os.open(os.devnull, os.O_RDONLY if number == 1 else os.O_RDWR)
 
 
 class _Faults:
@@ -276,7 +279,18 @@ def refused(error: BaseException) -> str:
         return "the current folder has been removed: change into one that exists"
     if error.filename is not None:
         return f"{os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename}: {error.strerror}"
+    if error.errno == errno.EBADF and _output_is_closed():
+        return "cannot write the output: it is closed"
     return f"cannot write the output: {error.strerror}" if error.errno in _UNWRITTEN else ""
+
+
+def _output_is_closed() -> bool:
+    """Say whether the output was closed from the start: then it is open for reading alone."""
+    try:
+        os.write(sys.stdout.fileno(), b"")
+    except OSError as error:
+        return error.errno == errno.EBADF
+    return False
 
 
 def _drop_output() -> None:

@@ -47,7 +47,7 @@ _RUN = re.compile(
     # Each byte in brackets.
     rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<\s?{_ITEM}\s?>\s*){{2,}}|(?:\{{{_ITEM}\}}\s*){{2,}})"
     # `10-15-0-204`, as modbus_tk prints it.
-    rf"|(?P<dashed>(?:{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})|(?<=[<-]-)(?=[\d-]*\b\d\b)|(?<=(?:<-|->)[ \t])(?=[\d-]*\b\d\b))"
+    rf"|(?P<dashed>(?:{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})|(?<=[<-]-)(?=(?:\d{{1,3}}-)*\d\b)|(?<=(?:<-|->)[ \t])(?=(?:\d{{1,3}}-)*\d\b))"
     r"\d{1,3}(?:-\d{1,3}){2,}(?![\w.-]))"
     rf"|(?P<list>[\[({{]\s*-?{_ITEM}(?:\s*,\s*-?{_ITEM})+\s*,?\s*[\])}}])"
     rf"|(?P<pairs>{_NOTHING_BEFORE}(?:{_MARKED}(?:(?:, ?|[ :-]){_MARKED})+"
