@@ -91,7 +91,7 @@ def _clean_streams() -> Iterator[None]:
     for number, name, stream in ((1, "stdout", sys.stdout), (2, "stderr", sys.stderr)):
         if not isinstance(stream, _Clean):
             # Errors that cannot be told go nowhere; an output that cannot be written is one.
-            usable = stream or open(number, "w", encoding="utf-8", closefd=False)
+            usable = stream or open(number, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
             setattr(sys, name, _Clean(usable, forgiving=name == "stderr"))
     try:
         yield
