@@ -31,10 +31,10 @@ SETUPS = frozenset((PORT, DIALECT, SPEED, RESUMED))
 _IDS_SHOWN = 8
 
 Values = Mapping[str, Any]
-#: A count or a place; the time of a byte; seconds, as many as 30 years have; a time of day, in words.
+#: A count or a place; the time of a byte; seconds, as many as fit into the nanoseconds of a clock; a time of day, in words.
 Whole = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
 Nanoseconds = Annotated[int, msgspec.Meta(ge=0, le=1_000_000_000)]
-Seconds = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+Seconds = Annotated[float, msgspec.Meta(ge=-9.22e9, le=9.22e9)]
 BusKind = Literal["", "can", "serial"]
 Moment = Annotated[str, msgspec.Meta(description="UTC")]
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import os
 import random
 import shutil
 import struct
 import zlib
+from pathlib import Path
 
 import pytest
 from mcap.opcode import Opcode
@@ -59,6 +61,31 @@ def test_on_a_copy_all_stays_as_it_was(tmp_path, cli):
     assert (broken.log.read_bytes(), sorted(p.name for p in broken.folder.iterdir() if p.name != RUNNING)) == before
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
     assert "--force" in cli("recover", str(broken.log), "-o", out, status=2).err
+
+
+@pytest.mark.parametrize("about", [{}, {"rotate_bytes": 1 << 30}])
+def test_a_copy_under_another_name_is_what_is_gone_on_with(about, tmp_path, cli):
+    straight, broken = killed(tmp_path, **about)
+    (part,) = broken.log.parent.glob("out*.mcap")
+    before = part.read_bytes()
+    copy = part.with_name(part.name.replace("out", "copy"))
+    shutil.copy(part, copy)
+    shutil.copytree(broken.folder, broken.folder.with_name("copy.mcap.spool"))
+    assert f"{copy.name}: whole; went on" in cli("recover", str(copy)).out
+    assert content(copy) == content(straight.log.with_name(part.name))
+    assert part.read_bytes() == before
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to(path.name)])
+@pytest.mark.parametrize("name", ["checkpoint.0", "decoding.lock", "other"])
+def test_what_is_no_file_among_the_spools_is_told_before_anything_is_done(name, make, tmp_path, cli):
+    _, broken = killed(tmp_path)
+    path = broken.folder / name
+    path.unlink(missing_ok=True)
+    make(path)
+    before = broken.log.read_bytes(), sorted(broken.log.parent.iterdir())
+    assert f"{name} is not a regular file" in cli("recover", str(broken.log), status=2).err
+    assert (broken.log.read_bytes(), sorted(broken.log.parent.iterdir())) == before
 
 
 def test_not_while_it_runs(tmp_path, capsys):

@@ -88,10 +88,10 @@ def _clean_streams() -> Iterator[None]:
     before = sys.stdout, sys.stderr
     if None in (sys.stdin, *before):
         _reserve_descriptors()
-    for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr)):
+    for number, name, stream in ((1, "stdout", sys.stdout), (2, "stderr", sys.stderr)):
         if not isinstance(stream, _Clean):
-            # What is printed to a stream that was closed from the start goes nowhere, as Python has it.
-            usable = stream or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+            # Errors that cannot be told go nowhere; an output that cannot be written is one.
+            usable = stream or open(number, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
             setattr(sys, name, _Clean(usable, forgiving=name == "stderr"))
     try:
         yield
@@ -100,12 +100,15 @@ def _clean_streams() -> Iterator[None]:
 
 
 def _reserve_descriptors() -> None:
-    """Open what was closed of the descriptors 0, 1 and 2, so that no file gets them and then what others print."""
+    """Open what was closed of the descriptors 0, 1 and 2, so that no file gets them and then what others print.
+
+    The output is only opened for reading: what is printed has to fail.
+    """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)
+            os.open(os.devnull, os.O_RDONLY if number == 1 else os.O_RDWR)
 
 
 class _Faults:
@@ -148,8 +151,8 @@ class _Faults:
         shown = self._shown
         try:
             where = f"the file written to {_write_report(self._words, trace)}"
-        except OSError as refused:
-            where, shown = f"this traceback, for its file cannot be written ({refused.strerror})", True
+        except OSError as unwritten:
+            where, shown = f"this traceback, for its file cannot be written ({unwritten.strerror})", True
         what = printable(f"{type(error).__name__}: {error}"[:_LONGEST]).rstrip(": ")
         package = printable(whose(error))
         whom = f"the package {package}" if package else "servotap"
@@ -237,13 +240,13 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
     except BaseException as error:
         if not isinstance(error, Exception) and type(error).__name__ != _PANIC:
             raise
-        refused = _refused(error)
-        if refused:
+        why = refused(error)
+        if why:
             try:
                 sys.stdout.flush()
             except OSError:
                 _drop_output()
-            print(f"servotap: {refused}", file=sys.stderr)
+            print(f"servotap: {why}", file=sys.stderr)
             return max(status, 2)
         faults.add(error)
         return FAULT
@@ -256,11 +259,11 @@ _PANIC = "PanicException"
 _NO_THREAD, _TOO_MANY_DIGITS, _NO_ROOM = "can't start new thread", "Exceeds the limit (", "failed to map segment"
 
 
-def _refused(error: BaseException) -> str:
+def refused(error: BaseException) -> str:
     """Return what the system or Python refused; nothing where the error is none of theirs."""
     if type(error).__name__ == _PANIC:
         code = re.search(r"Os \{ code: (\d+),", str(error))
-        return _refused(OSError(int(code[1]), os.strerror(int(code[1])))) if code is not None else ""
+        return refused(OSError(int(code[1]), os.strerror(int(code[1])))) if code is not None else ""
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and str(error) == _NO_THREAD):
         return f"the system has no more for this process: {str(error) or 'memory'}"
     if isinstance(error, ImportError) and _NO_ROOM in str(error):
@@ -276,7 +279,18 @@ def _refused(error: BaseException) -> str:
         return "the current folder has been removed: change into one that exists"
     if error.filename is not None:
         return f"{os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename}: {error.strerror}"
+    if error.errno == errno.EBADF and _output_is_closed():
+        return "cannot write the output: it is closed"
     return f"cannot write the output: {error.strerror}" if error.errno in _UNWRITTEN else ""
+
+
+def _output_is_closed() -> bool:
+    """Say whether the output was closed from the start: then it is open for reading alone."""
+    try:
+        os.write(sys.stdout.fileno(), b"")
+    except OSError as error:
+        return error.errno == errno.EBADF
+    return False
 
 
 def _drop_output() -> None:

@@ -27,7 +27,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from analyzer.cli.boundary import FAULT, report
+from analyzer.cli.boundary import FAULT, refused, report
 from analyzer.cli.decode_targets import Capture
 from analyzer.cli.reading import meanwhile, showing_progress
 from analyzer.cli.signals import ENDING, handled
@@ -196,6 +196,8 @@ class _Work:
         except KeyboardInterrupt:
             return Outcome(failed="interrupted, and nothing was written", stopped=True)
         except Exception as error:
+            if why := refused(error):
+                return Outcome(failed=why, status=2)
             report(error)
             return Outcome(failed=f"a fault of servotap: {type(error).__name__}", status=FAULT)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import stat
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -37,9 +38,16 @@ class Capture(NamedTuple):
         """Make the target's folder if that mirrors one of the captures. Raises UsageError where it cannot be made."""
         if self.mirrored:
             try:
-                self.target.parent.mkdir(parents=True, exist_ok=True)
+                _make_folders(self.target.parent)
             except OSError as error:
                 raise UsageError(f"cannot make the folder {self.target.parent}: {error.strerror}") from None
+
+
+def _make_folders(folder: Path) -> None:
+    """Make a folder and those that it lies in. Raises OSError. `Path.mkdir` calls itself once for each of them."""
+    for each in (*reversed(folder.parents), folder):
+        if not each.is_dir():
+            each.mkdir(exist_ok=True)
 
 
 def captures(arguments: argparse.Namespace) -> list[Capture]:
@@ -93,27 +101,44 @@ def _found(word: str, arguments: argparse.Namespace) -> Iterator[tuple[str, Path
 
 def _below(folder: Path, known: set[tuple[int, int]]) -> Iterator[Path]:
     """Yield the files of a folder and those in it, and of a folder with logs the folder for them; no folder comes twice."""
-    identity = _identity(folder)
-    if identity in known:
-        return
-    known.add(identity)
-    try:
-        entries = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
-    except OSError as error:
-        print(f"note: {printable(str(folder))} is passed over: {error.strerror}", file=sys.stderr)
-        return
-    for each in entries:
-        if not each.is_dir():
-            # Links that lead nowhere are told when they are read. Sockets, pipes and devices are passed over.
-            if each.suffix != ".mcap" and (each.is_file() or each.is_symlink()):
+    # By hand, not by recursion: folders may lie in one another deeper than Python calls.
+    waiting = _entries(folder, known)
+    while waiting:
+        each = waiting.pop()
+        mode = _mode(each)
+        if not stat.S_ISDIR(mode):
+            # What cannot be looked at, as a link that leads nowhere, is told when it is read. Sockets, pipes and devices are
+            # passed over.
+            if each.suffix != ".mcap" and (not mode or stat.S_ISREG(mode)):
                 yield each
         elif saleae_channels(each):
             yield each
         elif any(each.glob("*.mcap")) and _identity(each) not in known:
             yield each
-            yield from _below(each, known)
+            waiting += _entries(each, known)
         elif each.suffix not in (".parquet", _SPOOL):
-            yield from _below(each, known)
+            waiting += _entries(each, known)
+
+
+def _mode(path: Path) -> int:
+    """Return what kind of file a path leads to, as `stat` tells it; 0 where that cannot be told."""
+    try:
+        return path.stat().st_mode
+    except OSError:
+        return 0
+
+
+def _entries(folder: Path, known: set[tuple[int, int]]) -> list[Path]:
+    """Return what stands in a folder, by name from the last to the first; nothing for a folder that is known."""
+    try:
+        identity = _identity(folder)
+        if identity in known:
+            return []
+        known.add(identity)
+        return sorted((each for each in folder.iterdir() if not each.name.startswith(".")), reverse=True)
+    except OSError as error:
+        print(f"note: {printable(str(folder))} is passed over: {error.strerror}", file=sys.stderr)
+        return []
 
 
 def _identity(folder: Path) -> tuple[int, int]:

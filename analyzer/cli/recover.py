@@ -96,6 +96,9 @@ def _target(arguments: argparse.Namespace) -> Path | None:
 
 def _finish(folder: Path) -> list[Path]:
     """Go on with a recording to the end of its spools; return its logs."""
+    strange = next((each for each in sorted(folder.iterdir()) if not stat.S_ISREG(each.lstat().st_mode)), None)
+    if strange is not None:
+        raise UnreadableError(f"{strange} is not a regular file, which alone a recording makes: remove it, or move it away")
     try:
         told = config.load(folder)
     except UnreadableError as error:
@@ -126,7 +129,7 @@ def _trouble(folder: Path, log: Path, interrupt: Interrupt) -> str:
             return f"there is no checkpoint in {folder}" if begun else ""
         if not start.position:
             return ""
-        path = log.with_name(start.path)
+        path = parts.path_of(start)
         Recording(folder, told, parts).abandon()
         parts.close()
     except UnreadableError as error:

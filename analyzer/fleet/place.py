@@ -13,6 +13,7 @@ import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
@@ -147,17 +148,21 @@ class Place:
 
     def _walk(self, about: dict[str, Any]) -> dict[str, dict[str, Any]]:
         """Return what stands at a path and below it, without folders. What is removed meanwhile is left out."""
-        path = about["name"]
-        if about["type"] != "directory":
-            return {path: about}
         found: dict[str, dict[str, Any]] = {}
-        try:
-            for each in again(lambda: self.fs.ls(path, detail=True)):
-                found |= self._walk(each)
-        except PermissionError:
-            self.closed.append(_as_text(path))
-        except (FileNotFoundError, NotADirectoryError):
-            pass
+        # By hand, not by recursion: folders may lie in one another deeper than Python calls.
+        waiting = [about]
+        while waiting:
+            each = waiting.pop()
+            path = each["name"]
+            if each["type"] != "directory":
+                found[path] = each
+                continue
+            try:
+                waiting += again(partial(self.fs.ls, path, detail=True))
+            except PermissionError:
+                self.closed.append(_as_text(path))
+            except (FileNotFoundError, NotADirectoryError):
+                pass
         return found
 
     @contextlib.contextmanager
@@ -166,8 +171,9 @@ class Place:
         if self.local:
             path = Path(found.key)
             if not stat.S_ISREG(path.stat().st_mode):
-                # A pipe or a device may never end.
-                raise UnreadableError("a pipe, a socket or a device: expected a file")
+                # A pipe or a device may never end, and links to folders may lead in circles.
+                what = "a link to a folder, which is not followed" if path.is_dir() else "a pipe, a socket or a device"
+                raise UnreadableError(f"{what}: expected a file")
             yield path
             return
         with scratch_folder() as folder:

@@ -109,10 +109,16 @@ class LogParts:
         self._begun_ns = None
         return self._wrap(file) if self._wrap is not None else file
 
+    def path_of(self, start: Checkpoint) -> Path:
+        """Return where the part of a checkpoint is: it was renamed with the log, or has the name that it had."""
+        was = Path(self._config.log).stem
+        renamed = self.log.with_name(self.log.stem + start.path.removeprefix(was))
+        return renamed if start.path.startswith(was) and os.path.lexists(renamed) else self.log.with_name(start.path)
+
     def resume(self, start: Checkpoint) -> LogFile:
         """Resume the part of a checkpoint behind its last flush. Raises UnreadableError if it is missing."""
         self.number = start.part
-        self.path = self.log.with_name(start.path)
+        self.path = self.path_of(start)
         self.previous = start.previous
         try:
             size = self.path.stat().st_size

@@ -38,8 +38,8 @@ _NOTHING_BEFORE = r"(?:(?<![\w.:/+@#-])|(?<=[G-Zg-z]\w:)|(?<=\w[G-Zg-z]:))(?<!!=
 _ITEM = r"(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})"
 #: Ways to write bytes inside a text; the names of groups tell apart what is checked further.
 _RUN = re.compile(
-    # A string of a program with escapes in it.
-    r"""(?P<string>b?'(?:[^'\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^'\\]|\\.)*'|b?"(?:[^"\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^"\\]|\\.)*")"""
+    # A string of a program with escapes in it. A quote behind a backslash begins none: each would be followed to the end.
+    r"""(?P<string>b?(?<!\\)'(?:[^'\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^'\\]|\\.)*'|b?(?<!\\)"(?:[^"\\]|\\.)*?\\x[0-9A-Fa-f]{2}(?:[^"\\]|\\.)*")"""
     r"|(?P<buffer><Buffer(?: [0-9A-Fa-f]{2})+>)"
     r"|(?P<escapes>(?:\\x[0-9A-Fa-f]{2})+)"
     # `\\FA\\01`, as terminals take bytes.
@@ -47,7 +47,7 @@ _RUN = re.compile(
     # Each byte in brackets.
     rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<\s?{_ITEM}\s?>\s*){{2,}}|(?:\{{{_ITEM}\}}\s*){{2,}})"
     # `10-15-0-204`, as modbus_tk prints it.
-    rf"|(?P<dashed>(?:{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})|(?<=[<-]-)(?=[\d-]*\b\d\b)|(?<=(?:<-|->)[ \t])(?=[\d-]*\b\d\b))"
+    rf"|(?P<dashed>(?:{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})|(?:(?<=[<-]-)|(?<=(?:<-|->)[ \t]))(?=(?:\d{{1,3}}-)*\d\b))"
     r"\d{1,3}(?:-\d{1,3}){2,}(?![\w.-]))"
     rf"|(?P<list>[\[({{]\s*-?{_ITEM}(?:\s*,\s*-?{_ITEM})+\s*,?\s*[\])}}])"
     rf"|(?P<pairs>{_NOTHING_BEFORE}(?:{_MARKED}(?:(?:, ?|[ :-]){_MARKED})+"

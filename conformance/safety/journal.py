@@ -58,8 +58,7 @@ class Journal:
         self._told = False
         try:
             self._file: IO[bytes] = path.open("r+b" if again else "xb", buffering=0)
-            # A torn line says nothing: what it was about to say was not done.
-            self._file.truncate(read_whole(path).rfind(b"\n") + 1)
+            self._go_on()
         except FileExistsError:
             raise UsageError(
                 f"{path} is there already, perhaps of a run that broke off: servotap restore {path} --on ... puts back "
@@ -67,6 +66,15 @@ class Journal:
             ) from None
         except OSError as error:
             raise UsageError(f"cannot write the journal {path}: {error.strerror or error}") from None
+
+    def _go_on(self) -> None:
+        """End the file where its last whole line ends. Raises UnreadableError, OSError."""
+        _, end = _parsed(self.path)
+        # A torn line says nothing: what it was about to say was not done.
+        self._file.truncate(end)
+        if end and os.pread(self._file.fileno(), 1, end - 1) != b"\n":
+            # An editor may have left it out.
+            write_whole(self._file, end, b"\n")
 
     def write(self, entry: Entry) -> None:
         """Write a line; it is on the disk when this returns. Raises RigFault where it cannot be written; then none of it is."""
@@ -106,7 +114,13 @@ class Journal:
 
 def read(path: Path) -> list[Entry]:
     """Return the lines of a journal; a last line that was torn off is left out. Raises UnreadableError."""
-    lines = read_whole(path).split(b"\n")
+    return _parsed(path)[0]
+
+
+def _parsed(path: Path) -> tuple[list[Entry], int]:
+    """Return the lines of a journal, and up to which byte they go: behind it is what was torn off. Raises UnreadableError."""
+    data = read_whole(path)
+    lines = data.split(b"\n")
     entries = []
     for number, line in enumerate(lines, 1):
         if not line.strip():
@@ -115,9 +129,9 @@ def read(path: Path) -> list[Entry]:
             entries.append(msgspec.json.decode(line, type=Entry))
         except UNDECODABLE as error:
             if number == len(lines) and _is_torn(line):
-                break
+                return entries, len(data) - len(line)
             raise UnreadableError(f"{path}: line {number}: expected a line of a journal, got: {error}") from None
-    return entries
+    return entries, len(data)
 
 
 def _is_torn(line: bytes) -> bool:

@@ -236,15 +236,25 @@ def test_a_nul_in_a_word_is_refused(capsys):
 SHELL = [sys.executable, "-m", "analyzer"]
 
 
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
-def test_closed_streams_harm_nothing(closed, tmp_path):
+@pytest.mark.parametrize(
+    ("closed", "status"),
+    [("<&-", 0), ("2>&-", 0), (">/dev/null <&- 2>&-", 0), (">&-", 2), (">&- 2>&-", 2), ("<&- >&- 2>&-", 2)],
+)
+def test_closed_streams_harm_nothing_and_an_output_that_is_closed_is_told(closed, status, tmp_path):
     capture = tmp_path / "a.log"
     capture.write_text("> FA 01 32 2D\n< FB 01 32 00 64 92\n")
     log = tmp_path / "a.mcap"
     line = f'"$0" -m analyzer decode "$1" -o "$2" {closed}'
     done = subprocess.run(["sh", "-c", line, sys.executable, capture, log], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    said = "servotap: cannot write the output: it is closed\n" if closed == ">&-" else ""
+    assert (done.returncode, done.stderr) == (status, said)
     assert log.stat().st_size > 500
+
+
+@pytest.mark.parametrize("words", [["--help"], ["show", "--help"], ["--version"], ["explain", "FA 01 32 2D"], ["catalogue"]])
+def test_each_way_to_print_tells_that_the_output_is_closed(words):
+    done = subprocess.run(["sh", "-c", '"$@" >&-', "sh", *SHELL, *words], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (2, "servotap: cannot write the output: it is closed\n")
 
 
 def test_a_reader_that_leaves_is_no_fault(tmp_path):

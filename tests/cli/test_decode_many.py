@@ -78,6 +78,38 @@ def test_links_that_lead_back_end(week, tmp_path):
     assert tree(logs) == ["again/mks_can.asc.mcap", *MIRRORED[:3]]
 
 
+@pytest.fixture(name="deep")
+def with_deep(tmp_path):
+    """Change into a folder, and yield another one in it: a capture lies in it deeper than Python calls."""
+    before, place = Path.cwd(), tmp_path / "deep"
+    place.mkdir()
+    os.chdir(place)
+    for _ in range(sys.getrecursionlimit() + 50):
+        os.mkdir("d")
+        os.chdir("d")
+    shutil.copy(CAPTURES / "mks_can.asc", "deep.asc")
+    os.chdir(place)
+    yield Path("d")
+    os.chdir(before)
+    # What shutil removes may not lie so deep either.
+    subprocess.run(["rm", "-r", place], check=True)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the system's own limit of a path is shorter")
+def test_folders_may_lie_deeper_than_python_calls(deep):
+    assert main(["decode", str(deep), "-o", "logs"]) == 0
+    (log,) = subprocess.run(["find", "logs", "-type", "f"], capture_output=True, text=True, check=True).stdout.split()
+    assert log.endswith("/deep.asc.mcap")
+
+
+@pytest.mark.parametrize("leads", ["x" * 300, "link", "nowhere"])
+def test_a_link_that_cannot_be_looked_at_ends_no_other_capture(leads, week, tmp_path, capsys):
+    (week / "link").symlink_to(leads)
+    assert main(["decode", str(week), "-o", str(tmp_path / "logs")]) == 2
+    assert tree(tmp_path / "logs") == MIRRORED
+    assert f"{week}/link" in capsys.readouterr().err
+
+
 def test_logs_of_a_folder_are_one_log(week, tmp_path):
     assert main(["decode", str(week / "mks_rs485.log"), "-o", str(week / "tue" / "part.mcap")]) == 0
     assert main(["decode", str(week), "-o", str(tmp_path / "logs")]) == 0

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import socket
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 
 import pytest
 from pyarrow.fs import PyFileSystem
@@ -237,3 +239,24 @@ def test_arrow_reads_the_files_of_a_folder_itself(captures, tmp_path):
     for dataset in datasets:
         assert not isinstance(dataset.filesystem, PyFileSystem)
         assert not isinstance(dataset.filesystem.base_fs, PyFileSystem)
+
+
+def test_folders_may_lie_deeper_than_python_calls(captures, tmp_path, monkeypatch):
+    place = tmp_path / "deep"
+    place.mkdir()
+    monkeypatch.chdir(place)
+    for _ in range(sys.getrecursionlimit() + 50):
+        os.mkdir("d")
+        os.chdir("d")
+    Path("deep.log").write_text("FA 01 31 2C\n")
+    try:
+        assert [found.name[-10:] for found in Place(str(place)).files()] == ["d/deep.log"]
+    finally:
+        # What shutil removes may not lie so deep either.
+        subprocess.run(["rm", "-r", place], check=True)
+
+
+def test_a_link_to_a_folder_is_told_as_one(captures, clean, tmp_path, capsys):
+    (captures / "circle").symlink_to(".")
+    assert main(["ingest", str(captures), "--to", str(tmp_path / "lake")]) == 2
+    assert "circle: a link to a folder, which is not followed" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from analyzer.events import checked
 from analyzer.live.clock import DRIFT_EVERY_NS, STEP_NS, Now, WallClock, now
 
 START = Now(1_000, 1_700_000_000_000_000_000, 5_000)
@@ -45,6 +46,12 @@ def test_a_clock_that_is_set_is_told_with_how_far():
         ]
         assert fresh.look(at(2, wall=step)) == [], "told once"
     assert WallClock(START).look(at(1, wall=STEP_NS)) == []
+
+
+def test_how_far_a_clock_was_set_can_be_read_back_from_a_log():
+    # A machine without a battery begins in 1970, and a log has times up to 2262.
+    longest_ns = (2262 - 1970) * 365 * 86_400 * SECOND
+    assert checked({"step": longest_ns / SECOND}) == ({"step": longest_ns / SECOND}, [])
 
 
 def test_a_machine_that_slept_is_told_apart():

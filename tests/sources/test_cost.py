@@ -238,6 +238,21 @@ def test_a_line_with_twice_as_many_frames(fill: str, tmp_path: Path) -> None:
     assert more < max(ALLOWED * some, 0.1)
 
 
+@pytest.mark.parametrize("fill", [*FILLS, "--1", "'\\", "\"'\\", "1-", "<-", "FA-"])
+def test_a_long_line_is_looked_through_for_bytes_in_words(fill: str) -> None:
+    def look(size: int) -> float:
+        best = 9.0
+        # What was looked through is remembered, so no line comes twice.
+        for n in range(3):
+            line = f"{(fill * size)[:size]} {n}"
+            begin = time.process_time()
+            prose.mentions(line)
+            best = min(best, time.process_time() - begin)
+        return best
+
+    assert look(20_000) < max(ALLOWED * look(10_000), 0.1)
+
+
 def test_a_note_about_a_long_line_is_short(tmp_path: Path) -> None:
     path = tmp_path / "x"
     path.write_text("I sent FA 01 31 2C and got FB 01 31 00 00 00 00 00 00 2D. " * 500)

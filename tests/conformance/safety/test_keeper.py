@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 
+import msgspec
 import pytest
 
 from analyzer.catalogue import Risk
@@ -196,6 +197,20 @@ def test_a_journal_says_enough_to_lead_a_drive_back_after_a_crash(tmp_path):
     assert restore(tmp_path / "j", rig.gate.under(Allowance())) == ""
     assert rig.drives[0].address == 1
     assert journal.open_changes(journal.read(tmp_path / "j")) == []
+
+
+def test_a_journal_that_is_gone_on_with_keeps_each_line_that_was_read(tmp_path):
+    entry = journal.Entry(event="change", target="mks-can@1", command="set_current", address=1, values={"current": 1200})
+    lines = b"".join(msgspec.json.encode(msgspec.structs.replace(entry, values={"current": n})) + b"\n" for n in (1200, 1300))
+    path = tmp_path / "cut"
+    for end in range(len(lines) + 1):
+        path.write_bytes(lines[:end])
+        read = journal.read(path)
+        again = journal.Journal(path, again=True)
+        assert journal.read(path) == read, end
+        again.write(entry)
+        again.close(remove=False)
+        assert journal.read(path)[:-1] == read, end
 
 
 def test_a_drive_is_not_set_to_a_speed_that_this_end_cannot_follow(tmp_path, monkeypatch):
