@@ -265,7 +265,7 @@ class _Times:
             return
         if any(_NUMBER.fullmatch(text) for text in texts):
             # JSON of some languages writes 2 for 2.0.
-            self._unit = SECOND
+            self._unit = SECOND_NS
             return
         if "cells" in rows[0] and "extended" in rows[0]:
             self._unit = _UNITS["us"]
