@@ -85,6 +85,11 @@ def sum8(text: str) -> str:
     return (data + bytes((sum(data) & 0xFF,))).hex(" ")
 
 
+def rtu(text: str) -> bytes:
+    """Return the bytes of hex text with their Modbus CRC behind them."""
+    return bytes.fromhex(crc(text))
+
+
 def crc(text: str) -> str:
     """Return hex text with its Modbus CRC added, computed bit by bit and not by the library the product uses."""
     value = 0xFFFF

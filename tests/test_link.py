@@ -14,6 +14,7 @@ from analyzer.codec import codec
 from analyzer.layout import Layout, rest
 from analyzer.link import MORE, TIE, HeadLink, ModbusLink, modbus_crc, sum8
 from tests.bytestreams import SERIAL, exchanges, noise, vectors
+from tests.collect import rtu
 
 NATIVE, MODBUS, LK = (dialects.get(name) for name in SERIAL)
 
@@ -23,14 +24,9 @@ def slicer_of(name, expects=lambda address, function: 0):
     return dialect.link.slicer(dialect.commands, expects)
 
 
-def crc(text):
-    body = bytes.fromhex(text)
-    return body + modbus_crc(body).to_bytes(2, "little")
-
-
 def ending_in_00(pattern, start=0):
     """Return a frame made from `pattern` (a function of an integer) whose CRC ends in 00."""
-    return next(f for f in (crc(pattern(n)) for n in range(start, 65536)) if f[-1] == 0)
+    return next(f for f in (rtu(pattern(n)) for n in range(start, 65536)) if f[-1] == 0)
 
 
 # --- every vector -----------------------------------------------------------------------------------------------------
@@ -206,7 +202,7 @@ def test_another_check_than_the_sum():
     ],
 )
 def test_modbus_lengths_follow_the_functions(text):
-    frame = crc(text)
+    frame = rtu(text)
     slicer = slicer_of("mks-modbus")
     assert slicer.look(frame, 0, len(frame), True) == len(frame)
     assert slicer.look(frame + b"\xff" * 8, 0, len(frame) + 8, False) == len(frame)
@@ -228,7 +224,7 @@ def test_modbus_lengths_follow_the_functions(text):
     ],
 )
 def test_what_is_no_modbus_frame(text, why):
-    frame = crc(text)
+    frame = rtu(text)
     slicer = slicer_of("mks-modbus")
     assert slicer.look(frame, 0, len(frame), True) == 0, why
 
@@ -248,22 +244,22 @@ def test_a_modbus_frame_whose_crc_ends_in_00_is_a_tie_with_the_one_a_byte_shorte
 
 
 def test_modbus_lengths_further_apart_are_no_tie():
-    reply = crc("01 04 20" + " 00 01" * 16)
+    reply = rtu("01 04 20" + " 00 01" * 16)
     slicer = slicer_of("mks-modbus")
     assert slicer.look(reply, 0, 8, False) == MORE
     assert slicer.look(reply, 0, len(reply), False) == len(reply)
-    request = crc("01 04 20 00 00 02")
+    request = rtu("01 04 20 00 00 02")
     assert slicer.look(request, 0, 8, False) == 8, "the shorter is not kept waiting"
     assert slicer.lengths(request, 0, 8) == [8, MORE]
 
 
 def test_whole_modbus_frames_of_unknown_functions():
     slicer = slicer_of("mks-modbus")
-    frame = crc("01 11 01 02 03")
+    frame = rtu("01 11 01 02 03")
     assert slicer.whole(frame)
     assert slicer.foreign(frame, 0)
-    assert not slicer.foreign(crc("01 03 00 00 00 01"), 0)
-    assert not slicer.foreign(crc("01 83 01"), 0)
+    assert not slicer.foreign(rtu("01 03 00 00 00 01"), 0)
+    assert not slicer.foreign(rtu("01 83 01"), 0)
     # A frame that lost the 00 at its end checks too, and is not whole.
     lost = ending_in_00(lambda n: f"01 06 00 82 {n >> 8:02X} {n & 0xFF:02X}")[:-1]
     assert modbus_crc(lost[:-2]) == int.from_bytes(lost[-2:], "little")

@@ -14,12 +14,12 @@ from analyzer.detect import choose
 from analyzer.devices import load
 from analyzer.dialects import every, get, of_no_drive
 from analyzer.errors import ServotapError
-from analyzer.link import modbus_crc, read_bytes
+from analyzer.link import read_bytes
 from analyzer.pipeline import Options, Pipeline
 from analyzer.records import Chunk
 from analyzer.sources import open_source
 from tests.bytestreams import SERIAL
-from tests.collect import Collect
+from tests.collect import Collect, rtu
 from tests.columns.both_ways import messages, same_line, short_runs
 from tests.columns.serial_traffic import chunks_of
 
@@ -34,11 +34,6 @@ unit;address;name;type;scale;unit_of_measure;table;word_order
 """
 
 
-def frame(text):
-    data = bytes.fromhex(text)
-    return data + modbus_crc(data).to_bytes(2, "little")
-
-
 def meter(folder, text=METER, name="meter.csv"):
     path = folder / name
     path.write_text(text)
@@ -51,7 +46,7 @@ def slaves(folder, text=METER):
 
 def read(dialects, *frames):
     sink = Collect()
-    chunks = [Chunk(n * 50_000_000, "bus", frame(text)) for n, text in enumerate(frames)]
+    chunks = [Chunk(n * 50_000_000, "bus", rtu(text)) for n, text in enumerate(frames)]
     Pipeline(dialects, [sink]).run(chunks)
     return sink
 
@@ -163,7 +158,7 @@ def test_the_values_are_those_of_pymodbus(seed, tmp_path):
 
 
 def traffic(*frames):
-    return [Chunk(n * 50_000_000, "bus", frame(text)) for n, text in enumerate(frames)]
+    return [Chunk(n * 50_000_000, "bus", rtu(text)) for n, text in enumerate(frames)]
 
 
 def chosen(items, given=()):
@@ -196,7 +191,7 @@ def test_beside_a_slave_with_a_list_the_drives_are_found(tmp_path):
 def capture(folder):
     lines = ["05 04 00 00 00 02", "05 04 04 08 FC 00 01"] * 4
     path = folder / "bus.log"
-    path.write_text("".join(f"[{n / 20 + 1:.3f}] {'><'[n % 2]} {frame(t).hex(' ')}\n" for n, t in enumerate(lines)))
+    path.write_text("".join(f"[{n / 20 + 1:.3f}] {'><'[n % 2]} {rtu(t).hex(' ')}\n" for n, t in enumerate(lines)))
     return str(path)
 
 
@@ -214,7 +209,7 @@ def test_the_log_and_the_filter_know_the_names(tmp_path, capsys):
     assert b"device_file_meter.csv" in out.read_bytes()
     main(["show", log, "--modbus-map", listed, "--filter", "voltage > 200 V", "--json"])
     assert len(capsys.readouterr().out.splitlines()) == 4
-    main(["explain", frame("05 04 00 00 00 02").hex(), "--dialect", "modbus"])
+    main(["explain", rtu("05 04 00 00 00 02").hex(), "--dialect", "modbus"])
     assert "read_input_registers" in capsys.readouterr().out
 
 
@@ -232,7 +227,7 @@ def test_other_devices_are_not_judged_and_not_replayed(capsys):
 
 def test_a_capture_without_times_has_those_of_the_drives_line(tmp_path, capsys):
     path = tmp_path / "wire.bin"
-    path.write_bytes(b"".join(frame(t) for t in ["01 04 00 32 00 01", "01 04 02 01 40", "05 04 00 00 00 01"] * 2))
+    path.write_bytes(b"".join(rtu(t) for t in ["01 04 00 32 00 01", "01 04 02 01 40", "05 04 00 00 00 01"] * 2))
     main(["show", str(path), "--json", "--dialect", "mks-modbus"])
     alone = [json.loads(line)["time"] for line in capsys.readouterr().out.splitlines()]
     main(["show", str(path), "--json", "--dialect", "mks-modbus", "--modbus-map", meter(tmp_path)])
@@ -326,7 +321,7 @@ def test_bytes_of_bits_and_registers():
 def test_however_a_line_is_cut_and_damaged_the_same_comes_out(seed):
     """By rows and chunk by chunk, with frames of all functions, junk and lost bytes."""
     chance = random.Random(seed)
-    line = bytearray(b"".join(frame(chance.choice(text.split(" | "))) for text in chance.choices(list(EXCHANGES), k=150)))
+    line = bytearray(b"".join(rtu(chance.choice(text.split(" | "))) for text in chance.choices(list(EXCHANGES), k=150)))
     for _ in range(seed * 4):
         line[chance.randrange(len(line))] = chance.randrange(256)
     with short_runs():
@@ -341,7 +336,7 @@ UNLISTED, ANSWER = "05 04 00 00 00 02", "05 04 04 00 2A 00 07"
 
 def beside(*frames, listed=None):
     sink = Collect()
-    chunks = [Chunk(n * 50_000_000, "bus", frame(text)) for n, text in enumerate(frames)]
+    chunks = [Chunk(n * 50_000_000, "bus", rtu(text)) for n, text in enumerate(frames)]
     Pipeline([get("mks-modbus")], [sink], Options(listed=listed)).run(chunks)
     assert not sink.pieces
     return sink

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from analyzer.link import modbus_crc
+from tests.collect import rtu
 from tests.diagnosis.test_diagnosis import told
 
 
-def checked(text: str) -> bytes:
-    data = bytes.fromhex(text)
-    return data + modbus_crc(data).to_bytes(2, "little")
-
-
 def causes(*rows: tuple[str, str]) -> list[str]:
-    return [each.cause for each in told(*((mark, checked(text)) for mark, text in rows))]
+    return [each.cause for each in told(*((mark, rtu(text)) for mark, text in rows))]
 
 
 @pytest.mark.parametrize("asked", ["00", "09"])

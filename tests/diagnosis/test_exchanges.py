@@ -10,17 +10,11 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Role
 from analyzer.diagnosis.scene import Confidence
 from analyzer.encoder import build
-from analyzer.link.modbus import modbus_crc
 from analyzer.records import CanFrame, Chunk
+from tests.collect import rtu
 from tests.diagnosis.test_diagnosis import READS, diagnosed, exchanged, first, told
 
 NATIVE, MODBUS, CAN, LK = (registry.get(n) for n in ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485"))
-
-
-def rtu(text):
-    """Return bytes with the CRC of Modbus behind them."""
-    body = bytes.fromhex(text)
-    return body + modbus_crc(body).to_bytes(2, "little")
 
 
 # --- exceptions, and units whose registers are not known ------------------------------------------------------------------

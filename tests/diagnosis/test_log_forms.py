@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from analyzer.link import modbus_crc
+from tests.collect import rtu
 from tests.diagnosis.test_pastes import diagnosed
 
-
-def checked(text):
-    data = bytes.fromhex(text)
-    return data + modbus_crc(data).to_bytes(2, "little")
-
-
-ASK, REPLY, REFUSAL = checked("11 03 00 6B 00 03"), checked("11 03 06 02 2B 00 00 00 64"), checked("11 83 02")
-ASK_2, REPLY_2 = checked("11 03 00 70 00 01"), checked("11 03 02 01 F4")
+ASK, REPLY, REFUSAL = rtu("11 03 00 6B 00 03"), rtu("11 03 06 02 2B 00 00 00 64"), rtu("11 83 02")
+ASK_2, REPLY_2 = rtu("11 03 00 70 00 01"), rtu("11 03 02 01 F4")
 CASES = {
     "clean": ([(">", ASK), ("<", REPLY), (">", ASK_2), ("<", REPLY_2)], None),
     "glitch": ([(">", ASK), ("<", b"\0" + REPLY), (">", ASK_2), ("<", b"\0" + REPLY_2)], "leading_glitch"),
