@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-from analyzer import dialects as registry
 from analyzer.catalogue import Role
 from analyzer.diagnosis.bits import Line, unread
 from analyzer.diagnosis.exchanges import Awaited, replies_to
@@ -23,7 +22,7 @@ from analyzer.diagnosis.rendered import RATES, at_other_speeds, of_inverted, of_
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.diagnosis.seven_bits import all_of_seven, of_seven
 from analyzer.diagnosis.ways import ALMOST_ALL, LEAST, LINES, MOST_READ, MOST_STRETCHES, Fit, Garbled, Way
-from analyzer.link import FUNCTIONS
+from analyzer.link import FUNCTIONS, ModbusLink
 from analyzer.values import counted
 
 #: Stretches of which one must fit.
@@ -39,7 +38,7 @@ _ENOUGH = 0.4
 #: Different bytes of which all have one parity by no chance.
 _ONE_PARITY = 14
 #: The link of units whose reply begins as its request does, and a length that a short reply has.
-_MODBUS, _SHORT = registry.get("mks-modbus").link, 8
+_MODBUS, _SHORT = ModbusLink(), 8
 
 
 class _Words(NamedTuple):
