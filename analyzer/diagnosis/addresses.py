@@ -102,7 +102,8 @@ def _waited_on(scene: Scene) -> Iterator[Suspicion]:
 #: Words of a program that waits for a reply in vain.
 _WAITED = re.compile(
     r"time[ds]?[ -]?out\b(?!\s*(?:[:=(]|of|is|ms|in\b))|\bretr(?:y|ies)\b"
-    r"|\bno (?:response|answer|reply)\b(?! (?:is )?(?:expected|needed|wanted|due))",
+    r"|\bno (?:response|answer|reply)\b(?! (?:is )?(?:expected|needed|wanted|due))"
+    r"|\b(?:never|n't|not) (?:answer|repl|respond|confirm)\w*",
     re.IGNORECASE,
 )
 

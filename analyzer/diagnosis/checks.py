@@ -26,6 +26,8 @@ _LEAST_BITS = 2
 _LOOKED_AT = 200
 #: Head, address and code, of which no field can lack.
 _HEAD = 4
+#: Different replies that a rule must fit.
+_RULED = 2
 #: A frame of CAN with a sum and no field.
 _SHORT_CAN = 2
 #: Bytes before a frame that are looked for.
@@ -79,7 +81,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if p.is_request and p.sound and "bad_checksum" not in p.rules and scene.direction(p.offset) is not Role.REPLY
     ]  # fmt: skip
     sent = [f for f in wrong if f.trouble.stretch is not None and f.trouble.stretch.direction is Role.REQUEST]
-    if wrong and wrong == sent and not scene.timed:
+    if wrong and wrong == sent and not scene.timed and not _resemble(wrong, sound):
         # What a program or its log shows as sent was sent so: no line has damaged it.
         sound = []
     kept = _deliberate([each for each in missing if not _summed(each)], sound)
@@ -112,7 +114,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             "wrong_checksum", Confidence.LIKELY if again or not sound else Confidence.POSSIBLE, rest,
             "has a checksum that is not the manual's", "Replace the check",
         )  # fmt: skip
-    yield from _turned_replies(scene)
+    yield from _of_replies(scene)
     yield from _again_without_end(scene)
 
 
@@ -137,26 +139,51 @@ def _again_without_end(scene: Scene) -> Iterator[Suspicion]:
                 return
 
 
-def _turned_replies(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect a device that sends the high byte of the CRC first: 16 bits that fit so are no chance."""
-    found = []
+def _of_replies(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a device whose replies carry a check of another rule.
+
+    The CRC high byte first is 16 bits that fit, which is no chance. Any other rule must fit two different replies.
+    """
+    found: dict[Rule, list[tuple[Trouble, bytes, bytes]]] = defaultdict(list)
+    came = 0
     for trouble in scene.damaged:
         stretch = trouble.stretch
         if stretch is None or stretch.direction is not Role.REPLY or stretch.can_id is not None or trouble in scene.explained:
             continue
-        body, got = stretch.data[:-_LONGEST_CHECK], stretch.data[-_LONGEST_CHECK:]
-        if stretch.opens and stretch.ends and len(body) > _LONGEST_CHECK and modbus_crc(body).to_bytes(2, "big") == got:
-            found.append((trouble, stretch.data, body + got[::-1]))
-    if not found:
-        return
-    first, data, right = found[0]
-    yield Suspicion(
-        "crc_swapped", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY, [t for t, _, _ in found],
-        "The reply carries the CRC with its bytes swapped: the device sends its high byte first.",
-        f"{shown(data)} at byte {first.offset}; right is {shown(right)}; {counted(len(found), 'time')}",
-        "Look for newer firmware of the device; until then let the host take both orders from this device alone",
-        tuple(Shown(t.offset, shown(d), shown(r)) for t, d, r in found),
-    )  # fmt: skip
+        came += 1
+        rule, right = _rule_of(scene.reader, stretch.data) if stretch.opens and stretch.ends else (None, b"")
+        if rule is not None:
+            found[rule].append((trouble, stretch.data, right))
+    for rule, rows in found.items():
+        turned = rule.cause == "crc_swapped"
+        if not turned and (len({data for _, data, _ in rows}) < _RULED or 2 * len(rows) < came):
+            continue
+        first, data, right = rows[0]
+        yield Suspicion(
+            rule.cause if turned else "firmware_quirk", Confidence.CERTAIN if len(rows) > 1 else Confidence.LIKELY,
+            [t for t, _, _ in rows],
+            f"The reply carries {rule.name}: the device itself makes it so.",
+            f"{shown(data)} at byte {first.offset}; right is {shown(right)}; {counted(len(rows), 'time')}",
+            "Look for newer firmware of the device; until then let the host take both checks from this device alone",
+            tuple(Shown(t.offset, shown(d), shown(r)) for t, d, r in rows),
+        )  # fmt: skip
+
+
+def _rule_of(reader: Reader, data: bytes) -> tuple[Rule | None, bytes]:
+    """Return the rule by which the check of a whole reply was made, and the reply with the right one."""
+    for rule in RULES:
+        size = len(rule.of(data, 0))
+        body = data[:-size]
+        if len(body) <= size or rule.cause == "wrong_parity" or rule.of(body, 0) != data[-size:]:
+            continue
+        if rule.cause == "crc_swapped":
+            return rule, body + data[: -size - 1 : -1]
+        for dialect in reader.dialects:
+            right = dialect.link.completed(body)
+            reading = reader.best(right, role=Role.REPLY) if right != data else None
+            if reading is not None and reading.listed:
+                return rule, right
+    return None, b""
 
 
 def _summed(failing: Failing) -> bool:
@@ -213,6 +240,12 @@ def _deliberate(failing: list[Failing], sound: list[Piece]) -> list[Failing]:
         f for f in failing
         if f.right not in right and (again[f.right] > 1 or (f.size and kept[_kept(f)] > 1 and not noise))
     ]  # fmt: skip
+
+
+def _resemble(failing: list[Failing], sound: list[Piece]) -> bool:
+    """Say whether most requests are right, and those that fail differ from one of them by few bits: a listener's log."""
+    known = {piece.data for piece in sound[:_LOOKED_AT]}
+    return len(sound) > len(failing) and all(any(_bits(_data(f), each) <= _LEAST_BITS for each in known) for f in failing)
 
 
 def _kept(failing: Failing) -> tuple[bytes, bytes]:

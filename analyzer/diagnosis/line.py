@@ -147,10 +147,10 @@ def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Susp
     ]
     best = max(ways, key=lambda way: way.taken)
     if best.taken < _ENOUGH * sum(len(each.data) for each in garbled):
-        best = max((best, *at_other_speeds(garbled), *of_replies(garbled)), key=lambda way: way.taken)
+        best = max((best, *at_other_speeds(garbled), *of_replies(garbled)), key=lambda way: (_is_told(way), way.taken))
     if best.fits and _is_told(best):
         yield _said(best, [each.trouble for each in all_garbled])
-    elif _heard(scene, side) and not _sound(scene, side):
+    elif _heard(scene, side) and not _sound(scene, side) and all(each.trouble in scene.damaged for each in garbled):
         repeats = len({each.data for each in all_garbled}) < len(all_garbled)
         if same_line_noise(garbled, repeats=repeats) or no_reply_at_all(garbled):
             yield unknown(garbled)
@@ -181,6 +181,7 @@ def _most_met(garbled: list[Garbled]) -> list[Garbled]:
 def _said(way: Way, garbled: Sequence[Trouble]) -> Suspicion:
     words, fits = _WORDS[way.cause], way.fits
     first = max(fits, key=lambda fit: fit.taken)
+    heard = first.came or first.data[: first.taken]
     pairs = [(s, r) for s in RATES for r in RATES if abs(s / r - way.ratio) < 0.001 * way.ratio]
     short = max(len(fit.data) for fit in fits) < LEAST
     sure = (way.different > 1 and not short) or first.taken > 2 * LEAST
@@ -190,7 +191,7 @@ def _said(way: Way, garbled: Sequence[Trouble]) -> Suspicion:
         # What spoils different frames spoils the others too, whether or not the way back is found.
         garbled if way.different > 1 else [f.trouble for f in fits],
         words.say.format(way.ratio),
-        f"{words.evidence.format(shown(first.data[: first.taken]), shown(first.frame))}, at byte {first.trouble.offset}; "
+        f"{words.evidence.format(shown(heard), shown(first.frame))}, at byte {first.trouble.offset}; "
         f"{counted(len(fits), 'time')}",
         words.next.format(", ".join(f"{s} read at {r}" for s, r in pairs[:4])),
         tuple(Shown(fit.trouble.offset, shown(fit.data), shown(fit.frame)) for fit in fits),
@@ -203,8 +204,8 @@ def _back(reader: Reader, garbled: Sequence[Garbled], cause: str, line: Line) ->
     for number, each in enumerate(garbled):
         if number == _TRIED and not fits:
             break
-        frames: list[bytes] = []
-        taken = at = missed = 0
+        frames: Counter[bytes] = Counter()
+        at = missed = 0
         for start in _places(each.data):
             if start < at or missed >= (_STARTS_AFTER if frames else _MOST_STARTS):
                 continue
@@ -212,10 +213,10 @@ def _back(reader: Reader, garbled: Sequence[Garbled], cause: str, line: Line) ->
             if found is None:
                 missed += 1
                 continue
-            frames.append(found[0])
-            at, taken = start + found[1], taken + found[1]
-        if frames and (taken >= LEAST or fits):
-            fits.append(Fit(each.trouble, each.data, frames[0], taken))
+            frames[found[0]] += found[1]
+            at = start + found[1]
+        if fits or frames.total() >= LEAST:
+            fits += [Fit(each.trouble, each.data, frame, taken) for frame, taken in frames.items()]
     return Way(cause, line.ratio, fits)
 
 

@@ -1,16 +1,15 @@
-"""When the host writes and reads: too early, too late, in parts, or out of step with what comes."""
+"""When the host reads: too late, in parts, or out of step with what comes; and frames that it writes in parts."""
 
 from __future__ import annotations
 
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 
 from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import Exchange, Placed, Turn, awaited, chains, placed
 from analyzer.diagnosis.scene import Confidence, Piece, Read, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link import FUNCTIONS, READS, modbus_crc
+from analyzer.link import READS
 from analyzer.values import counted
 
 #: Replies to an earlier request from which on it is no chance.
@@ -20,9 +19,6 @@ _ANSWERED = 0.6
 #: Reads out of step from which on it is no chance, and their share of all reads.
 _SHIFTED = 2
 _SHIFTED_SHARE = 0.2
-#: A pause before a request that any drive stands; and one that only a drive that stores a setting needs.
-_SHORT_NS = 20_000_000
-_LONG_NS = 1_000_000_000
 #: Bytes of a read that can be a frame.
 _SHORTEST = 3
 #: Parts in which one frame is written; those too short for a frame can be as many as it has bytes.
@@ -33,10 +29,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect when the host writes and reads."""
     yield from _across(scene)
     yield from _in_parts(scene)
-    yield from _at_once(scene)
     if not chains(scene):
         return
-    for part in (_late, _misaligned, _split, _split_replies, _too_fast):
+    for part in (_late, _misaligned, _split, _split_replies):
         yield from part(scene)
 
 
@@ -345,107 +340,3 @@ def _parts(scene: Scene, chain: Sequence[Exchange]) -> int:
             answered = bytewise and any(a.stands(exchange.data, 0) for a in awaited(reading.message))
             return 0 if answered else number
     return 0
-
-
-def _too_fast(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect the pace where the requests that fail are those that came soonest after what was before them."""
-    if not scene.timed:
-        return
-    unanswered = {t.piece.sequence: t for t in scene.of("unanswered", "silent_address") if t.piece is not None}
-    answered = {piece.asked_by for piece in scene.pieces if piece.is_reply}
-    failing: list[tuple[int, Turn]] = []
-    good: list[int] = []
-    names: set[str] = set()
-    for chain in chains(scene):
-        for before, exchange in pairwise(chain):
-            request = exchange.request
-            if request.piece is None or request.message is None or request.message.command is None:
-                continue
-            last = before.received[-1] if before.received else before.request
-            pause = request.t_ns - last.t_ns
-            if request.piece.sequence in unanswered:
-                failing.append((pause, request))
-            elif request.piece.sequence in answered:
-                good.append(pause)
-                names.add(request.message.command.name)
-    if len(failing) < _SHIFTED or len(good) < _SHIFTED:
-        return
-    longest = max(pause for pause, _ in failing)
-    same = all(r.message is not None and r.message.command and r.message.command.name in names for _, r in failing)
-    if min(good) < 2 * longest or longest > (_LONG_NS if same else _SHORT_NS):
-        return
-    pause, request = failing[0]
-    yield Suspicion(
-        "too_fast", Confidence.LIKELY,
-        [unanswered[r.piece.sequence] for _, r in failing if r.piece is not None],
-        "The host sends the next request too soon: only those that come after a pause are answered.",
-        f"{shown(request.data)} at byte {request.offset} comes {pause / 1e6:.3g} ms after what was before it and has no reply; "
-        f"{counted(len(failing), 'request')} like it, none later than {longest / 1e6:.3g} ms; those that are answered come "
-        f"after {min(good) / 1e6:.3g} ms or more",
-        f"Wait for each reply, and then {2 * longest / 1e6:.3g} ms, before the next request",
-        tuple(Shown(r.offset, shown(r.data)) for _, r in failing),
-    )  # fmt: skip
-
-
-def _at_once(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect requests of Modbus that go out before the one before is answered: two in one read, or soon behind each other."""
-    found = [*_glued(scene), *_overtaken(scene)]
-    if len({first.offset for first, _ in found}) < (1 if scene.directed and scene.timed else _SHIFTED):
-        return
-    first, second = found[0]
-    troubles = [t for t in scene.of("unanswered", "silent_address") if any(t.piece is one for pair in found for one in pair)]
-    yield Suspicion(
-        "too_fast", Confidence.LIKELY, troubles or [Trouble("unanswered", one.offset, None, one) for one, _ in found],
-        "The host sends the next request before the reply to the one before has come.",
-        f"{shown(second.data)} follows {shown(first.data)} at byte {first.offset}; {counted(len(found), 'time')}",
-        "Send one request, wait for its reply or the timeout, then send the next: one queue for all that use the bus",
-        tuple(Shown(one.offset, shown(one.data)) for pair in found for one in pair),
-    )  # fmt: skip
-
-
-def _glued(scene: Scene) -> Iterator[tuple[Piece, Piece]]:
-    """Yield frames to one unit that stand in one read, of which none can be the reply to the one before it."""
-    before = {other.sequence: one for one, other in pairwise(scene.pieces)}
-    for burst in scene.bursts:
-        for one, other in pairwise(burst.pieces):
-            same_unit = one.data != other.data and one.data[:2] == other.data[:2] and _is_asked(one) and _is_asked(other)
-            if same_unit and not _answers(other, one) and not _answers(one, before.get(one.sequence)):
-                yield one, other
-
-
-def _answers(piece: Piece, asked: Piece | None) -> bool:
-    """Say whether a frame can be the reply to another, which may be a request."""
-    return asked is not None and asked.message is not None and any(a.stands(piece.data, 0) for a in awaited(asked.message))
-
-
-def _overtaken(scene: Scene) -> Iterator[tuple[Piece, Piece]]:
-    """Yield requests to one unit with the next that comes soon behind: the reply that then comes answers only this."""
-    for chain in chains(scene) if scene.timed else ():
-        for before, exchange in pairwise(chain):
-            one, other = before.request, exchange.request
-            if one.piece is None or other.piece is None or before.received or not all(map(_is_asked, (one.piece, other.piece))):
-                continue
-            soon = one.data[:2] == other.data[:2] and one.data != other.data and 0 <= other.t_ns - one.t_ns < _SOON_NS
-            ways = [awaited(m) if m is not None else [] for m in (one.message, other.message)]
-            if soon and [any(a.stands(exchange.data, 0) for a in way) for way in ways] == [False, True]:
-                yield one.piece, other.piece
-
-
-#: No library gives a reply up so soon.
-_SOON_NS = 150_000_000
-
-
-def _is_asked(piece: Piece) -> bool:
-    """Say whether a piece is a sound frame of Modbus to one unit that can be a request: eight bytes, as most have."""
-    data = piece.data
-    return (
-        piece.sound
-        and piece.can is None
-        and len(data) == _REQUEST
-        and data[0] > 0
-        and data[1] in FUNCTIONS
-        and not modbus_crc(data)
-    )
-
-
-_REQUEST = 8

@@ -129,7 +129,7 @@ def of_inverted(garbled: Sequence[Garbled]) -> Iterator[Fit]:
     for trouble, data, _ in garbled:
         found = [came for came in _inverted() if came in data] if len(data) > LEAST else [data] if data in _inverted() else []
         if data in found or len(found) > 1:
-            yield from (Fit(trouble, data, _inverted()[came], len(came) * data.count(came)) for came in found)
+            yield from (Fit(trouble, data, _inverted()[came], len(came) * data.count(came), came) for came in found)
 
 
 @cache
@@ -166,7 +166,7 @@ def at_other_speeds(garbled: Sequence[Garbled]) -> Iterator[Way]:
             own = found.get(trouble, {})
             # A few bytes are found by chance, in a long stream more than once.
             if data in own or any(len(came) >= LEAST for came in own) or len(own) >= FEWEST:
-                fits += [Fit(trouble, data, frame, len(came) * data.count(came)) for came, frame in own.items()]
+                fits += [Fit(trouble, data, frame, len(came) * data.count(came), came) for came, frame in own.items()]
         if fits and (max(len(fit.data) for fit in fits) >= LEAST or len({fit.data for fit in fits}) > 1):
             yield Way("wrong_baud", ratio, fits)
 

@@ -265,13 +265,15 @@ def _report_meets(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspici
     starts = [piece.offset for piece in begun]
     met = {starts[at - 1] for each in spoiled if (at := bisect_right(starts, each.stretch.offset))}
     # The last motion may have gone on behind the end of the capture.
-    if len(spoiled) < _REPLIES or len(met) != len(spoiled) or len(met) < len(begun) - 1:
+    # Noise can hit one more.
+    more = len(spoiled) - len(met)
+    if len(spoiled) < _REPLIES or more > (len(met) >= _NOISE) or len(met) < len(begun) - 1:
         return
     if any(each.asked is None or each.asked in begun for each in spoiled):
         return
     troubles, frames = _of(spoiled)
     yield Suspicion(
-        "collision", Confidence.LIKELY if len(spoiled) >= _NOISE else Confidence.POSSIBLE, troubles,
+        "collision", Confidence.LIKELY if len(spoiled) >= _NOISE and not more else Confidence.POSSIBLE, troubles,
         "Two send at once: a drive reports the end of its motion while the host asks or another drive replies.",
         f"{frames[0].data} at byte {frames[0].offset} is damaged; {counted(len(begun), 'motion')} without a reported end, "
         "and behind each one reply is damaged",

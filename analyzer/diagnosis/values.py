@@ -64,6 +64,7 @@ class Odd(NamedTuple):
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the values that the host sends."""
     rounder: list[tuple[Piece, Message, Word]] = []
+    worded: list[tuple[Piece, Message, Word]] = []
     by_swap: Counter[int] = Counter()
     signed: dict[tuple[str, bytes], Odd] = {}
     kept: Counter[int] = Counter()
@@ -84,6 +85,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             continue
         seen.add(key)
         for word in _words(message.form.layout):
+            worded.append((piece, message, word))
             weight = _weight(word, message.data[word.start : word.stop])
             if weight > 0:
                 by_swap[word.size] += weight
@@ -95,6 +97,16 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     # A program packs all numbers of a size in one way.
     sizes = {size for size, weight in by_swap.items() if weight >= _ENOUGH and weight > 2 * kept[size]}
     swapped = {_key(message): _swapped(piece, message, word, sizes) for piece, message, word in rounder if word.size in sizes}
+    # All digits of some numbers that are out of range are decimal, and read so they are in it, and round.
+    digits = {
+        _key(message): _as_written(piece, message, word)
+        for piece, message, word in worded
+        if _by_digits(message, word) is not None
+    }
+    if len(digits) > 1 and digits.keys() >= swapped.keys():
+        swapped = {}
+    else:
+        digits = {}
     signed = {key: odd for key, odd in signed.items() if key not in swapped}
     if len(signed) == 1 and not next(iter(signed.values())).sure:
         signed = {}
@@ -107,7 +119,11 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         "A negative number is sent as two's complement, and the manual has a bit for the direction.",
         "Set the direction bit and send the amount",
     )  # fmt: skip
-    yield from _out_of_range(scene, {**swapped, **signed})
+    yield from _said(
+        scene, sent, "decimal_as_hex", digits, "The decimal digits of the values are sent as hexadecimal ones.",
+        "Convert the number before it is sent",
+    )  # fmt: skip
+    yield from _out_of_range(scene, {**swapped, **signed, **digits})
 
 
 def _key(message: Message) -> tuple[str, bytes]:
@@ -223,6 +239,24 @@ def _swapped(piece: Piece, message: Message, word: Word, sizes: set[int]) -> Odd
                 right[each.start : each.stop] = part[::-1]
     got = data[word.start : word.stop]
     return Odd(piece, message, _text(word, word.value(got)), _text(word, word.value(got[::-1])), bytes(right))
+
+
+def _by_digits(message: Message, word: Word) -> bytes | None:
+    """Return the bytes of the number whose decimal digits are the hexadecimal ones of a value out of range."""
+    data = message.data[word.start : word.stop]
+    big = data if word.field.order is Order.BIG else data[::-1]
+    if word.allowed(data) or not big.hex().isdecimal():
+        return None
+    meant = int(big.hex())
+    right = meant.to_bytes(len(data), "big" if word.field.order is Order.BIG else "little")
+    return right if word.allowed(right) and _digits(meant) <= _ROUND[len(data)] else None
+
+
+def _as_written(piece: Piece, message: Message, word: Word) -> Odd:
+    meant = _by_digits(message, word) or b""
+    right = message.data[: word.start] + meant + message.data[word.stop :]
+    got = message.data[word.start : word.stop]
+    return Odd(piece, message, _text(word, word.value(got)), _text(word, word.value(meant)), right)
 
 
 def _signed(piece: Piece, message: Message, word: Word) -> Odd | None:

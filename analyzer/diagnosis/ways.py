@@ -32,12 +32,13 @@ LINES = (
 
 
 class Fit(NamedTuple):
-    """A stretch explained: the frame that was sent first, by how many of its bytes, and how many different frames."""
+    """A stretch explained by a frame that was sent: how many bytes come from it, and what was read of it each time."""
 
     trouble: Trouble
     data: bytes
     frame: bytes
     taken: int
+    came: bytes = b""
 
 
 class Way(NamedTuple):

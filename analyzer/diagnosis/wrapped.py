@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
@@ -20,6 +20,8 @@ _HEX = re.compile(rb"(?:0x|\\x)?[0-9A-Fa-f]{2}(?:[\s,;:-]*(?:0x|\\x)?[0-9A-Fa-f]
 _HEADER = 6
 _LEAST_COUNT = 3
 _MOSTLY = 0.6
+#: Bytes in a row that flow control takes out of a frame.
+_TAKEN = 3
 #: Bytes of a frame of a serial dialect, at least and at most, where many stand in a row.
 _SHORTEST, _LONGEST = 4, 16
 
@@ -55,14 +57,15 @@ def _line_ends(reader: Reader, data: bytes) -> bytes | None:
 
 
 def _flow_control(reader: Reader, data: bytes) -> bytes | None:
-    """Put a byte back that software flow control takes away."""
+    """Put bytes back that software flow control takes away."""
     if not 2 < len(data) <= _LONGEST or reader.best(data) is not None:
         return None
-    for at in range(2, len(data)):
-        for lost in (b"\x11", b"\x13"):
-            frame = data[:at] + lost + data[at:]
-            if (reading := reader.best(frame)) is not None and reading.listed:
-                return frame
+    for size in range(1, _TAKEN + 1):
+        for lost in map(bytes, product(b"\x11\x13", repeat=size)):
+            for at in range(2, len(data)):
+                frame = data[:at] + lost + data[at:]
+                if (reading := reader.best(frame)) is not None and reading.listed:
+                    return frame
     return None
 
 

@@ -52,6 +52,8 @@ FORMATS: dict[str, Format] = {
     "trc": Format("trc", "TRC", "can"),
     "can-state": Format("can_state", "CAN state", "can"),
     "can-csv": Format("can_csv", "python-can CSV", "can"),
+    # Its offsets could be identifiers, were they not those of the bytes before them.
+    "hexdump": Format("hexdump", "hex dump", "serial"),
     "can-text": Format("can_text", "CAN text", "can"),
     "spy": Format("spy", "pyserial spy", "serial"),
     "sigrok-session": Format("logic.sigrok_session", "sigrok session", "serial", levels=True),
@@ -61,7 +63,6 @@ FORMATS: dict[str, Format] = {
     "saleae": Format("saleae", "Saleae CSV", "serial"),
     "sigrok": Format("sigrok", "sigrok UART", "serial"),
     "columns": Format("columns", "table", "serial"),
-    "hexdump": Format("hexdump", "hex dump", "serial"),
     "hex": Format("hextext", "hex text", "serial"),
     "raw": Format("raw", "raw bytes", "serial"),
 }

@@ -23,7 +23,7 @@ ACTIONS: dict[str, int] = {
         _SENT,
     ),
     **dict.fromkeys(
-        ("rx", "rxd", "recv", "rcvd", "receive", "receives", "received", "receiving", "recieve", "recieved",
+        ("rx", "rxd", "recv", "rcv", "rcvd", "recvd", "receive", "receives", "received", "receiving", "recieve", "recieved",
          "recieving", "read", "got", "接收", "收", "irp_mj_read", "受信", "empfangen", "empfang", "reçu", "recibido",
          "recibiendo", "ricevuto", "получено", "принято", "приём", "прием", "odebrano", "ontvangen", "přijato", "alınan",
          "alındı", "수신", "收到"),

@@ -60,6 +60,12 @@ def test_software_flow_control():
     assert first(*rows) == "text_mode"
 
 
+def test_software_flow_control_that_takes_several_bytes_of_a_frame():
+    replies = [NATIVE.link.completed(bytes.fromhex(f"FB 01 33 00 11 {tail}")) for tail in ("13 13", "13 40", "13 11", "11 7A")]
+    rows = [row for reply in replies for row in ((">", READS[2]), ("<", reply.translate(None, b"\x11\x13")))]
+    assert first(*rows) == "text_mode"
+
+
 @pytest.mark.parametrize(
     "row",
     [

@@ -170,6 +170,22 @@ def burst(pause_ms, gap_ms):
     return items
 
 
+@pytest.mark.parametrize(("gap_ms", "cause"), [(1, ["too_fast"]), (200, [])])
+def test_the_second_of_two_requests_that_follow_each_other_at_once(gap_ms, cause):
+    """The same request is answered after a pause. Replies to a read look alike, so that pairs are one behind."""
+    asked, other = rtu("05 04 00 32 00 01"), rtu("05 04 00 3A 00 01")
+    items, now = [], 0
+    for number in range(8):
+        for each in (asked, other) if number % 2 else (other,):
+            at_once = number % 2 and each == other
+            now += (gap_ms if at_once else 200) * MS
+            items.append(Chunk(now, "bus", each, Role.REQUEST, True))
+            if not at_once or gap_ms > 5:
+                items.append(Chunk(now + 5 * MS, "bus", rtu(f"05 04 02 00 {number:02X}"), Role.REPLY, True))
+    found = diagnosed(sorted(items, key=lambda item: item.t_ns)).causes
+    assert [each.suspicion.cause for each in found][:1] == cause
+
+
 def test_requests_that_come_too_soon():
     causes = diagnosed(burst(100, 1)).causes
     assert causes[0].suspicion.cause == "too_fast"

@@ -348,7 +348,8 @@ def test_an_unbroken_recording_of_other_bytes(seed):
     chance = random.Random(seed)
     head = chance.randbytes(4)
     others = b"".join(head + bytes((number, chance.randrange(4))) + chance.randbytes(3) for number in range(70))
-    for data in (chance.randbytes(600), others):
+    same = b"\x0f\x40\x03\x1f\xf8\xc0\x07\x3e\x00" * 40
+    for data in (chance.randbytes(600), others, same, bytes(400)):
         found = diagnosed([Chunk(None, "bus", data, Role.UNKNOWN, False)]).causes
         assert not {"wrong_baud", "inverted_lines", "wrong_parity"} & {each.suspicion.cause for each in found}
 

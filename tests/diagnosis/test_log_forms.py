@@ -68,6 +68,7 @@ FORMS = {
     "sentences": lambda m, n, d: f"{'I send' if m == '>' else 'and the device answers'} {pairs(d)}{'' if m == '>' else '.'}",
     "blocks": lambda m, n, d: f"{'Request' if m == '>' else 'Response'}:\n{pairs(d)}\n",
     "table": lambda m, n, d: f"| {n} | {'TX' if m == '>' else 'RX'} | {pairs(d)} |",
+    "recvd": lambda m, n, d: f"{'sent: ' if m == '>' else 'recvd:'} {d!r}",
     "braces": lambda m, n, d: f"{'Poll' if m == '>' else 'Response'}->{''.join(f'{{{b:02X}}}' for b in d)}",
     "digits": lambda m, n, d: f"{'Sent' if m == '>' else 'Received'}: {pairs(d, '')}",
     "strace": lambda m, n, d: (

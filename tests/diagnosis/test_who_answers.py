@@ -103,6 +103,10 @@ def test_a_report_that_meets_a_reply(causes_of):
     assert "collision" not in causes_of(reports({3}, ends=True))
     assert "collision" not in causes_of(reports({1, 3}))
     assert "collision" not in causes_of(reports(set()))
+    # One more is damaged by something else.
+    lines = reports({3}).splitlines(keepends=True)
+    at = max(n for n, line in enumerate(lines) if "RX FB 02" in line)
+    assert causes_of("".join((*lines[:at], lines[at].replace("02 31", "02 11"), *lines[at + 1 :])))[0] == "collision"
 
 
 @pytest.mark.parametrize(("lost", "cause"), [(True, ["collision"]), (False, [])])
@@ -188,3 +192,55 @@ def test_two_drives_are_not_certain_where_the_same_request_is_answered_well_as_o
     )
     causes = {each.suspicion.cause: each.suspicion.confidence.value for each in diagnosed(log).causes}
     assert causes["duplicate_address"] == sure
+
+
+def test_noise_on_requests_that_are_mostly_right(causes_of):
+    """The bits that came changed stand in another byte each time; a listener shows who sent."""
+    rows = [f"host -> drive: {native('FA 04 32')}\ndrive -> host: {native(f'FB 04 32 00 {n:02X}')}\n" for n in range(12)]
+    damaged = ["FA 06 32 30", "DA 04 32 30", "FA 04 72 30", "FA 04 32 B0"]
+    log = "".join(row + (f"host -> drive: {damaged[n // 3]}\n" if n % 3 == 1 else "") for n, row in enumerate(rows))
+    assert causes_of(log)[0] == "noise"
+    stale = "".join(f"host -> drive: FA 04 F6 00 {n:02X} 02 96\n" for n in (0x20, 0x50, 0x80)) + rows[0]
+    assert causes_of(stale)[0] == "wrong_checksum"
+
+
+def test_replies_of_one_command_have_the_sum_without_their_head(causes_of):
+    def without(text):
+        data = bytes.fromhex(text)
+        return (data + bytes((sum(data[1:]) & 0xFF,))).hex(" ").upper()
+
+    log = "".join(
+        f"TX: {native('FA 03 32')}\nRX: {native(f'FB 03 32 00 {n:02X}')}\n"
+        f"TX: {native('FA 03 33')}\nRX: {without(f'FB 03 33 00 00 0{n} 40')}\n"
+        for n in range(4)
+    )
+    assert causes_of(log) == ["firmware_quirk"]
+
+
+@pytest.mark.parametrize(
+    ("sent", "cause"),
+    [
+        # 1200, 2400 and 900 mA, as they are read; and sent low byte first.
+        (("12 00", "24 00", "09 00"), "value_out_of_range"),
+        (("24 00", "28 00", "30 00"), "decimal_as_hex"),
+        (("B0 04", "60 09", "84 03"), "wrong_byte_order"),
+    ],
+)
+def test_decimal_digits_that_are_sent_as_hexadecimal(sent, cause, causes_of):
+    log = "".join(f"TX {native(f'FA 02 83 {value}')}\nRX {native('FB 02 83 00')}\n" for value in sent)
+    assert causes_of(log)[:1] == ([cause] if cause != "value_out_of_range" else causes_of(log)[:1])
+    assert (cause == "decimal_as_hex") == ("decimal_as_hex" in causes_of(log))
+
+
+def test_a_device_refuses_values_whose_bytes_are_swapped(causes_of):
+    """Its exception says that the value is not allowed; why it is not, the bytes tell."""
+    log = "".join(f"TX {checked(f'02 06 00 83 {sent}')}\nRX {checked('02 86 03')}\n" for sent in ("B0 04", "60 09", "84 03"))
+    assert causes_of(log)[0] == "wrong_byte_order"
+
+
+def test_a_group_that_never_confirms(causes_of):
+    moved = f"> {MOTION}\n> {native('FA 03 F1')}\n< {native('FB 03 F1 04')}\n" * 2
+    assert causes_of(f"The group is set, and the drives never confirm its commands:\n{GROUPED}{moved}") == [
+        "broadcast_no_reply"
+    ]
+    assert causes_of(f"The group is set, and the drives run:\n{GROUPED}{moved}") == []

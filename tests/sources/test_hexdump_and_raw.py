@@ -47,6 +47,14 @@ def test_dumps(dump: object, size: int, tmp_path: Path) -> None:
     assert source.problems == []
 
 
+def test_whole_rows_without_the_offset_behind_the_last_are_no_can_frames(tmp_path: Path) -> None:
+    path = tmp_path / "dump.txt"
+    data = (DATA * 2)[:96]
+    path.write_text("".join(canonical(data).splitlines(keepends=True)[:-1]))
+    source, records = read_all(path)
+    assert (source.format, b"".join(r.data for r in records if isinstance(r, Chunk))) == ("hexdump", data)
+
+
 def test_rows_that_a_star_stands_for(tmp_path: Path) -> None:
     path = tmp_path / "dump.txt"
     row = "fa 01 f6 01 40 02 34 fb  01 f6 01 f3 00 00 00 00"

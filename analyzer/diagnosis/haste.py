@@ -1,0 +1,166 @@
+"""Requests that come too soon: behind a reply, or before the one before is answered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+from analyzer.diagnosis.exchanges import Exchange, Turn, awaited, chains
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.link import FUNCTIONS, modbus_crc
+from analyzer.records import Message
+from analyzer.values import counted
+
+#: Requests from which on it is no chance.
+_OFTEN = 2
+#: A pause before a request that any drive stands; and one that only a drive that stores a setting needs.
+_SHORT_NS = 20_000_000
+_LONG_NS = 1_000_000_000
+
+
+def look(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect requests that come too soon."""
+    yield from _at_once(scene)
+    yield from _too_fast(scene)
+
+
+def _too_fast(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the pace where the requests that fail are those that came soonest after what was before them."""
+    if not scene.timed:
+        return
+    troubles = scene.of("unanswered", "silent_address", "late_reply")
+    silent = {_asked_for(t.piece.message) for t in troubles if t.piece is not None and t.piece.is_request}
+    failing: list[tuple[int, Turn]] = []
+    good: list[int] = []
+    known: set[tuple[int, str]] = set()
+    for chain in chains(scene):
+        for pause, exchange, answered in _paused(chain):
+            request = exchange.request
+            if request.message is None or request.message.command is None or not awaited(request.message):
+                continue
+            if answered:
+                good.append(pause)
+                known.add(_asked_for(request.message))
+            else:
+                failing.append((pause, request))
+    failing = [(pause, r) for pause, r in failing if _asked_for(r.message) in known | silent]
+    if len(failing) < _OFTEN or len(good) < _OFTEN:
+        return
+    longest = max(pause for pause, _ in failing)
+    same = all(_asked_for(request.message) in known for _, request in failing)
+    if min(good) < 2 * longest or longest > (_LONG_NS if same else _SHORT_NS):
+        return
+    pause, request = failing[0]
+    yield Suspicion(
+        "too_fast", Confidence.LIKELY,
+        # Replies are told as those of other requests where some fail.
+        troubles or [Trouble("unanswered", r.offset, None, r.piece) for _, r in failing],
+        "The host sends the next request too soon: only those that come after a pause are answered.",
+        f"{shown(request.data)} at byte {request.offset} comes {pause / 1e6:.3g} ms after what was before it and has no reply; "
+        f"{counted(len(failing), 'request')} like it, none later than {longest / 1e6:.3g} ms; those that are answered come "
+        f"after {min(good) / 1e6:.3g} ms or more",
+        f"Wait for each reply, and then {2 * longest / 1e6:.3g} ms, before the next request",
+        tuple(Shown(r.offset, shown(r.data)) for _, r in failing),
+    )  # fmt: skip
+
+
+def _asked_for(message: Message | None) -> tuple[int, str]:
+    """Return what tells one request to a drive from another, apart from its values."""
+    return (-1, "") if message is None or message.command is None else (message.address, message.command.name)
+
+
+def _paused(chain: Sequence[Exchange]) -> Iterator[tuple[int, Exchange, bool]]:
+    """Yield each request but the first with the pause before it, and whether what comes next is its reply.
+
+    Requests can follow each other before anything comes: each reply is that of the first of them that it can answer. One that
+    is sent again was given up.
+    """
+    left: list[tuple[int, Exchange]] = []
+    for number, exchange in enumerate(chain):
+        before = chain[number - 1] if number else exchange
+        last = before.received[-1] if number and before.received else before.request
+        pause = exchange.request.t_ns - last.t_ns
+        # Nothing more comes for the others.
+        closed = (
+            left if before.received or pause > _SOON_NS else [r for r in left if r[1].request.data == exchange.request.data]
+        )
+        yield from ((early, each, False) for early, each in closed if each is not chain[0])
+        left = [row for row in left if row not in closed]
+        left.append((pause, exchange))
+        # A reply can come in several reads.
+        whole = dict.fromkeys((*(turn.data for turn in exchange.received), exchange.data))
+        for data in whole:
+            own = next((row for row in left if _can_be(data, row[1].request)), None)
+            if own is not None:
+                left.remove(own)
+                if own[1] is not chain[0]:
+                    yield (*own, True)
+
+
+def _can_be(data: bytes, request: Turn) -> bool:
+    """Say whether bytes are a reply to a request."""
+    return request.message is not None and any(each.stands(data, 0) for each in awaited(request.message))
+
+
+def _at_once(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect requests of Modbus that go out before the one before is answered: two in one read, or soon behind each other."""
+    found = [*_glued(scene), *_overtaken(scene)]
+    if len({first.offset for first, _ in found}) < (1 if scene.directed and scene.timed else _OFTEN):
+        return
+    first, second = found[0]
+    troubles = [t for t in scene.of("unanswered", "silent_address") if any(t.piece is one for pair in found for one in pair)]
+    yield Suspicion(
+        "too_fast", Confidence.LIKELY, troubles or [Trouble("unanswered", one.offset, None, one) for one, _ in found],
+        "The host sends the next request before the reply to the one before has come.",
+        f"{shown(second.data)} follows {shown(first.data)} at byte {first.offset}; {counted(len(found), 'time')}",
+        "Send one request, wait for its reply or the timeout, then send the next: one queue for all that use the bus",
+        tuple(Shown(one.offset, shown(one.data)) for pair in found for one in pair),
+    )  # fmt: skip
+
+
+def _glued(scene: Scene) -> Iterator[tuple[Piece, Piece]]:
+    """Yield frames to one unit that stand in one read, of which none can be the reply to the one before it."""
+    before = {other.sequence: one for one, other in pairwise(scene.pieces)}
+    for burst in scene.bursts:
+        for one, other in pairwise(burst.pieces):
+            same_unit = one.data != other.data and one.data[:2] == other.data[:2] and _is_asked(one) and _is_asked(other)
+            if same_unit and not _answers(other, one) and not _answers(one, before.get(one.sequence)):
+                yield one, other
+
+
+def _answers(piece: Piece, asked: Piece | None) -> bool:
+    """Say whether a frame can be the reply to another, which may be a request."""
+    return asked is not None and asked.message is not None and any(a.stands(piece.data, 0) for a in awaited(asked.message))
+
+
+def _overtaken(scene: Scene) -> Iterator[tuple[Piece, Piece]]:
+    """Yield requests to one unit with the next that comes soon behind: the reply that then comes answers only this."""
+    for chain in chains(scene) if scene.timed else ():
+        for before, exchange in pairwise(chain):
+            one, other = before.request, exchange.request
+            if one.piece is None or other.piece is None or before.received or not all(map(_is_asked, (one.piece, other.piece))):
+                continue
+            soon = one.data[:2] == other.data[:2] and one.data != other.data and 0 <= other.t_ns - one.t_ns < _SOON_NS
+            ways = [awaited(m) if m is not None else [] for m in (one.message, other.message)]
+            if soon and [any(a.stands(exchange.data, 0) for a in way) for way in ways] == [False, True]:
+                yield one.piece, other.piece
+
+
+#: No library gives a reply up so soon.
+_SOON_NS = 150_000_000
+
+
+def _is_asked(piece: Piece) -> bool:
+    """Say whether a piece is a sound frame of Modbus to one unit that can be a request: eight bytes, as most have."""
+    data = piece.data
+    return (
+        piece.sound
+        and piece.can is None
+        and len(data) == _REQUEST
+        and data[0] > 0
+        and data[1] in FUNCTIONS
+        and not modbus_crc(data)
+    )
+
+
+_REQUEST = 8
