@@ -215,7 +215,9 @@ def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
     if wrong is not None:
         parser.error(f"argument {wrong[:-2].rstrip('=')}: expected a value, got --")
     # Options may stand among the positional arguments: `frame D@1 run_speed --reply status=1`.
-    parsed = parser.parse_intermixed_args(_joined(words))
+    words = _joined(words)
+    # That way of parsing loses what stands behind `--` and begins with a dash, before Python 3.13.
+    parsed = parser.parse_args(words) if "--" in words else parser.parse_intermixed_args(words)
     try:
         # Any of these signals ends a command as Ctrl-C does, so that no unfinished file stays behind.
         with handled(signal.default_int_handler):

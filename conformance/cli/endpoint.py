@@ -39,6 +39,11 @@ def at_own_rate(endpoint: Endpoint, dialect: Dialect) -> Endpoint:
     return at
 
 
+def rate_text(endpoint: Endpoint, speed: int) -> str:
+    """Return a speed in words: a terminal server that was named without one sets its own, and does not report it."""
+    return "its own rate" if endpoint.kind == "tcp" and endpoint.speed is None else f"{speed} bit/s"
+
+
 def say_rate(endpoint: Endpoint, dialect: Dialect, given: str) -> None:
     """Say the rate of an endpoint where it was given without one."""
     if endpoint.text != given:

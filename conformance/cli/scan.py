@@ -22,7 +22,7 @@ from analyzer.live import profile
 from analyzer.live.endpoint import Endpoint
 from analyzer.values import addresses as addresses_of
 from analyzer.values import counted, printable, quote
-from conformance.cli.endpoint import gate_to
+from conformance.cli.endpoint import gate_to, rate_text
 from conformance.gate.permissions import Allowance
 from conformance.talk.scan import BY_CTRL_C, PATIENCE_NS, Found, Progress, Report, Stray, scan
 
@@ -159,10 +159,9 @@ def showing_progress(*, quiet: bool) -> Iterator[Progress | None]:
 def show(report: Report, endpoint: Endpoint) -> None:
     """Show what else came, and what to check."""
     if not report.found:
-        rates = ", ".join(str(r) for r in report.rates)
-        print(
-            f"no drive answered on {endpoint.text}: {report.asked} questions ({', '.join(report.dialects)}; at {rates} bit/s)"
-        )
+        *others, last = report.rates or [endpoint.bits_per_second]
+        rates = ", ".join([*map(str, others), rate_text(endpoint, last)])
+        print(f"no drive answered on {endpoint.text}: {report.asked} questions ({', '.join(report.dialects)}; at {rates})")
     for stray in report.strays[:_SHOWN]:
         print(_stray_line(stray))
     if len(report.strays) > _SHOWN:
@@ -200,8 +199,7 @@ def without_rate(endpoint: Endpoint) -> str:
 
 
 def _found_line(found: Found, endpoint: Endpoint) -> str:
-    # A terminal server sets its own rate and does not report it.
-    rate = "its own rate" if endpoint.kind == "tcp" and endpoint.speed is None else f"{found.speed} bit/s"
+    rate = rate_text(endpoint, found.speed)
     details = f"  {found.identity}" if found.identity else ""
     wrong = f"  ({found.wrong})" if found.wrong else ""
     return f"{found.name:<16} {rate:>14}  {found.latency_ns / 1e6:6.2f} ms{details}{wrong}"

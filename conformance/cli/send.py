@@ -27,7 +27,7 @@ from analyzer.pipeline import Entry
 from analyzer.records import CanFrame
 from analyzer.reference.hex_frame import read_frame
 from analyzer.values import printable
-from conformance.cli.endpoint import add_on_argument, at_own_rate, endpoint_of, gate_to
+from conformance.cli.endpoint import add_on_argument, at_own_rate, endpoint_of, gate_to, rate_text
 from conformance.gate.gate import Allowance, Item, Judge, add_gate_arguments, allowance_from, shown
 from conformance.gate.permissions import narrow
 from conformance.talk.dialogue import MS, Dialogue, Until
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(_object(request, exchange)))
     else:
-        _show(request, exchange, bool(echoes and echoes.dropped))
+        _show(request, exchange, rate_text(endpoint, gate.line.endpoint.bits_per_second), bool(echoes and echoes.dropped))
     return 0 if _succeeded(request, exchange, arguments.wait) else 1
 
 
@@ -188,7 +188,7 @@ def _succeeded(request: Request, exchange: Exchange, wait: bool) -> bool:
 # --- what is shown ------------------------------------------------------------------------------------------------
 
 
-def _show(request: Request, exchange: Exchange, echoed: bool) -> None:
+def _show(request: Request, exchange: Exchange, rate: str, echoed: bool) -> None:
     requests = [e.message for e in exchange.requests]
     texts = [said(m) for m in requests] or ["bytes that are no frame"]
     print(f"> {shown(request.item)}   {'; '.join(texts)}")
@@ -199,7 +199,7 @@ def _show(request: Request, exchange: Exchange, echoed: bool) -> None:
     if not parts:
         waited = (exchange.until_ns - exchange.sent_ns) / 1e6
         if request.answered:
-            print(f"  nothing came within {waited:.0f} ms (servotap scan finds what is there)")
+            print(f"  nothing came within {waited:.0f} ms at {rate} (servotap scan finds what is there)")
         else:
             print("  nothing answers it, and nothing came")
     if echoed:

@@ -299,6 +299,14 @@ def test_the_mark_of_the_end_of_options_is_no_value(word, capsys):
     assert capsys.readouterr().err.startswith(f"servotap show: argument {word[:-3]}: expected a value, got --")
 
 
+@pytest.mark.parametrize("name", ["-a.log", "--json", "--"])
+def test_behind_the_mark_of_the_end_of_options_a_name_may_begin_with_a_dash(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text("> FA 01 32 2D\n")
+    assert main(["show", "--limit", "1", "--", name]) == 0
+    assert "read_speed" in capsys.readouterr().out
+
+
 def test_a_time_zone_a_day_off_is_told_and_no_fault():
     words = [sys.executable, "-m", "analyzer", "show", "captures/mks_can.asc", "--limit", "1"]
     root = Path(__file__).parents[2]

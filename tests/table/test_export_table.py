@@ -525,3 +525,15 @@ def test_many_rows_wait_beside_the_file_and_come_back(tmp_path, capsys, monkeypa
     assert parquet.ParquetFile(tmp_path / "a.parquet").num_row_groups == 4
     assert polars.read_parquet(tmp_path / "a.parquet")["sequence"].to_list() == list(range(1, 40))
     assert [path.name for path in tmp_path.iterdir()] == ["a.parquet"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system keeps no such limit")
+@pytest.mark.parametrize("mebibytes", [200, 244, 293, 342, 600])
+def test_with_too_little_memory_for_a_package_that_is_told_before_it_is_loaded(mebibytes, tmp_path):
+    target = tmp_path / "a.parquet"
+    limited = f"ulimit -v {mebibytes << 10}; exec {sys.executable} -m analyzer export {CAPTURES}/mks_rs485.log -o {target}"
+    done = subprocess.run(["sh", "-c", limited], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 2
+    said = f"servotap export: this needs pyarrow, and that 640 MiB of memory: ulimit -v allows {mebibytes} MiB\n"
+    assert said in done.stderr
+    assert not target.exists()
