@@ -44,9 +44,8 @@ _MOVES = (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_RELATI
 def _motions(*kinds: MotionKind) -> Cases:
     def cases(dialect: Dialect) -> Iterator[Case]:
         for case in _settings(dialect):
-            for number, run in enumerate(dialect.motions(*kinds)):
-                # `active` must not matter: each of its values is tried with some runs.
-                yield Case(dialect, case.command, {"run": run, "stop": dialect.stops_of(run)[0], "active": number % 2})
+            for run in dialect.motions(*kinds):
+                yield Case(dialect, case.command, {"run": run, "stop": dialect.stops_of(run)[0]})
 
     return cases
 
@@ -100,7 +99,8 @@ def _ask(probe: Probe, command: Command, until: Until) -> Exchange:
     if _is_run(command):
         return motion.ask(probe, command, rpm=_RPM, acceleration=QUICK, until=until, timeout_ns=int(law_ns))
     exchange = motion.ask(probe, command, _TURNS * 360, rpm=_MOVE_RPM, until=until, timeout_ns=int(law_ns))
-    probe.wait(exchange.sent_ns + int(law_ns) - probe.gate.now_ns())
+    # What tells its end comes first: a read would collide with it.
+    probe.wait(exchange.sent_ns + int(law_ns) + TOLD_LATE_NS - probe.gate.now_ns())
     return exchange
 
 
@@ -120,10 +120,13 @@ def _motions_answered(probe: Probe, respond: int, runs: bool) -> dict[str, _Show
 def _sent(probe: Probe, case: Case, respond: int) -> _Sent:
     run = case.given["run"]
     motion.prepare(probe, run)
-    _set(probe, respond, 0 if respond else case.given["active"])
-    since, before = len(probe.traffic), motion.position(probe).value
-    exchange = _ask(probe, run, Until.REPLY if respond else Until.TIMEOUT)
-    after = motion.position(probe).value
+    since = len(probe.traffic)
+    # With respond 0 `active` must not matter; the end of a move, where there is one to tell, is told by 1 alone.
+    for active in (0,) if respond or _is_run(run) else (0, 1):
+        _set(probe, respond, active)
+        before = motion.position(probe).value
+        exchange = _ask(probe, run, Until.REPLY if respond else Until.TIMEOUT)
+        after = motion.position(probe).value
     if _is_run(run):
         motion.stand_still(probe)
     return _Sent(run, exchange, since, before, after)
@@ -139,7 +142,7 @@ def _stop_sent(probe: Probe, case: Case, respond: int) -> _Sent:
     motion.prepare(probe, run)
     motion.ask(probe, run, 8 * 360, rpm=_RPM, acceleration=QUICK)
     probe.wait(100 * MS)
-    _set(probe, respond, 0 if respond else 1 - case.given["active"])
+    _set(probe, respond, 1 - respond)
     since, before = len(probe.traffic), abs(motion.speed(probe).value)
     until = Until.REPLY if respond else Until.TIMEOUT
     exchange = probe.ask(stop, {"acceleration": _RAMP}, until=until, timeout_ns=_RAMP_NS + TOLD_LATE_NS)
