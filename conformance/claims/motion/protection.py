@@ -20,15 +20,22 @@ from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, Cases, commands, motions, needing
-from conformance.claims.motion.motion_claim import expect_stays, expect_taken, of_motion, risks_by, that_tell_their_end
+from conformance.claims.motion.motion_claim import (
+    expect_goes,
+    expect_stays,
+    expect_taken,
+    of_motion,
+    risks_by,
+    that_tell_their_end,
+)
 from conformance.claims.motion.refusals import expect_refused
 from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import Probe
 
 _TURNS = 2.0
-_NEEDS_ENABLING = "motion is refused behind 3D, though the motor is told as enabled"
+_BEHIND_RELEASE = "behind 3D, with the motor told as enabled"
 
 
 def _of_protection(
@@ -184,7 +191,7 @@ def _releases(probe: Probe, command: Command) -> None:
     probe.wait(SECOND_NS)
     before, rested = motion.position(probe), before
     expect_stays(rested, before, exchange, "3D takes the motion up again that the protection ended", _MISSING)
-    expect_taken(probe, motion.ask(probe, probe.command(Verb.RUN_SPEED), acceleration=QUICK), _NEEDS_ENABLING)
+    expect_taken(probe, motion.ask(probe, probe.command(Verb.RUN_SPEED)), f"a run is refused {_BEHIND_RELEASE}")
     probe.wait(SECOND_NS)
     moved = motion.stand_still(probe).value - before.value
     text = "the motor does not move after 3D"
@@ -347,14 +354,7 @@ def _limp(probe: Probe, command: Command) -> None:
     for move in sorted(probe.dialect.motions(MotionKind.MOVE_BY), key=motion.takes_pulses):
         if motion.takes_pulses(move):
             motion.prepare(probe, move)
-        before = motion.position(probe)
-        exchange = motion.ask(probe, move, 45, until=Until.DONE if motion.of(move).tells_end else Until.REPLY)
-        expect_taken(probe, exchange, _NEEDS_ENABLING)
-        probe.wait(exchange.sent_ns + int(ramp.move_ns(45 / 360, motion.CALM, QUICK)) - probe.gate.now_ns())
-        went = abs(motion.wait_standing(probe).value - before.value)
-        text = f"{move.name} behind 3D does not begin where the shaft stands"
-        within = motion.miss(probe) + motion.same(probe)
-        probe.expect(went, near=45, within=within, unit="degrees", refutes=text, exchange=exchange)
+        expect_goes(probe, move, 45, _BEHIND_RELEASE)
 
 
 @_without_hands("3E that reads 1", each=commands(Verb.SET_PROTECTION))

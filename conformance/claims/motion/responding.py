@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench
+from conformance.claims.control_reads import plain_reads
 from conformance.claims.declare import Case, Cases, commands, needing
 from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import of_motion, risks_by, risks_of
@@ -28,8 +29,8 @@ from conformance.talk.noise import TOLD_LATE_NS
 from conformance.talk.probe import Probe, Until
 from conformance.talk.restarts import restart
 
-#: What is read and set to see that a drive is not silent altogether.
-_ANSWERED = (Verb.READ_POSITION, Verb.READ_STATUS, Verb.READ_ENABLED, Verb.READ_SPEED)
+#: What is no motion and no setting, and answered all the same.
+_LOUD = (Verb.RELEASE_PROTECTION, Verb.EMERGENCY_STOP)
 _TURNS, _MOVE_RPM = 0.2, 120
 #: 60 rpm, and 0.15 s from it to a stop.
 _RPM, _RAMP, _RAMP_NS = 60, 206, 150 * MS
@@ -244,14 +245,15 @@ def _silent_refusals(probe: Probe) -> None:
         probe.expect(told, equal=[], expected="silence", refutes=text, exchange=silent, key="refused aloud")
 
 
-@_of_respond("silence", each=_settings, name="{command}/0-leaves-reads")
+@_of_respond("silence", each=_settings, name="{command}/0-leaves-reads", risks=risks_by(*_LOUD))
 def _others_answered(probe: Probe) -> None:
-    """With respond 0 reads, settings and enabling are answered as before."""
+    """With respond 0 reads, settings, enabling, the release and the emergency stop are answered as before."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    if any(probe.ask(verb).silent for verb in _ANSWERED):
-        raise Inconclusive("a read is not answered with respond 1 either")
+    loud = [*plain_reads(probe.dialect), *map(probe.command, _LOUD)]
+    if any(probe.ask(command).silent for command in loud):
+        raise Inconclusive("not all of them are answered with respond 1 either")
     _set(probe, 0, 0)
-    asked = [probe.ask(verb) for verb in _ANSWERED]
+    asked = [probe.ask(command) for command in loud]
     asked.append(probe.ask(Verb.SET_SUBDIVISION, {"subdivision": motion.SUBDIVISION}))
     asked.append(probe.ask(Verb.ENABLE, {"enabled": 1}))
     asked.append(probe.ask(Verb.SET_RESPOND, {"respond": 1, "active": 1}))
