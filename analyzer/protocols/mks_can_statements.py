@@ -786,7 +786,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "motion/enable/on-holds-here",
         "ranges/enable/enabled/*",
     ),
-    said("4.2.2/off", "A motor that is disabled does not turn.", "motion/*/disabled", "motion/enable/off-ends-motion"),
+    said("4.2.2/off", "A motor that is disabled does not turn.", "motion/*/disabled", "motion/enable/off-ends-mo*"),
     said(
         "4.2.2/status",
         "Status 1 says that it is done, and 0 that it is not.",

@@ -207,7 +207,7 @@ _WRITES = (
         "8.2.19",
         "enable",
         "F3h enables (1) or disables (0) the motor.",
-        said("8.2.19/off", "With 0 the motor lets go.", "motion/enable/off-ends-motion", "motion/enable/is-read"),
+        said("8.2.19/off", "With 0 the motor lets go.", "motion/enable/off-ends-mo*", "motion/enable/is-read"),
         said(
             "8.2.19/on", "With 1 it holds.", "motion/enable/is-read", "motion/enable/on-holds-here", "read-back/enable/effect"
         ),

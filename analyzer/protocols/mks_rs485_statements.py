@@ -364,7 +364,7 @@ _MOTION = (
     said("6.2.1/answered", "F1 reads what the motor does.", "shape/read_status/answered", "motion/read_status/follows"),
     *effects("6.2.1", "read_status"),
     said("6.2.1/calibrating", "6 (printed 5): it is calibrating.", "motion/calibrate/status"),
-    said("6.2.2/off", "F3 with 0 lets the motor go.", "motion/enable/off-ends-motion", "motion/enable/is-read"),
+    said("6.2.2/off", "F3 with 0 lets the motor go.", "motion/enable/off-ends-mo*", "motion/enable/is-read"),
     said(
         "6.2.2/on",
         "F3 with 1 makes it hold.",

@@ -30,12 +30,14 @@ def section(dialect: Dialect) -> str:
     return dialect.sections.get(Subject.FRAMING, dialect.commands[0].section)
 
 
+def plain_reads(dialect: Dialect) -> list[Command]:
+    """Return the reads that need no data."""
+    return [c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.fields]
+
+
 def plain_read(dialect: Dialect) -> Command:
     """Return the control read: of the position, or the first read that needs no data."""
-    position = dialect.by_verb.get(Verb.READ_POSITION)
-    if position is not None:
-        return position
-    return next(c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.fields)
+    return dialect.by_verb.get(Verb.READ_POSITION) or plain_reads(dialect)[0]
 
 
 #: Pauses that a host makes now and then.

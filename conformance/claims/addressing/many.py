@@ -14,7 +14,15 @@ from typing import Any
 from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Verb
 from conformance.claim import Theme
 from conformance.claims.addressing import guarded_commands, package
-from conformance.claims.control_reads import ask_first, expect_silence, is_answered, judge_next, plain_read, received_text
+from conformance.claims.control_reads import (
+    ask_first,
+    expect_silence,
+    is_answered,
+    judge_next,
+    plain_read,
+    plain_reads,
+    received_text,
+)
 from conformance.claims.declare import Case, Cases, claim, described_in
 from conformance.claims.known_reads import every_read
 from conformance.claims.motion.stops import expect_standing
@@ -193,7 +201,7 @@ def _expect_silence(probe: Probe, sent: Exchange, what: str) -> None:
 
 
 def _samples(dialect: Dialect) -> list[Command]:
-    return [c for c in dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.fields][:4]
+    return plain_reads(dialect)[:4]
 
 
 @addressing("any answer", _of(_BROADCAST), name="{many}/read")

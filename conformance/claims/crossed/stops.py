@@ -2,6 +2,7 @@
 
     motion x way x ramp, work mode x way x ramp      all of them; a ramp is an acceleration, or the emergency stop
     motion x way x speed                             likewise
+    each move                                        disabling too
 
 Rules kept here:
 - A row takes a third of a second: the motion is far from its end when it is stopped.
@@ -16,9 +17,9 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.crossed.course import motions_of
 from conformance.claims.declare import Case
@@ -32,8 +33,9 @@ from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
 from conformance.talk.probe import Probe, Until
 
-#: What stops: the emergency stop, at once, from the top bit on, and the steepest ramp.
-_EMERGENCY, _STOPS = -1, (-1, 0, 255, 200, 128)
+#: What stops: disabling, the emergency stop, at once, from the top bit on, and the steepest ramp.
+_OFF, _EMERGENCY, _STOPS = -2, -1, (-1, 0, 255, 200, 128)
+_HOW = {_OFF: "disabling", _EMERGENCY: "the emergency stop"}
 _SPEEDS, _AT_ONCE_MOST, _FAST = (60, 30, 150, 1200), 150, 1200
 #: The steepest ramp begins each motion, which is to go on for so many turns more than the fastest one makes.
 _STEEP, _TURNS, _FAST_TURNS = 255, 3, 10
@@ -46,7 +48,7 @@ _RAMP_SHARE, _BESIDE = 0.1, 1.0
 
 
 class Row(NamedTuple):
-    """A motion and its stop. `stop`: the acceleration as sent, -1 for the emergency stop."""
+    """A motion and its stop. `stop`: the acceleration as sent, -1 for the emergency stop, -2 for disabling the motor."""
 
     command: str
     way: int
@@ -57,8 +59,11 @@ class Row(NamedTuple):
     def __str__(self) -> str:
         """Return it for people."""
         way = "a positive" if self.way > 0 else "a negative"
-        how = "the emergency stop" if self.stop == _EMERGENCY else f"acceleration {self.stop}"
+        how = _HOW.get(self.stop, f"acceleration {self.stop}")
         return f"{self.command} {way} way at {self.rpm} rpm in {self.mode}, stopped by {how}"
+
+
+Rows = Callable[[Dialect], tuple[Row, ...]]
 
 
 @dataclass(frozen=True)
@@ -119,12 +124,19 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
     return tuple(sorted(rows, key=lambda row: (row.mode, row)))
 
 
-def stopped(probe: Probe) -> tuple[Tried, ...]:
-    """Carry out all rows and return what was seen."""
+def disablings(dialect: Dialect) -> tuple[Row, ...]:
+    """Return a row of each move that disabling ends, in one mode and way; a run has a claim of its own."""
+    modes, moves = motion.bus_modes(dialect), [c.name for c in motions_of(dialect) if motion.of(c).kind is not MotionKind.RUN]
+    rows = (Row(name, (-1) ** n, _OFF, 60, modes[n % len(modes)]) for n, name in enumerate(moves))
+    return tuple(sorted(rows, key=lambda row: (row.mode, row)))
+
+
+def stopped(probe: Probe, rows_of: Rows) -> tuple[Tried, ...]:
+    """Carry out rows and return what was seen."""
     found: list[Tried] = []
     ready = ""
     refused: Refused | None = None
-    for row in table(probe.dialect):
+    for row in rows_of(probe.dialect):
         try:
             if ready != row.mode:
                 motion.ready_to_move(probe, row.mode, subdivision=SUBDIVISION)
@@ -167,15 +179,12 @@ def _try(probe: Probe, row: Row) -> Tried:
     motion.begin(probe, command, degrees, rpm=row.way * row.rpm if runs else row.rpm, acceleration=_STEEP, quiet_ns=0)
     probe.wait(_GOING_NS)
     before = motion.position(probe)
-    stop = probe.dialect.stops_of(command)[0]
-    values = {"acceleration": row.stop}
-    if row.stop == _EMERGENCY:
-        stop, values = probe.command(Verb.EMERGENCY_STOP), {}
+    stop, values = _ending(probe, command, row.stop)
     since = len(probe.traffic)
     exchange = probe.ask(stop, values, quiet_ns=0)
     refused = not exchange.is_read or probe.refused(exchange)
     over_ns = exchange.sent_ns + int(ramp.ramp_ns(row.rpm, 0, max(row.stop, 0)) * (1 + ramp.SLOW_QUIRK))
-    if motion.of(stop).tells_end and not refused and row.stop != _EMERGENCY:
+    if row.stop >= 0 and motion.of(stop).tells_end and not refused:
         left_ns = over_ns - probe.gate.now_ns()
         if 2 not in arriving.statuses(probe.traffic[since:], stop):
             probe.listen(max(0, left_ns) + TOLD_LATE_NS, Until.REPLY)
@@ -187,12 +196,23 @@ def _try(probe: Probe, row: Row) -> Tried:
     end = motion.position(probe)
     pulses += [probe.read(Verb.READ_PULSES)] if counted else []
     told = tuple(arriving.statuses(probe.traffic[since:], stop)) if stop.replies.status else ()
+    if row.stop == _OFF:
+        motion.switch(probe, True)
     # A stop by a ramp has the code of its motion.
     ends = 0 if runs else sum(status == _COMPLETE for status in arriving.statuses(probe.traffic[first:], command))
-    ends -= row.stop != _EMERGENCY and not runs and motion.of(stop).tells_end
+    ends -= row.stop >= 0 and not runs and motion.of(stop).tells_end
     went = before.value - start.value
     sense = 0 if abs(went) < 2 else 1 if went > 0 else -1
     return Tried(row, exchange, refused, start, before, sense, at, end, told, ends, tuple(pulses))
+
+
+def _ending(probe: Probe, command: Command, stop: int) -> tuple[Command, dict[str, int]]:
+    """Return what ends a motion, as sent, by the number of a row."""
+    if stop == _OFF:
+        return motion.switching(probe.dialect, False)
+    if stop == _EMERGENCY:
+        return probe.command(Verb.EMERGENCY_STOP), {}
+    return probe.dialect.stops_of(command)[0], {"acceleration": stop}
 
 
 # --- what is judged -----------------------------------------------------------------------------------------------------
@@ -206,7 +226,7 @@ def _every(dialect: Dialect) -> Iterator[tuple[Command, Command]]:
             yield run, stop
 
 
-def _facts(dialect: Dialect) -> dict[str, object]:
+def _facts(dialect: Dialect) -> dict[str, Any]:
     every = [c for pair in _every(dialect) for c in pair] + [dialect.by_verb[Verb.EMERGENCY_STOP]]
     return {"risks": motion.risks(dialect, *frozenset().union(*(c.all_risks for c in every))), "parameters": {}}
 
@@ -224,12 +244,12 @@ def _in_an_emergency(dialect: Dialect) -> Iterator[Case]:
 _of_stops = partial(of_motion, at_best=Certainty.LIKELY)
 
 
-def _expect_stopped(probe: Probe, command: Command, run: Command, wanted: Callable[[Row], bool]) -> None:
-    tried = [each for each in probe.recorded(stopped) if each.row.command == run.name and wanted(each.row)]
+def _expect_stopped(probe: Probe, command: Command, wanted: Callable[[Row], bool], rows_of: Rows = table) -> None:
+    tried = [each for each in probe.recorded(stopped, rows_of) if wanted(each.row)]
     if not any(each.sense for each in tried):
-        raise Inconclusive(f"no row of {run.name} turned the shaft")
+        raise Inconclusive("no row turned the shaft")
     for each in (each for each in tried if each.sense):
-        text = f"{command.name} does not stop {run.name} as it should in one condition"
+        text = f"{command.name} does not stop {each.row.command} as it should in one condition"
         expect_row_taken(probe, each.stop, each.row, text)
         if each.refused:
             continue
@@ -240,6 +260,9 @@ def _expect_stopped(probe: Probe, command: Command, run: Command, wanted: Callab
             refutes=text,
             exchange=each.stop,
         )
+        if each.row.stop == _OFF:
+            # Without torque the shaft runs out.
+            continue
         within = _BESIDE + motion.miss(probe) + probe.noise.swing
         went = (each.end.value - each.before.value) * each.sense
         expect_between(probe, went, each.between, within, f"behind the stop, {each.row}", text, each.stop)
@@ -248,29 +271,43 @@ def _expect_stopped(probe: Probe, command: Command, run: Command, wanted: Callab
 @_of_stops(each=_by_ramp, name="{command}/crossed-stops", refuted_by="a shaft that goes on, or stops by another ramp")
 def _ramps(probe: Probe, command: Command, run: Command) -> None:
     """{command} slows {run} down by the ramp that it names, either way, at each speed, in each mode."""
-    _expect_stopped(probe, command, run, lambda row: row.stop > 0)
+    _expect_stopped(probe, command, lambda row: row.command == run.name and row.stop > 0)
 
 
 @_of_stops(each=_by_ramp, name="{command}/when-fast", refuted_by="a shaft that goes on")
 def _when_fast(probe: Probe, command: Command, run: Command) -> None:
     """{command} stops {run} at 1200 rpm, either way."""
-    _expect_stopped(probe, command, run, lambda row: row.rpm == _FAST)
+    _expect_stopped(probe, command, lambda row: row.command == run.name and row.rpm == _FAST)
 
 
 @_of_stops(each=_by_ramp, name="{command}/at-once", refuted_by="a shaft that goes on")
 def _at_once(probe: Probe, command: Command, run: Command) -> None:
     """{command} with acceleration 0 stops the shaft at once, either way, in each mode."""
-    _expect_stopped(probe, command, run, lambda row: row.stop == 0)
+    _expect_stopped(probe, command, lambda row: row.command == run.name and row.stop == 0)
 
 
 @_of_stops(each=_in_an_emergency, name="{command}/ends-{run}", refuted_by="a shaft that goes on, or slows down")
 def _emergency(probe: Probe, command: Command, run: Command) -> None:
     """The emergency stop ends {run} at once, either way, in each mode; the shaft stays there, and no end of {run} is told."""
-    _expect_stopped(probe, command, run, lambda row: row.stop == _EMERGENCY)
+    _expect_stopped(probe, command, lambda row: row.command == run.name and row.stop == _EMERGENCY)
     # What was ended in one row would have come to its end in a later one.
-    ends = sum(tried.ends for tried in probe.recorded(stopped) if tried.row.command == run.name)
+    ends = sum(tried.ends for tried in probe.recorded(stopped, table) if tried.row.command == run.name)
     text = f"the end of {run.name} is told although a stop ended it"
     probe.expect(f"{ends} more often", holds=ends <= 0, expected="as often as a stop by a ramp ended it", refutes=text)
+
+
+def _disabled(dialect: Dialect) -> Iterator[Case]:
+    if any(_every(dialect)) and Verb.ENABLE in dialect.by_verb:
+        facts, off = _facts(dialect), dialect.by_verb[Verb.ENABLE]
+        yield Case(
+            dialect, off, facts=facts | {"risks": motion.risks(dialect, *off.all_risks - {Risk.UNKNOWN}, *facts["risks"])}
+        )
+
+
+@_of_stops(each=_disabled, name="{command}/off-ends-moves", refuted_by="a shaft that goes on")
+def _off(probe: Probe, command: Command) -> None:
+    """Disabling the motor ends a move of each kind."""
+    _expect_stopped(probe, command, lambda row: True, disablings)
 
 
 def _counts_pulses(dialect: Dialect) -> Iterator[Case]:
@@ -283,7 +320,7 @@ def _pulses_behind(probe: Probe, command: Command) -> None:
     """Behind every stop of every motion {command} has changed as far as the shaft has turned, and the same way."""
     turn = motion.units_per_turn(probe.dialect, probe.command(Verb.MOVE_RELATIVE_PULSES), SUBDIVISION)
     sense = 0.0
-    for tried in probe.recorded(stopped):
+    for tried in probe.recorded(stopped, table):
         if tried.refused or not tried.sense or not _stands(probe, tried):
             continue
         counted = (tried.pulses[1] - tried.pulses[0]) * 360 / turn

@@ -17,12 +17,14 @@ from analyzer.catalogue import Command, MotionKind, Risk
 from conformance.claims.declare import motions
 from conformance.claims.motion.motion_claim import expect_taken, has_direction, of_motion
 from conformance.claims.motion.moves import takes_counts
-from conformance.motion import arriving, motion
+from conformance.motion import arriving, motion, ramp
 from conformance.motion.motion import CALM, MOVES, MS, QUICK
 from conformance.talk.probe import Probe
 
 #: What a field of 16 bits cannot hold.
 _WORD = 1 << 16
+#: How fast the shaft goes (rpm), how long it is watched, and how far it has to go meanwhile (degrees).
+_RPM, _BEGINS_NS, _LEAST = 2 * CALM, 400 * MS, 180
 _counted = motions(*MOVES, where=takes_counts)
 
 
@@ -30,14 +32,17 @@ def _expect_begins(probe: Probe, command: Command, ends: Mapping[int, int]) -> N
     """Refute a shaft that does not begin to turn to each end: `ends` by side, 0 where a short move goes, 1 the other."""
     field = motion.field_of(command, motion.of(command).distance)
     short = arriving.follow(probe, command, 36)
+    back = 0.0
     for side, value in ends.items():
         before = motion.position(probe)
-        exchange = motion.ask(probe, command, 36, rpm=2 * CALM, acceleration=QUICK, more={field.name: value})
+        exchange = motion.ask(probe, command, 36, rpm=_RPM, acceleration=QUICK, more={field.name: value})
         expect_taken(probe, exchange, f"{command.name} by {value} is refused")
-        probe.wait(400 * MS)
+        probe.wait(_BEGINS_NS + int(ramp.move_ns(back / 360, _RPM, QUICK)))
         went = (motion.stand_still(probe).value - before.value) * math.copysign(1, short.degrees) * (-1) ** side
-        text = f"{command.name} with {field.name} {value} does not begin that way"
-        probe.expect(went, at_least=180, unit="degrees", refutes=text, exchange=exchange)
+        text = f"{command.name} with {field.name} {value} does not begin that way, or ends soon"
+        probe.expect(went, at_least=back + _LEAST, unit="degrees", refutes=text, exchange=exchange)
+        # A place near 0 lies the other way from here too: the next end has to lead beyond where this one began.
+        back = went if motion.of(command).kind is MotionKind.MOVE_TO else 0.0
 
 
 @of_motion(each=_counted, refuted_by="a shaft that turns the other way, or ends at once", risks={Risk.UNBOUNDED})

@@ -289,7 +289,8 @@ def _expect_going_on(probe: Probe, since: int, command: Command) -> None:
 
 
 def _at_speeds(dialect: Dialect) -> Iterator[Case]:
-    for rpm in (60, 120, 300, *((600,) if dialect.mode_speeds else ()), 2000):
+    # 515 rpm are another speed with either byte first.
+    for rpm in (60, 120, 515, *((600,) if dialect.mode_speeds else ()), 2000):
         yield from (Case(dialect, case.command, {"rpm": rpm}) for case in _homings(dialect))
 
 

@@ -18,11 +18,11 @@ from conformance.claim import Aspect, Inconclusive, Refuted, Theme
 from conformance.claims.declare import Case, Cases, claim, motions
 from conformance.claims.known_quirks import SETTLING
 from conformance.model.lk_parameters import need_room
-from conformance.motion import arriving, motion
-from conformance.motion.motion import SAME, Sample
+from conformance.motion import arriving, motion, ramp
+from conformance.motion.motion import CALM, QUICK, SAME, Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import Probe, Until
 
 #: How far a shaft that is settling was seen to be from where it comes to rest, in degrees, and a little more.
 _SETTLING = 32 * 360 / 16384
@@ -155,6 +155,17 @@ def expect_taken(probe: Probe, exchange: Exchange, refutes: str) -> None:
     """Refute where a motion was refused."""
     taken = not motion.refused(probe, exchange)
     probe.expect("a refusal", holds=taken, expected="no refusal", refutes=refutes, exchange=exchange)
+
+
+def expect_goes(probe: Probe, move: Command, degrees: float, when: str, rpm: float = CALM, acceleration: int = QUICK) -> None:
+    """Ask for a move; refute where it is refused, or does not go as far as asked, to one side or the other."""
+    before, until = motion.position(probe), Until.DONE if motion.of(move).tells_end else Until.REPLY
+    exchange = motion.ask(probe, move, degrees, rpm=rpm, acceleration=acceleration, until=until)
+    expect_taken(probe, exchange, f"{move.name} is refused {when}")
+    probe.wait(exchange.sent_ns + int(ramp.move_ns(degrees / 360, rpm, acceleration)) - probe.gate.now_ns())
+    went = abs(motion.wait_standing(probe).value - before.value)
+    text, within = f"{move.name} does not go as far as asked {when}", motion.miss(probe) + motion.same(probe)
+    probe.expect(went, near=abs(degrees), within=within, unit="degrees", refutes=text, exchange=exchange)
 
 
 def expect_row_taken(probe: Probe, exchange: Exchange, row: object, refutes: str) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from analyzer.catalogue import Certainty, Dialect, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
@@ -136,8 +136,8 @@ def _follows(probe: Probe) -> None:
 
 
 def _ended_at_once(dialect: Dialect) -> Iterator[Case]:
-    """Yield the status of drives that home and have an emergency stop."""
-    verbs = (Verb.EMERGENCY_STOP, Verb.HOME, Verb.SET_HOME, Verb.RUN_SPEED, Verb.MOVE_RELATIVE_AXIS)
+    """Yield the status of drives that home, can be disabled, and have an emergency stop."""
+    verbs = (Verb.EMERGENCY_STOP, Verb.ENABLE, Verb.HOME, Verb.SET_HOME, Verb.RUN_SPEED, Verb.MOVE_RELATIVE_AXIS)
     needed = [command for verb in verbs if (command := dialect.by_verb.get(verb)) is not None]
     if len(needed) == len(verbs):
         known = [c for v in homing.SETS_HOME if (c := dialect.by_verb.get(v)) is not None]
@@ -150,26 +150,35 @@ def _ended_at_once(dialect: Dialect) -> Iterator[Case]:
 
 @of_motion(each=_ended_at_once, name="{command}/behind-emergency", refuted_by="another status", at_best=Certainty.LIKELY)
 def _behind_emergency(probe: Probe) -> None:
-    """Behind an emergency stop of any motion the status is 1: in a ramp of a run or a move, at full speed, or homing."""
+    """The status is 1 behind an emergency stop in a ramp, at full speed, or homing, and behind disabling in a run or a move."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     homing.set_home(probe, home_speed=_RPM)
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    for what, begin, for_ns in (
-        ("speeds up in a run", lambda: motion.run_at(probe, _RPM, _RAMP), 300 * MS),
-        ("speeds up in a move", lambda: motion.begin(probe, move, 720, rpm=_RPM, acceleration=_RAMP), 300 * MS),
-        ("turns at full speed", lambda: motion.run_at(probe, -_RPM, QUICK), 150 * MS),
-        ("slows down", lambda: _slow_down(probe), 200 * MS),
-        ("homes", lambda: probe.ask(Verb.HOME, quiet_ns=0), 150 * MS),
+    off = motion.switching(probe.dialect, False)
+    emergency: tuple[Command, dict[str, int]] = (probe.command(Verb.EMERGENCY_STOP), {})
+    for what, begin, for_ns, (ends, values) in (
+        ("speeds up in a run", lambda: motion.run_at(probe, _RPM, _RAMP), 300 * MS, emergency),
+        ("speeds up in a move", lambda: motion.begin(probe, move, 720, rpm=_RPM, acceleration=_RAMP), 300 * MS, emergency),
+        ("turns at full speed", lambda: motion.run_at(probe, -_RPM, QUICK), 150 * MS, emergency),
+        ("slows down", lambda: _slow_down(probe), 200 * MS, emergency),
+        ("homes", lambda: probe.ask(Verb.HOME, quiet_ns=0), 150 * MS, emergency),
+        ("turns at full speed", lambda: motion.run_at(probe, _RPM, QUICK), 150 * MS, off),
+        ("turns in a move", lambda: motion.begin(probe, move, 720, rpm=_RPM, acceleration=QUICK), 150 * MS, off),
     ):
         begin()
         probe.wait(for_ns)
         turned = abs(motion.speed(probe).value)
-        exchange = probe.ask(Verb.EMERGENCY_STOP)
+        exchange = probe.ask(ends, values)
+        if values:
+            # Without torque the shaft runs out.
+            motion.wait_standing(probe)
         seen = _status(probe)
         motion.wait_standing(probe)
+        if values:
+            motion.switch(probe, True)
         if turned < 2:
-            raise Inconclusive(f"the shaft does not turn before the emergency stop: it {what}")
-        text = f"the emergency stop ends a shaft that {what}, and its status is {seen}"
+            raise Inconclusive(f"the shaft does not turn before {ends.name}: it {what}")
+        text = f"{ends.name} ends a shaft that {what}, and its status is {seen}"
         probe.expect(seen, equal=_STOPPED, refutes=text, exchange=exchange)
 
 

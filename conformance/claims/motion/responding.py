@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench
+from conformance.claims.control_reads import plain_reads
 from conformance.claims.declare import Case, Cases, commands, needing
 from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import of_motion, risks_by, risks_of
@@ -28,8 +29,8 @@ from conformance.talk.noise import TOLD_LATE_NS
 from conformance.talk.probe import Probe, Until
 from conformance.talk.restarts import restart
 
-#: What is read and set to see that a drive is not silent altogether.
-_ANSWERED = (Verb.READ_POSITION, Verb.READ_STATUS, Verb.READ_ENABLED, Verb.READ_SPEED)
+#: What is no motion and no setting, and answered all the same.
+_LOUD = (Verb.RELEASE_PROTECTION, Verb.EMERGENCY_STOP)
 _TURNS, _MOVE_RPM = 0.2, 120
 #: 60 rpm, and 0.15 s from it to a stop.
 _RPM, _RAMP, _RAMP_NS = 60, 206, 150 * MS
@@ -44,9 +45,8 @@ _MOVES = (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_RELATI
 def _motions(*kinds: MotionKind) -> Cases:
     def cases(dialect: Dialect) -> Iterator[Case]:
         for case in _settings(dialect):
-            for number, run in enumerate(dialect.motions(*kinds)):
-                # `active` must not matter: each of its values is tried with some runs.
-                yield Case(dialect, case.command, {"run": run, "stop": dialect.stops_of(run)[0], "active": number % 2})
+            for run in dialect.motions(*kinds):
+                yield Case(dialect, case.command, {"run": run, "stop": dialect.stops_of(run)[0]})
 
     return cases
 
@@ -100,7 +100,8 @@ def _ask(probe: Probe, command: Command, until: Until) -> Exchange:
     if _is_run(command):
         return motion.ask(probe, command, rpm=_RPM, acceleration=QUICK, until=until, timeout_ns=int(law_ns))
     exchange = motion.ask(probe, command, _TURNS * 360, rpm=_MOVE_RPM, until=until, timeout_ns=int(law_ns))
-    probe.wait(exchange.sent_ns + int(law_ns) - probe.gate.now_ns())
+    # What tells its end comes first: a read would collide with it.
+    probe.wait(exchange.sent_ns + int(law_ns) + TOLD_LATE_NS - probe.gate.now_ns())
     return exchange
 
 
@@ -120,10 +121,13 @@ def _motions_answered(probe: Probe, respond: int, runs: bool) -> dict[str, _Show
 def _sent(probe: Probe, case: Case, respond: int) -> _Sent:
     run = case.given["run"]
     motion.prepare(probe, run)
-    _set(probe, respond, 0 if respond else case.given["active"])
-    since, before = len(probe.traffic), motion.position(probe).value
-    exchange = _ask(probe, run, Until.REPLY if respond else Until.TIMEOUT)
-    after = motion.position(probe).value
+    since = len(probe.traffic)
+    # With respond 0 `active` must not matter; the end of a move, where there is one to tell, is told by 1 alone.
+    for active in (0,) if respond or _is_run(run) else (0, 1):
+        _set(probe, respond, active)
+        before = motion.position(probe).value
+        exchange = _ask(probe, run, Until.REPLY if respond else Until.TIMEOUT)
+        after = motion.position(probe).value
     if _is_run(run):
         motion.stand_still(probe)
     return _Sent(run, exchange, since, before, after)
@@ -139,7 +143,7 @@ def _stop_sent(probe: Probe, case: Case, respond: int) -> _Sent:
     motion.prepare(probe, run)
     motion.ask(probe, run, 8 * 360, rpm=_RPM, acceleration=QUICK)
     probe.wait(100 * MS)
-    _set(probe, respond, 0 if respond else 1 - case.given["active"])
+    _set(probe, respond, 1 - respond)
     since, before = len(probe.traffic), abs(motion.speed(probe).value)
     until = Until.REPLY if respond else Until.TIMEOUT
     exchange = probe.ask(stop, {"acceleration": _RAMP}, until=until, timeout_ns=_RAMP_NS + TOLD_LATE_NS)
@@ -241,14 +245,15 @@ def _silent_refusals(probe: Probe) -> None:
         probe.expect(told, equal=[], expected="silence", refutes=text, exchange=silent, key="refused aloud")
 
 
-@_of_respond("silence", each=_settings, name="{command}/0-leaves-reads")
+@_of_respond("silence", each=_settings, name="{command}/0-leaves-reads", risks=risks_by(*_LOUD))
 def _others_answered(probe: Probe) -> None:
-    """With respond 0 reads, settings and enabling are answered as before."""
+    """With respond 0 reads, settings, enabling, the release and the emergency stop are answered as before."""
     motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    if any(probe.ask(verb).silent for verb in _ANSWERED):
-        raise Inconclusive("a read is not answered with respond 1 either")
+    loud = [*plain_reads(probe.dialect), *map(probe.command, _LOUD)]
+    if any(probe.ask(command).silent for command in loud):
+        raise Inconclusive("not all of them are answered with respond 1 either")
     _set(probe, 0, 0)
-    asked = [probe.ask(verb) for verb in _ANSWERED]
+    asked = [probe.ask(command) for command in loud]
     asked.append(probe.ask(Verb.SET_SUBDIVISION, {"subdivision": motion.SUBDIVISION}))
     asked.append(probe.ask(Verb.ENABLE, {"enabled": 1}))
     asked.append(probe.ask(Verb.SET_RESPOND, {"respond": 1, "active": 1}))

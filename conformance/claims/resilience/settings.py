@@ -23,6 +23,7 @@ from conformance.claims.conditions import AT_REST, Condition
 from conformance.claims.control_reads import is_exception, received_text
 from conformance.claims.declare import Case, claim
 from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion.motion_claim import expect_goes
 from conformance.claims.motion.told import expect_states, states
 from conformance.claims.settings import setting_effects
 from conformance.claims.settings.known_settings import ReadableSetting, Setting, every_setting, needs
@@ -257,8 +258,8 @@ def _text(values: Mapping[str, int]) -> str:
 
 #: What motion goes by, or whether it is told.
 _OF_MOTION = _AT_REST_ALONE | {Verb.SET_SUBDIVISION, Verb.SET_GROUP_ADDRESS, Verb.SET_STALL_TOLERANCE}
-#: A speed near the highest one, its ramp and how long it is kept; the turns of a move and its speed.
-_NEARLY, _STEEPEST, _KEPT_NS, _MOVED_TURNS, _MOVED_RPM = 2900, 255, 100 * MS, 4, 1700
+#: A speed near the highest one, its ramp and how long it is kept; the turns of a move and its speed, and degrees of others.
+_NEARLY, _STEEPEST, _KEPT_NS, _MOVED_TURNS, _MOVED_RPM, _SHORTLY = 2900, 255, 100 * MS, 4, 1700, 90
 
 
 def _of_no_motion(dialect: Dialect) -> Iterator[Case]:
@@ -266,7 +267,7 @@ def _of_no_motion(dialect: Dialect) -> Iterator[Case]:
         every = every_setting(dialect)
         chosen = [each for each in every if each.command.verb not in _OF_MOTION and not each.command.modes]
         risks, names = needs(chosen)
-        for each in (dialect.by_verb[Verb.RUN_SPEED], dialect.by_verb[Verb.MOVE_RELATIVE_AXIS]):
+        for each in dialect.motions(*motion.RUNS_AND_MOVES):
             risks |= each.all_risks
         facts = {
             "risks": motion.risks(dialect, *risks),
@@ -296,6 +297,15 @@ def _leave_motion(probe: Probe, chosen: list[Setting]) -> None:
         moved = arriving.follow(probe, move, -way * _MOVED_TURNS * 360, rpm=_MOVED_RPM, acceleration=_STEEPEST)
         text = "a move goes elsewhere with other settings that say nothing of it"
         probe.expect(moved.degrees, near=moved.asked, unit="degrees", refutes=text, exchange=moved.exchange)
+        for other in (each for each in probe.dialect.motions(*motion.MOVES) if each is not move):
+            expect_goes(
+                probe,
+                other,
+                way * _SHORTLY,
+                "with other settings that say nothing of it",
+                rpm=_MOVED_RPM,
+                acceleration=_STEEPEST,
+            )
 
 
 # --- what is seen of settings that no read shows ------------------------------------------------------------------------

@@ -627,6 +627,12 @@ COMPLETION: Rows = {
             unless(lambda d, c: not d.settings["respond"] and c.verb is not Verb.SET_RESPOND),
             TELLING,
         ),
+        Row(
+            "respond-silences-emergency",
+            "respond 0 silences the reply of the emergency stop",
+            unless(lambda d, c: not d.settings["respond"], Verb.EMERGENCY_STOP),
+            TELLING,
+        ),
         Row("active-ignored", "active 0 leaves completions as they are", heedless("active"), TELLING),
         Row(
             "respond-silences-settings",

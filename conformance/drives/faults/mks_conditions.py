@@ -753,6 +753,30 @@ def _halted_back(drive: MksCore, request: Request) -> None:
         drive.motor.halt(drive.now_ns)
 
 
+def _status_of_before_off(drive: MksCore) -> None:
+    """Tell the status that was before the motor was disabled until it is enabled."""
+    left: list[Values] = []
+    enable, status = drive.behaviours[Verb.ENABLE], drive.behaviours[Verb.READ_STATUS]
+
+    def switch(core: MksCore, request: Request) -> Values | None:
+        told = None if request.values["enabled"] or not core.enabled else status(core, request)
+        left[:] = [] if told is None else [told]
+        return enable(core, request)
+
+    def tell(core: MksCore, request: Request) -> Values | None:
+        return dict(left[0]) if left else status(core, request)
+
+    drive.behaviours |= {Verb.ENABLE: switch, Verb.READ_STATUS: tell}
+
+
+def _locked(drive: MksCore) -> bool:
+    return bool(drive.settings["key_lock"])
+
+
+def _disabled_later(drive: MksCore, request: Request) -> Values | None:
+    return dict(OK) if not request.values["enabled"] and drive.doing(Activity.MOVE) else None
+
+
 def _deaf_to_group(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     """Hear no move by the group while the shaft turns."""
     moves = any(_is(message, verb) for verb in _MOVES)
@@ -1063,6 +1087,14 @@ DOING: Rows = {
         Row("emergency-latches", "after F7 motion is refused until the motor is enabled", tuned(_latched)),
     ),
     "enable": (
+        Row("status-of-before-off", "behind F3 00 F1 tells what the shaft did before it", tuned(_status_of_before_off)),
+        Row(
+            "locked-keys-refuse-fe",
+            "settings that lock the keys leave FE refused",
+            refused_when(_locked, Verb.MOVE_ABSOLUTE_PULSES),
+            SERIAL,
+        ),
+        Row("moves-stay-enabled", "F3 00 does nothing during a move", before(Verb.ENABLE, _disabled_later)),
         Row("enabling-stops", "F3 01 stops a shaft that turns", before(Verb.ENABLE, _halt_first)),
         Row("saving-stops", "FF C8 stops the shaft", before(Verb.SAVE_SPEED, _halted)),
     ),

@@ -12,11 +12,13 @@ from fractions import Fraction
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
+from analyzer.layout import Field
 from analyzer.link import READS
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import homing_by, mks, tuned
+from conformance.drives.faults.numbers import swap_bytes
 from conformance.drives.faults.places import (
     CAN,
     MODBUS,
@@ -27,7 +29,9 @@ from conformance.drives.faults.places import (
     Rows,
     faults,
     having,
+    request,
     result,
+    stored,
     storing,
     taken,
 )
@@ -276,6 +280,38 @@ def _unwatched(verb: Verb) -> Change:
     return Change(lambda hooks: hooks.request.append(ask), having(verb))
 
 
+def _low_byte_first(value: int, field: Field) -> int:
+    return turned if field.allows(turned := swap_bytes(value, field)) else value
+
+
+def _far_above(drive: Drive, command: Command, values: Values) -> Values:
+    """Take a place in the lower half of what its field holds below 0 for one above."""
+    half = 1 << command.request_forms[0].layout.named["position"].bit_width - 2
+    return values | {"position": values["position"] + 2 * half} if values["position"] < -half else values
+
+
+def _waiting_for_enable(drive: MksCore) -> None:
+    """Refuse motion behind 3D until the motor is enabled, which 3A tells that it is."""
+    waits = False
+    release, enable = drive.behaviours[Verb.RELEASE_PROTECTION], drive.behaviours[Verb.ENABLE]
+
+    def let_wait(core: MksCore, request: Request) -> Values | None:
+        nonlocal waits
+        waits = waits or core.memory.protected
+        return release(core, request)
+
+    def end_wait(core: MksCore, request: Request) -> Values | None:
+        nonlocal waits
+        waits = waits and not request.values["enabled"]
+        return enable(core, request)
+
+    def begin(behaviour: Behaviour) -> Behaviour:
+        return lambda core, request: core.refused(request) if waits else behaviour(core, request)
+
+    drive.behaviours |= {verb: begin(drive.behaviours[verb]) for verb in MOTIONS}
+    drive.behaviours |= {Verb.RELEASE_PROTECTION: let_wait, Verb.ENABLE: end_wait}
+
+
 def _turning_back(drive: MksCore) -> None:
     """Turn the shaft back to where it was disabled when it is enabled."""
     left: list[Number] = []
@@ -364,6 +400,16 @@ EFFECTS: Rows = {
         ),
         Row("small-tolerance-coarse", "stall tolerances below 72 degrees hold as that", _tolerance(72, max)),
         Row("great-tolerance-capped", "stall tolerances above 1800 degrees hold as that", _tolerance(1800, min)),
+        Row(
+            "widest-below-is-above",
+            "absolute moves take a place that is widest below 0 for one above",
+            request(_far_above, (Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_ABSOLUTE_AXIS)),
+        ),
+        Row(
+            "home-speed-low-first",
+            "90 stores the speed low byte first, where that is within its range",
+            stored("home_speed", _low_byte_first),
+        ),
         Row("high-groups-deaf", "a group above 7Fh is not heard", taken(_deaf_to_high_groups), having(Verb.SET_GROUP_ADDRESS)),
     ),
     "limits": (
@@ -379,6 +425,7 @@ EFFECTS: Rows = {
         Row("protected-goes-on", "3E reads 1 and the motor turns the shaft on", tuned(_going_on)),
         Row("fe-unwatched", "the protection does not watch FE", _unwatched(Verb.MOVE_ABSOLUTE_PULSES)),
         Row("enabling-turns-back", "F3 01 turns the shaft back to where F3 00 let it go", tuned(_turning_back)),
+        Row("release-needs-enabling", "behind 3D motion is refused until F3 01, though 3A reads 1", tuned(_waiting_for_enable)),
         Row("release-takes-up", "3D takes up the motion that the protection ended", tuned(_taking_up)),
         Row("disabled-keeps-torque", "3A reads 0 and the motor holds the shaft", tuned(_gripping(lambda drive: drive.by_bus))),
         Row(

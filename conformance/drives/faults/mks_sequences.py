@@ -41,6 +41,7 @@ from conformance.drives.mks.state import SUBDIVISION
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
 _LOW_WORD = 0xFFFF
 _SCALED, _SAFE_RPM, _FASTEST_BACK = 32, 1200, 4
+_TO_PLACES = (Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_ABSOLUTE_AXIS)
 #: The highest subdivision at which the speed is what is sent.
 _PLAIN_MOST = max(SUBDIVISION.plain)
 _MOTION_CODES = frozenset(command.code for command in mks_rs485.DIALECT.commands if command.verb in MOTIONS)
@@ -251,6 +252,19 @@ def _refuses_aloud(drive: MksCore) -> None:
         answer(request, result, answered or aloud, address, at_ns)
 
     drive.answer = say  # type: ignore[method-assign]
+
+
+def _tells_ends(drive: MksCore) -> None:
+    """Tell the end of an absolute move although `respond` is 0."""
+    complete = drive.complete
+
+    def tell(request: Request, values: Values) -> None:
+        respond = drive.settings["respond"]
+        drive.settings["respond"] = int(respond or request.command.verb in _TO_PLACES)
+        complete(request, values)
+        drive.settings["respond"] = respond
+
+    drive.complete = tell  # type: ignore[method-assign]
 
 
 def _keeps_ramp(drive: MksCore) -> None:
@@ -494,6 +508,7 @@ SEQUENCES: Rows = {
     ),
     "with another setting": (
         Row("respond-0-needs-active", "respond 0 silences nothing with active 0", tuned(_silent_if_active), NATIVE),
+        Row("ends-told-aloud", "with respond 0 the end of FE and F5 is told", tuned(_tells_ends), TELLING),
         Row("refused-aloud", "with respond 0 a refusal is answered", tuned(_refuses_aloud), TELLING),
         Row("protection-slows", f"with the protection on nothing turns faster than {_SAFE_RPM} rpm", tuned(_slow_if_protected)),
         *(

@@ -62,6 +62,7 @@ REFUTED_BY = {
     "long-run-executed": "framing/run_speed/other-length",
     "long-settings-executed": "framing/settings/other-length",
     "respond-0-needs-active": "motion/set_respond/0-silences-run_speed",
+    "ends-told-aloud": "motion/set_respond/0-silences-move_absolute_axis",
     "refused-aloud": "motion/set_respond/0-silences-refusals",
     "newer-keeps-ramp": "motion/run_speed/takes-over",
     "newer-keeps-faster": "motion/move_absolute_axis/again-and-again",
@@ -242,7 +243,13 @@ REFUTED_BY = {
     "completion-of-noise": "motion/set_respond/1-answers-again",
     "protected-keeps-torque": "motion/set_protection/lets-go",
     "protected-goes-on": "motion/release_protection/limp-either-way",
+    "status-of-before-off": "motion/read_status/behind-emergency",
+    "locked-keys-refuse-fe": "resilience/settings/leave-motion",
+    "moves-stay-enabled": "motion/enable/off-ends-moves",
     "release-takes-up": "motion/release_protection/limp",
+    "release-needs-enabling": "motion/release_protection/limp",
+    "widest-below-is-above": "motion/move_absolute_axis/widest",
+    "home-speed-low-first": "motion/home/speed-515",
     "disabled-keeps-torque": "motion/read_position/while-disabled",
     "en-pin-keeps-torque": "read-back/set_enable_level/pin",
     "limits-by-low-pins": "motion/set_home/end-limit-stops-move_relative_axis",
@@ -284,6 +291,7 @@ LIMP = (
     ("protected-goes-on", "motion/release_protection/limp"),
     ("angle-error-in-counts", "motion/read_angle_error/limp"),
     ("angle-error-sign-turned", "motion/read_angle_error/limp"),
+    ("angle-error-half-width", "motion/read_angle_error/limp"),
 )
 
 

@@ -134,6 +134,7 @@ MKS = (
     ("run-status-2", "run_speed/crossed-replies"),
     ("respond-ignored", "set_respond/0-silences-run_speed"),
     ("respond-silences-all", "set_respond/0-leaves-reads"),
+    ("respond-silences-emergency", "set_respond/0-leaves-reads"),
     ("active-ignored", "set_respond/inactive-move_relative_axis"),
     ("active-silences-first", "set_respond/inactive-stop_speed"),
     # The status
