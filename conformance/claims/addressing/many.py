@@ -158,7 +158,8 @@ def addresses(dialect: Dialect) -> Iterator[Many]:
         yield _GROUPS
 
 
-def _ways(dialect: Dialect) -> Iterator[Many]:
+def ways(dialect: Dialect) -> Iterator[Many]:
+    """Yield the ways to several drives that a dialect has."""
     yield from addresses(dialect)
     if package.of(dialect):
         yield _PACKAGES
@@ -364,7 +365,7 @@ def _expect_stays(probe: Probe, run: Command, addresses: list[int]) -> None:
 def _ramped(dialect: Dialect) -> Iterator[Case]:
     """Yield each way to several drives with a run whose ramp is known; with a package, as no other claim does, each move."""
     every = dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ()
-    for many in _ways(dialect) if every else ():
+    for many in ways(dialect) if every else ():
         chosen = every if many is _PACKAGES else every[:1]
         risks = many.risks(dialect) | motion.risks(dialect, *(risk for command in chosen for risk in command.all_risks))
         facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
@@ -437,7 +438,7 @@ def _other_group(probe: Probe, many: Many, shown: Observable) -> None:
 
 def _switches(dialect: Dialect) -> Iterator[Case]:
     """Yield each way to several drives with what switches, homes, sets the zero and writes ports."""
-    for many in _ways(dialect):
+    for many in ways(dialect):
         for case in guarded_commands.switches(dialect):
             risks = many.risks(dialect) | guarded_commands.risks(case)
             settings = case.facts.get("settings", motion.settings(dialect))

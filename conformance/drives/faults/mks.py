@@ -159,6 +159,16 @@ HEARING: Rows = {
             deaf_to(mks_frames.of(mks_frames.to_all, Verb.SET_WORK_MODE)),
         ),
         Row(
+            "broadcast-address-ignored",
+            "8B by broadcast is not executed",
+            deaf_to(mks_frames.of(mks_frames.to_all, Verb.SET_ADDRESS)),
+        ),
+        Row(
+            "broadcast-speed-ignored",
+            "8A by broadcast is not executed",
+            deaf_to(mks_frames.of(mks_frames.to_all, Verb.SET_BAUD_RATE)),
+        ),
+        Row(
             "broadcast-group-ignored",
             "8D by broadcast is not executed",
             deaf_to(mks_frames.of(mks_frames.to_all, Verb.SET_GROUP_ADDRESS)),
@@ -178,6 +188,12 @@ HEARING: Rows = {
             "stops to the group address are not executed",
             deaf_to(lambda d, m: mks_frames.to_group(d, m) and mks_frames.stops(m)),
             TELLING,
+        ),
+        Row(
+            "group-address-ignored",
+            "8B to the group address is not executed",
+            deaf_to(mks_frames.of(mks_frames.to_group, Verb.SET_ADDRESS)),
+            having(Verb.SET_GROUP_ADDRESS),
         ),
         Row(
             "group-restart-ignored",
@@ -235,6 +251,7 @@ HEARING: Rows = {
             slots(lambda own, all_, w: [s for s in w if s.command is None or s.command.verb not in STOPS]),
         ),
         Row("package-without-emergency-stop", "F7 is not executed in a package", mks_frames.without(Verb.EMERGENCY_STOP)),
+        Row("package-without-address", "8B is not executed in a package", mks_frames.without(Verb.SET_ADDRESS)),
         Row("package-without-homing", "91 is not executed in a package", mks_frames.without(Verb.HOME)),
         Row("package-without-run-kept", "FF is not executed in a package", mks_frames.without(Verb.SAVE_SPEED)),
         Row(

@@ -13,6 +13,9 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "broadcast-address-ignored": "addressing/broadcast/set_address",
+    "group-address-ignored": "addressing/group/set_address",
+    "package-without-address": "addressing/package/set_address",
     "zero-enables": "motion/enable/stays-off",
     "enabling-takes-up": "motion/move_relative_axis/behind-ended",
     "direction-after-restart": "read-back/restart/motion-as-before",
