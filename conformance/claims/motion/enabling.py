@@ -55,11 +55,15 @@ def _switch_off_going(probe: Probe) -> None:
     motion.wait_until(probe, lambda: abs(motion.speed(probe).value) < 1 + probe.noise.rpm, limit_ns=3 * SECOND_NS // 2)
     probe.wait(SECOND_NS // 2)
     expect_standing(probe, exchange, "the shaft still turns after the motor was switched off")
+    if motion.tells_on(probe.dialect):
+        text = "a motor that was switched off while it turned does not read as off when it stands"
+        seen = motion.is_on(probe)
+        probe.expect("on", holds=seen is False, expected="off", refutes=text, exchange=exchange, key="off at rest")
 
 
 @of_motion(each=_off, refuted_by="a shaft that is still driven", risks=risks_by(Verb.RUN_SPEED), at_best=Certainty.LIKELY)
 def _ends_motion(probe: Probe) -> None:
-    """Switching the motor off ends a motion, and it reads as off at once."""
+    """Switching the motor off ends a motion, and it reads as off at once and when the shaft stands."""
     _switch_off_going(probe)
 
 
@@ -83,6 +87,9 @@ def _does_not_resume(probe: Probe) -> None:
     exchange = motion.switch(probe, True)
     probe.wait(400 * MS)
     expect_standing(probe, exchange, "switching the motor on takes up the motion again")
+    if motion.tells_on(probe.dialect):
+        text = "a motor that was switched off while it turned does not read as on when it is on again"
+        probe.expect("off", holds=motion.is_on(probe) is True, expected="on", refutes=text, exchange=exchange)
 
 
 def _levels_of_pulse_modes(dialect: Dialect) -> Iterator[Case]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from analyzer.catalogue import Command, Verb
 from analyzer.protocols.lk_rs485 import ERROR_BITS, MotorState
-from conformance.drives.drive import Drive, Request, Values
+from conformance.drives.drive import Drive, Hooks, Request, Values
 from conformance.drives.faults.lk_behaviour import INCREMENTS, MULTI_TURN, SINGLE_TURN, lk, moving, replaced, tuned
 from conformance.drives.faults.places import LK, Change, Row, Rows, faults, result, together
 from conformance.drives.lk.drive import Act, LkDrive
@@ -120,6 +120,33 @@ def _letting_go(drive: LkDrive, request: Request) -> None:
 # --- what is told -----------------------------------------------------------------------------------------------------
 
 
+def _install_off_forgotten(hooks: Hooks) -> None:
+    turned: list[bool] = []
+
+    def tell(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+        stands = turned and abs(lk(drive).motor.motion.speed) < 1
+        return values | {"state": int(MotorState.ON)} if stands else values
+
+    def off(old: Act) -> Act:
+        def act(drive: LkDrive, request: Request) -> None:
+            turned[:] = [True] if _turning(drive) else []
+            old(drive, request)
+
+        return act
+
+    def on(old: Act) -> Act:
+        def act(drive: LkDrive, request: Request) -> None:
+            turned.clear()
+            old(drive, request)
+
+        return act
+
+    together(replaced("motor_off", off), replaced("motor_on", on), result(tell, _STATE_1))(hooks)
+
+
+_off_forgotten = Change(_install_off_forgotten, LK)
+
+
 def _on_while_it_turns(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
     """Tell a motor that is off as on while its shaft runs out."""
     return values | {"state": int(MotorState.ON)} if _turning(lk(drive)) and "state" in values else values
@@ -207,6 +234,11 @@ CONDITIONS: Rows = {
         )
     ),
     "what is told": (
+        Row(
+            "lk-off-at-rest-told-on",
+            "0x9A tells a motor as on that was switched off as it turned, once it stands",
+            _off_forgotten,
+        ),
         Row("lk-on-while-turning", "0x9A tells a motor that is off as on while it turns", result(_on_while_it_turns, _STATE_1)),
         Row("lk-offset-of-next", "0x90 tells the offset of 0x19 before it is used", result(_offset_of_next, Verb.READ_ENCODER)),
         Row("lk-zero-raw-stale", "0x19 is answered with the raw value that 0x90 told last", tuned(_raw_of_before)),
