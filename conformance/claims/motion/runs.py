@@ -84,11 +84,19 @@ def _slow(probe: Probe, command: Command) -> None:
 
 
 def _way(probe: Probe, rpm: float) -> float:
-    """Return how far a short run turns the shaft, in degrees, from rest to rest."""
+    """Return how far a short run turns the shaft, in degrees, from rest to rest. Refutes a speed that is told the other way."""
     before = motion.position(probe)
-    motion.run_at(probe, rpm, QUICK)
+    exchange = motion.run_at(probe, rpm, QUICK)
     probe.wait(100 * MS)
-    return motion.stand_still(probe).value - before.value
+    seen = motion.speed(probe)
+    went = motion.stand_still(probe).value - before.value
+    if min(abs(seen.value), abs(went)) > 1 + seen.noise:
+        text = f"the speed of a run is told the other way than the shaft turned, by {went:+.1f} degrees"
+        key = "the speed is told the other way"
+        probe.expect(
+            seen, holds=seen.value * went > 0, unit="rpm", expected="that way", refutes=text, exchange=exchange, key=key
+        )
+    return went
 
 
 def _relative_way(probe: Probe) -> float:

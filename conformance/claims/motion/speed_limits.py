@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import LATE, may_meet
-from conformance.claims.motion.motion_claim import command_of, expect_speed, expect_taken, of_motion
+from conformance.claims.motion.motion_claim import command_of, expect_speed, expect_taken, of_motion, risks_by
 from conformance.claims.motion.moves import with_max_speed
 from conformance.motion import motion
 from conformance.motion.attempts import anew
@@ -28,6 +28,8 @@ _HIGHEST = 3000
 _SLOW = 5
 
 
+#: How long a shaft turns before a motion that comes then.
+_GOING_NS = 60 * MS
 #: How long a move keeps its speed at least.
 _KEEPS_NS = 350 * MS
 #: How far a move goes. At exactly 20 turns back one of its frames ends in a sound native frame to all drives.
@@ -48,10 +50,13 @@ def _way(probe: Probe, speed: int, mode: str) -> int:
 
 
 @anew
-def spun(probe: Probe, command: Command, speed: int, mode: str) -> Spun:
-    """Turn the shaft at a speed as sent, by a run or a long move, and look when the ramp is over."""
+def spun(probe: Probe, command: Command, speed: int, mode: str, turns: bool = False) -> Spun:
+    """Turn the shaft at a speed as sent, by a run or a long move, and look when the ramp is over. `turns`: it does before."""
     way = _way(probe, speed, mode)
     motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
+    if turns:
+        motion.run_at(probe, way * motion.CALM)
+        probe.wait(_GOING_NS)
     exchange = motion.ask(
         probe, command, way * _TURNS * 360, rpm=way, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed}
     )
@@ -63,9 +68,9 @@ def spun(probe: Probe, command: Command, speed: int, mode: str) -> Spun:
     return Spun(exchange, seen)
 
 
-def expect_spun(probe: Probe, command: Command, speed: int, mode: str, rpm: int) -> None:
-    """Refute unless a motion at a speed as sent, in a mode, turns the shaft at `rpm`."""
-    seen = probe.recorded(spun, command, speed, mode)
+def expect_spun(probe: Probe, command: Command, speed: int, mode: str, rpm: int, *, turns: bool = False) -> None:
+    """Refute unless a motion at a speed as sent, in a mode, turns the shaft at `rpm`. `turns`: it turns before."""
+    seen = probe.recorded(spun, command, speed, mode, turns)
     expect_taken(probe, seen.exchange, f"{command.name} at speed {speed} is refused in mode {mode}")
     if seen.rpm.t_ns > seen.exchange.sent_ns + _KEEPS_NS:
         # The move may be at its end by then.
@@ -101,11 +106,18 @@ def _moves_by_mode(dialect: Dialect) -> Iterator[Case]:
             yield Case(dialect, command, {"limits": lower})
 
 
-@of_motion(each=_moves_by_mode, refuted_by="another speed", at_best=Certainty.LIKELY, parameters={}, quirks=may_meet(LATE))
+@of_motion(
+    each=_moves_by_mode,
+    refuted_by="another speed",
+    risks=risks_by(Verb.RUN_SPEED),
+    at_best=Certainty.LIKELY,
+    parameters={},
+    quirks=may_meet(LATE),
+)
 def _mode_limit(probe: Probe, command: Command, limits: dict[str, int]) -> None:
-    """{command} at a greater speed than that of the work mode turns the shaft at the mode's."""
+    """{command} at a greater speed than that of the work mode turns the shaft at the mode's, where it turns already, too."""
     for mode, rpm in limits.items():
-        expect_spun(probe, command, _HIGHEST, mode, rpm)
+        expect_spun(probe, command, _HIGHEST, mode, rpm, turns=True)
 
 
 # --- the max_speed of a move ------------------------------------------------------------------------------------------

@@ -734,6 +734,22 @@ def _axis_turned(drive: MksCore) -> None:
     drive.hooks.request.append(ask)
 
 
+def _turned(drive: MksCore, speed: int) -> int:
+    return -speed if drive.settings["motor_direction"] else speed
+
+
+def _unlimited_while_turning(behaviour: Behaviour) -> Behaviour:
+    def act(drive: MksCore, request: Request) -> Values | None:
+        highest = drive.highest_speed
+        if "close" in drive.mode and _turns(drive):
+            drive.highest_speed = lambda declared: declared  # type: ignore[method-assign]
+        result = behaviour(drive, request)
+        drive.highest_speed = highest  # type: ignore[method-assign]
+        return result
+
+    return act
+
+
 def _open_enables(drive: MksCore) -> None:
     change = drive.behaviours[Verb.SET_WORK_MODE]
 
@@ -1037,6 +1053,18 @@ DOING: Rows = {
     "turned": (
         Row("direction-after-restart", "86 turns F4 round from a restart on", _after_restart(_axis_turned), SERIAL),
         Row("lock-in-open", "82 to the open mode enables the motor, whatever 8F says", tuned(_open_enables), CAN),
+        Row(
+            "direction-turns-speed",
+            "86 turns the speed that 32 tells",
+            result(lambda d, c, sent, found: found | {"speed": _turned(mks(d), found["speed"])}, Verb.READ_SPEED),
+            SERIAL,
+        ),
+        Row(
+            "close-unlimited-while-turning",
+            "F5 in the close mode turns at up to 3000 rpm where the shaft turns already",
+            wrapped(Verb.MOVE_ABSOLUTE_AXIS, _unlimited_while_turning),
+            SERIAL,
+        ),
         Row("back-at-once", "FE back during FE halts the shaft first", before(Verb.MOVE_ABSOLUTE_PULSES, _halted_back)),
     ),
     "restored": tuple(

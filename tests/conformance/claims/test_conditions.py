@@ -13,6 +13,8 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "direction-turns-speed": "motion/set_direction/and-the-bus",
+    "close-unlimited-while-turning": "motion/move_absolute_axis/mode-limit",
     "lk-off-at-rest-told-on": "motion/motor_off/ends-motion",
     "broadcast-address-ignored": "addressing/broadcast/set_address",
     "group-address-ignored": "addressing/group/set_address",
