@@ -10,14 +10,15 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import partial
 
 from analyzer.catalogue import Command, Dialect
 from analyzer.layout import Effect, Field
 from conformance.claims.addressing.many import Many, addressing, ways
 from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case, Cases
-from conformance.claims.settings.link_changes import change_address, follow, other_address, settle
+from conformance.claims.settings.link_changes import another_rate, at_rate, change_address, other_address, settle
 from conformance.motion import motion
 from conformance.talk.acceptance import answers, need_reliable_replies
 from conformance.talk.exchange import Exchange
@@ -40,9 +41,9 @@ def _by_ways(effect: Effect) -> Cases:
     return cases
 
 
-def _send(probe: Probe, many: Many, command: Command, field: Field, value: int) -> Exchange:
+def _send(many: Many, probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
     to = many.join(probe)
-    return probe.send(many.frame(probe, command, {field.name: value}, to), timeout_ns=_SILENT_NS)
+    return probe.send(many.frame(probe, command, values, to), timeout_ns=_SILENT_NS)
 
 
 @addressing("an answer at the old address, or to what was sent", _by_ways(Effect.ADDRESS), name="{many}/{command}")
@@ -50,7 +51,7 @@ def _address(probe: Probe, many: Many, command: Command, field: Field) -> None:
     """An address that {command} gives by {what} is the drive's, and that is not answered."""
     need_reliable_replies(probe)
     before, away = probe.address, other_address(probe.dialect)
-    sent = _send(probe, many, command, field, away)
+    sent = _send(many, probe, command, {field.name: away})
     settle(probe, away)
     there, here = answers(probe, away), answers(probe, before)
     if there:
@@ -63,25 +64,12 @@ def _address(probe: Probe, many: Many, command: Command, field: Field) -> None:
 
 
 @addressing("silence at the new speed, or an answer to what was sent", _by_ways(Effect.BAUD_RATE), name="{many}/{command}")
-def _rate(probe: Probe, many: Many, command: Command, field: Field) -> None:
+def _rate(probe: Probe, many: Many, command: Command) -> None:
     """A speed that {command} sets by {what} is the drive's, and that is not answered."""
     need_reliable_replies(probe)
-    before = probe.gate.line.endpoint.bits_per_second
-    codes = {rate: value for value, rate in probe.dialect.rates.items()}
-    other = next(rate for rate in codes if rate != before)
-    # A drive that has changed is not found again by an end that cannot follow.
-    for rate in (other, before):
-        follow(probe, rate)
-    sent = _send(probe, many, command, field, codes[other])
-    follow(probe, other)
-    try:
-        settle(probe)
+    other = another_rate(probe)
+    with at_rate(probe, other, partial(_send, many)) as sent:
         there = answers(probe, probe.address)
-        if there:
-            probe.ask(command, {field.name: codes[before]})
-    finally:
-        follow(probe, before)
-    settle(probe)
     text = f"{command.name} by {many.what} does not set the speed of the drive"
     probe.expect("silence", holds=there, expected=f"an answer at {other} bits per second", refutes=text, exchange=sent)
     expect_silence(probe, sent, f"{command.name} by {many.what} is answered")

@@ -6,7 +6,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from analyzer import encoder
@@ -19,6 +19,8 @@ from conformance.talk.acceptance import Acceptance, acceptance, answers, plain_r
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe, Until
 
+#: How a setting is sent to a drive.
+Ask = Callable[[Probe, Command, dict[str, int]], Exchange]
 #: A drive that changes its link gets so long for it.
 SETTLE_NS = 200 * MS
 NEW_ADDRESS_ANSWERS = "new-address-answers"
@@ -79,10 +81,10 @@ def follow(probe: Probe, rate: int) -> None:
         raise NotRun(f"this end cannot follow the drive to {rate} bits per second: {error}") from None
 
 
-def set_rate(probe: Probe, rate: int) -> Exchange:
+def set_rate(probe: Probe, rate: int, ask: Ask = Probe.ask) -> Exchange:
     """Set the drive to a speed, without following it. Raises Inconclusive where it has no such setting."""
     command, name, code = _setting_of(probe, rate)
-    return probe.ask(command, {name: code})
+    return ask(probe, command, {name: code})
 
 
 def _setting_of(probe: Probe, rate: int) -> tuple[Command, str, int]:
@@ -99,8 +101,8 @@ def another_rate(probe: Probe) -> int:
 
 
 @contextmanager
-def at_rate(probe: Probe, rate: int) -> Iterator[Exchange]:
-    """Bring the drive and this end to a speed, yield the exchange that asked for it, and bring both back.
+def at_rate(probe: Probe, rate: int, ask: Ask = Probe.ask) -> Iterator[Exchange]:
+    """Bring the drive and this end to a speed, yield the exchange that asked for it, and bring both back. `ask`: how it does.
 
     Raises NotRun where this end cannot be there, and Inconclusive where the drive could not be set back.
     """
@@ -109,7 +111,7 @@ def at_rate(probe: Probe, rate: int) -> Iterator[Exchange]:
     for each in (rate, before):
         _setting_of(probe, each)
         follow(probe, each)
-    exchange = set_rate(probe, rate)
+    exchange = set_rate(probe, rate, ask)
     follow(probe, rate)
     try:
         settle(probe)
