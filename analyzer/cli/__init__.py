@@ -53,6 +53,8 @@ GROUP = "servotap.commands"
 #: Packages of this project: what fails in them is a fault of servotap.
 _OWN = ("analyzer.", "conformance.")
 _NO_VALUE = re.compile(r"(--[\w-]+=|-\w=?)--")
+#: The end of a line in a word, with what stands around it: a message may hold a part of the word.
+_LINE_END = re.compile(r"[^\n]?\n+[^\n]?")
 _DAY_S = 86_400
 #: Other names of commands.
 _ALIASES = {"catalog": "catalogue"}
@@ -188,10 +190,12 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         import difflib
 
+        from analyzer.values import printable
+
         wrong = next((word for word in message.split() if word.startswith("--")), "")
         near = difflib.get_close_matches(wrong.partition("=")[0], self._option_string_actions, 1, 0.6) if wrong else []
         hint = f"; did you mean {near[0]}?" if near and near[0] not in message else ""
-        self.exit(2, f"{self.prog}: {message}{hint} (see {self.prog} --help)\n")
+        self.exit(2, f"{self.prog}: {printable(message)}{hint} (see {self.prog} --help)\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
         """Print the help, or an error; argparse's own says nothing where that cannot be written."""
@@ -224,5 +228,14 @@ def _run(name: str, module: ModuleType, words: Sequence[str]) -> int:
             # A command of another package may return nothing.
             return int(module.run(parsed) or 0)
     except ServotapError as error:
-        print(f"servotap {name}: {error}", file=sys.stderr)
+        print(f"servotap {name}: {_with_names_shown(str(error), words)}", file=sys.stderr)
         return error.exit_status
+
+
+def _with_names_shown(text: str, words: Sequence[str]) -> str:
+    """Return a text with the ends of lines in names that were given as `\\n`: a name is not to break a message in two."""
+    from analyzer.values import printable
+
+    for broken in {end[0] for word in words for end in _LINE_END.finditer(word)}:
+        text = text.replace(broken, printable(broken))
+    return text

@@ -278,7 +278,8 @@ def refused(error: BaseException) -> str:
     if error.errno == errno.ENOENT and error.filename is None:
         return "the current folder has been removed: change into one that exists"
     if error.filename is not None:
-        return f"{os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename}: {error.strerror}"
+        name = os.fsdecode(error.filename) if isinstance(error.filename, (bytes, str, os.PathLike)) else str(error.filename)
+        return f"{printable(name)}: {error.strerror}"
     if error.errno == errno.EBADF and _output_is_closed():
         return "cannot write the output: it is closed"
     return f"cannot write the output: {error.strerror}" if error.errno in _UNWRITTEN else ""

@@ -178,7 +178,7 @@ def write_made(
         target = free_target(Path(arguments.output), arguments.force, [str(file) for log in logs for file in log.files])
         with whole(target, replace=arguments.force) as stream:
             said, notes = write(logs, stream)
-    print(f"wrote {arguments.output}: {said}")
+    print(f"wrote {printable(arguments.output)}: {said}")
     for note in notes:
         print(f"note: {printable(note)}", file=sys.stderr)
     return 0

@@ -11,6 +11,7 @@ from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.live import profile
 from analyzer.live.endpoint import Endpoint
+from analyzer.values import printable
 from conformance.bus import at_default_rate, open_line
 from conformance.bus.line import Line, LineLost
 from conformance.gate.gate import Gate
@@ -47,7 +48,7 @@ def rate_text(endpoint: Endpoint, speed: int) -> str:
 def say_rate(endpoint: Endpoint, dialect: Dialect, given: str) -> None:
     """Say the rate of an endpoint where it was given without one."""
     if endpoint.text != given:
-        print(f"{endpoint.text}: the default rate of {dialect.name}", file=sys.stderr)
+        print(f"{printable(endpoint.text)}: the default rate of {dialect.name}", file=sys.stderr)
 
 
 @contextlib.contextmanager

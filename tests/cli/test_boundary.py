@@ -380,3 +380,45 @@ def test_a_progress_draws_on_the_terminal_and_texts_stay_clean(monkeypatch):
     # rich takes the escapes of what others print above its display.
     assert "a note with" in terminal.getvalue()
     assert "\x1b[2J" not in terminal.getvalue()
+
+
+BROKEN = "a\nservotap: all well"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["show", BROKEN],
+        ["show", f"{BROKEN}/x"],
+        ["show", "--limit", BROKEN, "x"],
+        ["show", f"--{BROKEN}"],
+        ["show", "there", "--dbc", BROKEN],
+        ["show", BROKEN * 20],
+        ["cut", BROKEN, "-o", "x.mcap"],
+        ["restore", BROKEN],
+        ["recover", BROKEN],
+        ["send", BROKEN, "read_speed"],
+        ["send", "mks-rs485@1", "read_speed", "--on", f"serial:{BROKEN}"],
+        ["scan", f"serial:{BROKEN}"],
+        ["record", f"serial:{BROKEN}"],
+        [BROKEN],
+    ],
+    ids=lambda words: " ".join(words)[:30],
+)
+def test_the_end_of_a_line_in_a_name_breaks_no_message_in_two(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("there").write_text("> FA 01 32 2D\n")
+    try:
+        status = main(words)
+    except SystemExit as left:
+        status = left.code
+    assert status == 2
+    said = capsys.readouterr().err
+    assert "a\\nservotap: all well" in said
+    assert "\nservotap: all well" not in said
+
+
+def test_the_end_of_a_line_in_a_name_breaks_no_output_in_two(tmp_path, capsys):
+    log = str(Path(__file__).parents[2] / "captures" / "mks_rs485.mcap")
+    assert main(["cut", log, "--since", "1s", "-o", str(tmp_path / BROKEN)]) == 0
+    assert "\nservotap: all well" not in "".join(capsys.readouterr())
