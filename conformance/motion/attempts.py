@@ -58,5 +58,5 @@ def anew(attempt: Callable[Concatenate[Probe, Given], Seen]) -> Callable[Concate
 
 
 def damaged(probe: Probe, since: int) -> bool:
-    """Say whether the line damaged something from an exchange on, by its number in the claim's traffic."""
-    return any(exchange.damaged for exchange in probe.traffic[since:])
+    """Say whether the line damaged or lost something from an exchange on, by its number in the claim's traffic."""
+    return any(exchange.damaged or exchange.unanswered for exchange in probe.traffic[since:])

@@ -38,7 +38,7 @@ def test_what_the_last_attempt_shows_is_returned(probe, attempts, made):
         probe.wait(motion.SECOND_NS // 2)
         rests.append(rest.value)
         damages, fails = attempts[len(rests) - 1]
-        probe.traffic += [SimpleNamespace(damaged=True)] * damages
+        probe.traffic += [SimpleNamespace(damaged=True, unanswered=False)] * damages
         if fails:
             raise Inconclusive("not answered")
         return turns, len(rests)
@@ -53,7 +53,7 @@ def test_what_the_last_attempt_raises_is_raised(probe, damages, made):
     tried = []
 
     def attempt(probe):
-        tried.append(probe.traffic.append(SimpleNamespace(damaged=damages)))
+        tried.append(probe.traffic.append(SimpleNamespace(damaged=False, unanswered=damages)))
         raise Inconclusive("not answered")
 
     with pytest.raises(Inconclusive):
@@ -68,7 +68,7 @@ def test_a_function_that_makes_attempts_keeps_its_name_and_what_it_is_given(prob
     def turned(probe, turns, *, way):
         """Turn the shaft."""
         tried.append((turns, way))
-        probe.traffic += [SimpleNamespace(damaged=True)] * (len(tried) == 1)
+        probe.traffic += [SimpleNamespace(damaged=True, unanswered=False)] * (len(tried) == 1)
         return turns * way
 
     assert turned(probe, 3, way=-1) == -3
