@@ -329,6 +329,26 @@ ONCE_ACCUSED = [
         91400005,
         "run_speed/crossed-tells",
     ),
+    # A shaft that rests far beside its targets left a slow speed uncertain, which was taken for late replies.
+    (
+        "mks-modbus@18,model=28D,encoder-noise=1,loop-error=20,speed-lag=5ms,stall=30ms,first-late=200ms,clock=+1%,"
+        "latency=0.3..12ms,home_current=400,saved_run=1,saved_speed=100,saved_acceleration=100",
+        70100000,
+        "run_speed/speed-1",
+    ),
+    # Shafts beside their targets by 0.3 degrees and more, each by another way than it set off.
+    (
+        "lk-rs485@8,model=MS,encoder-noise=2,loop-error=12,speed-noise=4%,stall=60ms,settle=80ms,latency=5..20ms,"
+        "latency-timer=1ms,turnaround-noise=FF,voltage-noise=0.3,warm",
+        61004,
+        "move_increment/crossed-tells",
+    ),
+    ("mks-can@11,model=57E,encoder-noise=2,loop-error=12,clock=+2%,settle=300ms,latency=0.3..12ms", 61001, "axis/distance"),
+    ("mks-can@6,model=57E,encoder-noise=1,loop-error=20,tremble=3,settle=80ms", 61009, "set_zero/carry"),
+    ("mks-rs485@26,model=57D,encoder-noise=4,speed-lag=20ms,hysteresis=8,settle=300ms", 61003, "settings/leave-motion"),
+    ("mks-rs485@26,model=57D,encoder-noise=4,loop-error=20,overshoot=20,settle=300ms", 61003, "set_home/end-limit-off"),
+    # A slot of a package keeps a run that turns the way that a positive speed does, whichever that is.
+    ("mks-rs485@1,quirk=reversed-direction", 0, "save_speed/package"),
 ]
 
 
