@@ -1,7 +1,7 @@
 """How many honest drives a suite accuses: drives drawn from all traits of realism and all settings, every claim, virtual time.
 
     python -m benchmarks.honest [--drives 200] [--seed 1] [--jobs 2] [--every 1] [--set bench|poor] [--part /motion/]
-                                [--stored 50]
+                                [--stored 50] [--worn]
 
 Each drive has a dialect, a model, traits and stored settings drawn by its number and the seed. Every second drive that cannot
 tell its settings is one of a user who tells them. Nothing may be refuted, but for a line that turns bits over; the exit status
@@ -50,7 +50,22 @@ TRAITS: tuple[tuple[str, int, tuple[str, ...]], ...] = (
     ("voltage-noise", 50, ("0.05", "0.1", "0.3")),
     ("warm", 30, ("",)),
     ("line-errors", 15, ("0.1%", "0.5%", "1%")),
+    ("request-errors", 10, ("0.1%", "0.5%", "1%")),
 )
+
+#: What a cheap or worn motor and a slow adapter show in place of that.
+WORN: dict[str, tuple[str, ...]] = {
+    "encoder-noise": ("1", "2", "3", "4"),
+    "loop-error": ("6", "8", "12", "20"),
+    "speed-noise": ("2%", "3%", "4%"),
+    "tremble": ("1", "2", "3"),
+    "hysteresis": ("2", "4", "8"),
+    "creep": ("2", "4", "6"),
+    "stall": ("30ms", "60ms"),
+    "settle": ("80ms", "150ms", "300ms"),
+    "overshoot": ("8", "14", "20"),
+    "latency": ("0.3..12ms", "5..20ms"),
+}
 
 #: Of a hundred settings that a drive can store, how many are not the usual ones; how many drives keep a zero or a run.
 STORED, _KEEP = 15, 10
@@ -81,18 +96,19 @@ def _value(field: Field, usual: int, chance: random.Random) -> int:
     return chance.choice((*ends, *(int((usual or field.high) * share) for share in _SHARES)))
 
 
-def drawn(number: int, seed: int, share: int = STORED) -> str:
+def drawn(number: int, seed: int, share: int = STORED, *, worn: bool = False) -> str:
     """Return an honest drive by its number, as people name it. `share`: of a hundred settings, how many are stored."""
+    more = WORN if worn else {}
     chance = random.Random(f"{seed} honest {number}")
     names = sorted(make.KINDS)
     dialect = dialects.get(names[number % len(names)])
     words = [f"{dialect.name}@{chance.randint(1, 30)}"]
     if dialect.models:
         words.append(f"model={chance.choice(dialect.models)}")
-    noise = chance.choice((0, 1, 1, 1, 2))
-    words += [f"encoder-noise={noise}"] if noise else []
+    noise = chance.choice(more.get("encoder-noise", ("0", "1", "1", "1", "2")))
+    words += [f"encoder-noise={noise}"] if int(noise) else []
     for name, of_hundred, values in TRAITS:
-        value = chance.choice(values)
+        value = chance.choice(more.get(name, values))
         if chance.randrange(100) < of_hundred:
             words.append(f"{name}={value}" if value else name)
     model = next((word.partition("=")[2] for word in words if word.startswith("model=")), "")
@@ -124,7 +140,7 @@ def accused(
     for verdict in engine.run(wanted[seed % every :: every], rig):
         counts[verdict.outcome.value] += 1
         # A line that turns bits over is refuted by what judges it, and by nothing else.
-        of_the_line = "line-errors=" in text and verdict.claim.of_line
+        of_the_line = "-errors=" in text and verdict.claim.of_line
         if verdict.outcome is Outcome.REFUTED and not of_the_line:
             refuted.append(f"{verdict.claim.id}: {verdict.reason} ({verdict.expected}; {verdict.got})")
     return f"{text} (seed {seed}, settings {'told' if tells else 'not told'})", counts, refuted
@@ -135,11 +151,11 @@ def _numbered(given: tuple[str, int, int, str, bool]) -> tuple[str, Counter[str]
 
 
 def drives(
-    count: int, seed: int, every: int, of: str = "", part: str = "", share: int = STORED
+    count: int, seed: int, every: int, of: str = "", part: str = "", share: int = STORED, *, worn: bool = False
 ) -> Iterator[tuple[str, int, int, str, bool]]:
     """Yield drives with the seed of each and which claims it tries; all with one set of traits where it is named."""
     for number in range(count):
-        text = drawn(number, seed, share)
+        text = drawn(number, seed, share, worn=worn)
         if of:
             text = ",".join([*(word for word in text.split(",")[:2] if "@" in word or "model=" in word), f"real={of}"])
         # Drives of one dialect follow each other by the number of dialects: all claims are tried in turn.
@@ -157,14 +173,14 @@ def main() -> int:
     )
     parser.add_argument("--set", default="", help="bench or poor: this set for all, in place of traits drawn")
     parser.add_argument("--stored", type=int, default=STORED, help="of a hundred settings, how many are not the usual ones")
+    parser.add_argument("--worn", action="store_true", help="traits of cheap and worn motors")
     parser.add_argument("--part", default="", help="only claims with this in their id, such as /motion/")
     arguments = parser.parse_args()
     began, guilty = time.monotonic(), 0
     total: Counter[str] = Counter()
     with get_context("spawn").Pool(arguments.jobs) as pool:
-        drawn_drives = drives(
-            arguments.drives, arguments.seed, arguments.every, arguments.set, arguments.part, arguments.stored
-        )
+        given = (arguments.drives, arguments.seed, arguments.every, arguments.set, arguments.part, arguments.stored)
+        drawn_drives = drives(*given, worn=arguments.worn)
         for number, (text, counts, refuted) in enumerate(pool.imap(_numbered, drawn_drives), 1):
             total += counts
             guilty += bool(refuted)

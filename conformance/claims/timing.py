@@ -115,7 +115,12 @@ def _at_rest(probe: Probe) -> None:
     _summary(probe, "reply", latencies)
 
 
-@_of_reads("a read without a reply", name="replies/every-time", statement=f"Of {_IN_A_ROW} reads in a row each is answered.")
+@_of_reads(
+    "a read without a reply",
+    name="replies/every-time",
+    statement=f"Of {_IN_A_ROW} reads in a row each is answered.",
+    of_line=True,
+)
 def _every_time(probe: Probe) -> None:
     command = plain_read(probe.dialect)
     exchanges = [probe.ask(command, timeout_ns=probe.rig.late_ns, quiet_ns=0) for _ in range(_IN_A_ROW)]

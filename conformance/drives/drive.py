@@ -119,11 +119,15 @@ class Change(Protocol):
 
 
 class Rest(NamedTuple):
-    """How the shaft comes to rest. `at_ns`: when; `since_ns`: for how long, negative before; `way`: the sign of its turning."""
+    """How the shaft comes to rest. `at_ns`: when; `since_ns`: for how long, negative before; `way`: the sign of its turning.
+
+    `rpm`: its speed.
+    """
 
     at_ns: float
     since_ns: float
     way: int
+    rpm: float = 0.0
 
 
 class Options(TypedDict, total=False):

@@ -5,6 +5,7 @@
     mks-rs485@1,encoder-noise=1,latency=0.3..8ms,warm       single traits; they win over those of `real`
 
     numbers read     position, angle, encoder; speed; volts and amperes      `Hooks.result`
+    requests         whether they come whole                                 `Hooks.accept`
     replies          their time, bytes around them, pauses in them           `Hooks.reply`
     shaft            off its target at rest, beyond it before it rests       by the position that is read
 
@@ -30,6 +31,7 @@ from msgspec.structs import replace
 from analyzer.catalogue import Command, Risk, Verb
 from analyzer.errors import UsageError
 from analyzer.layout import Field
+from analyzer.records import Frame, Message
 from analyzer.values import quote
 from conformance.drives.drive import Drive, Hooks, Outgoing, Values
 
@@ -45,6 +47,8 @@ _SWINGS = 2
 _PAUSED = 4
 #: One of how many replies is stalled.
 _STALLED = 40
+#: From this speed on a loop lags by all that it does.
+_LAGS_RPM = 60.0
 #: How long a shaft creeps.
 _CREEP_NS = 1000 * MS
 _WARM = 62.0
@@ -88,6 +92,9 @@ TRAITS: tuple[Trait, ...] = (
     Trait("byte-gap", "characters", "a pause inside one of four replies", "UARTs filled by polling", "1", serial=True),
     # A damaged frame of CAN is sent again by the controllers.
     Trait("line-errors", "%", "replies with one bit turned over", "long lines without termination", "0.1%", serial=True),
+    Trait(
+        "request-errors", "%", "requests that come with a bit turned over, and are not taken", "the same", "0.1%", serial=True
+    ),
     Trait("voltage-noise", "V", "volts and amperes read", "switching supplies", "0.2"),
     Trait("dip", "V", "volts read while the shaft turns", "supplies with long wires", "1"),
     Trait("warm", "", "the motor is at 62 degC", "any motor that works", ""),
@@ -187,6 +194,8 @@ class _Real:
         hooks.setup.append(self._setup)
         hooks.result.append(self._numbers)
         hooks.reply.append(self._reply)
+        if self._most("request-errors"):
+            hooks.accept.append(self._whole)
 
     def _setup(self, drive: Drive) -> None:
         self._seed = drive.seed
@@ -220,7 +229,9 @@ class _Real:
         rest = drive.rest
         loop, over = self._most("loop-error"), self._most("overshoot")
         if rest.way and rest.since_ns < 0:
-            return -rest.way * loop * COUNT
+            # It sets off from where it rested, and falls back as it gets faster.
+            share = min(1.0, abs(rest.rpm) / _LAGS_RPM)
+            return ((1 - share) * self._drawn[1] - share * rest.way * loop) * COUNT
         if rest.at_ns != self._drawn[0]:
             self._drawn = (rest.at_ns, random.Random(f"{self._seed} {rest.at_ns}").uniform(-loop, loop))
         length_ns = self._most("settle") * MS or _SETTLE_NS
@@ -283,7 +294,12 @@ class _Real:
             noise -= self._most("dip") / float(field.scale)
         values[field.name] = _within(field, values[field.name] + round(noise if field.unit == "V" else noise / 10))
 
-    # --- replies --------------------------------------------------------------------------------------------------
+    # --- requests and replies ---------------------------------------------------------------------------------------
+
+    def _whole(self, drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        """Say whether a request comes whole: one bit that is turned over each check of these dialects sees."""
+        lost = drive.dialect.bus != "can" and self._chance.random() * 100 < self._most("request-errors")
+        return wanted and not lost
 
     def _reply(self, drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
         chance, data, at_ns = self._chance, outgoing.data, outgoing.at_ns

@@ -46,8 +46,8 @@ _SETTLES_NS, _TREMBLES_NS = 20 * MS, 120 * MS
 _SLOW, _LATE_NS = 1.07, 150 * MS
 #: When a number or a flag that differs is asked again: some drives tell late that they stand.
 _AGAIN_NS, _AT_ONCE_NS = (200 * MS, 1_200 * MS), (0, 20 * MS)
-#: How often a read is asked for at most.
-_ASKED = 4
+#: How often a read is asked for at most, and another command that is not answered.
+_ASKED, _TOLD = 4, 2
 #: What is left of a move that is looked at on its way, at least.
 _WORTH_NS = 60 * MS
 #: How late what is told unasked was seen to come.
@@ -190,7 +190,11 @@ class Walk:
         silent = self.twin.drive.silenced(command)
         until, timeout_ns = (Until.TIMEOUT, probe.noise.silence_ns) if silent else (Until.REPLY, None)
         before, scale = dict(self.twin.drive.settings), 360 / (200 * getattr(self.twin.drive, "subdivision", 1))
-        exchange = probe.ask_built(built, until=until, timeout_ns=timeout_ns, quiet_ns=0)
+        for _ in range(_TOLD):
+            exchange = probe.ask_built(built, until=until, timeout_ns=timeout_ns, quiet_ns=0)
+            # A request that the line loses does nothing. The second one is the drive's word.
+            if silent or not exchange.unanswered:
+                break
         told = self.twin.hear(built.item(), self._twin_ns(exchange.sent_ns))
         self._compare_reply(command, exchange, told)
         if not silent and not probe.refused(exchange):

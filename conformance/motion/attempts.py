@@ -14,6 +14,7 @@ from collections.abc import Callable
 from functools import partial, wraps
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
+from analyzer.catalogue import Verb
 from conformance.claim import Inconclusive
 from conformance.motion import motion
 
@@ -58,5 +59,9 @@ def anew(attempt: Callable[Concatenate[Probe, Given], Seen]) -> Callable[Concate
 
 
 def damaged(probe: Probe, since: int) -> bool:
-    """Say whether the line damaged something from an exchange on, by its number in the claim's traffic."""
-    return any(exchange.damaged for exchange in probe.traffic[since:])
+    """Say whether the line damaged or lost something from an exchange on, by its number in the claim's traffic.
+
+    Where the claim itself has set what is answered, silence is no loss.
+    """
+    silenced = any(e.command is not None and e.command.verb is Verb.SET_RESPOND for e in probe.traffic)
+    return any(exchange.damaged or (exchange.unanswered and not silenced) for exchange in probe.traffic[since:])

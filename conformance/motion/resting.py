@@ -43,6 +43,8 @@ _CREEPS_NS = 800 * motion.MS
 _SETTLING = 5
 #: From this share on a speed differs from the one asked for; a move that misses by these degrees did not go its way.
 _ANOTHER, _SHORT = 0.1, 90.0
+#: By how many moves it is seen how far from its targets a loop rests, how long they are, in degrees, and when each has settled.
+_MOVES, _STEP, _SETTLED_NS = 8, 30.0, 150 * motion.MS
 #: What a drive's own limits must leave to the suite, as they are sent, 0 being no limit; and a run that they allow.
 _LIMITED_RPM, _LIMITED_NS = 120, 500 * motion.MS
 _LEAST = {"speed_limit": 72_000, "speed_ramp": 180_000}
@@ -163,12 +165,32 @@ def _in_motion(probe: Probe) -> Noise:
     missed = abs(abs(after[-1] - before) - _WAY) / 2
     loop = max(probe.noise.loop, missed if missed <= LOOP_DEGREES else 0.0)
     noise = replace(probe.noise, degrees=max(probe.noise.degrees, _half_span(after[_SETTLING:])), loop=loop, lag=lag)
+    if noise.live:
+        noise = replace(noise, loop=max(loop, _beside(probe)))
     if min(speeds, default=0.0) < _RESTS:
         return noise
     trembling = _half_span(speeds)
     # A tremble that a whole rpm hides shows at higher speeds.
     least = _HIDDEN_RPM if noise.live or trembling else 0.0
     return replace(noise, share=max(trembling, least) / mean)
+
+
+def _beside(probe: Probe) -> float:
+    """Return how many degrees from its targets a loop rests: by its own word, and by how differently moves miss them.
+
+    What all moves miss alike is no tremble.
+    """
+    move, before = _move(probe.dialect), motion.position(probe).value
+    missed, told = [], []
+    for _ in range(_MOVES):
+        motion.ask(probe, move, _STEP, rpm=_RPM, acceleration=motion.QUICK)
+        motion.wait_standing(probe)
+        probe.wait(_SETTLED_NS)
+        now = motion.position(probe).value
+        missed.append(abs(now - before))
+        told.append(_angle_error(probe))
+        before = now
+    return max(_half_span(missed) / 2, *told)
 
 
 def _arriving(probe: Probe) -> list[float]:

@@ -6,8 +6,9 @@ manual has it, and one with each known fault. Where the steps refute one of them
 which costs no motion. What is left is confirmed on the real drive.
 
 A line may damage what it carries, and what a claim then takes for the drive's doing. So a claim that refutes while something
-came damaged is tried again, also on an emulated drive, and so is one that comes to nothing. It counts where it comes again
-without damage, or each time alike.
+came damaged or was not answered is tried again, also on an emulated drive, and so is one that comes to nothing. It counts
+where it comes again without damage, or each time alike. Once a line has been seen to lose something, each refutation is
+tried twice.
 
 A user's settings may spoil a claim that was written for others. A claim that refutes a drive is therefore tried on ideal
 drives. These have the drive's settings where they are known, and likely ones where not. If the claim refutes an ideal drive
@@ -165,7 +166,7 @@ def _verdict(claim: Claim, probe: Probe, outcome: Outcome, reason: str, error: R
         dict(probe.series),
         tuple(probe.latencies),
         error.steps if error is not None else (),
-        any(exchange.damaged for exchange in probe.traffic),
+        any(exchange.damaged or probe.rig.has_lost(exchange) for exchange in probe.traffic),
     )
 
 
@@ -177,10 +178,19 @@ def _not_refuted(verdict: Verdict, outcome: Outcome, reason: str) -> Verdict:
 # --- a refutation on a line that damages replies ----------------------------------------------------------------------
 
 
+def _times(rig: ClaimRig, verdict: Verdict) -> int:
+    """Return how often a claim is begun that has come to a verdict."""
+    rig.loses = rig.loses or verdict.damaged
+    if verdict.damaged:
+        return _ALIKE if verdict.outcome in _AGAIN else 1
+    # A request to which no reply is due may have been lost unseen.
+    return 2 if rig.loses and verdict.outcome is Outcome.REFUTED else 1
+
+
 def _unless_damaged(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:
     """Return the verdict of a claim, tried again where it refutes or comes to nothing and the line damaged something."""
     tried = [verdict]
-    while not claim.of_line and verdict.damaged and verdict.outcome in _AGAIN and len(tried) < _ALIKE:
+    while not claim.of_line and len(tried) < _times(rig, verdict):
         # It is done again, not looked at again.
         rig.recordings.clear()
         with rig.trying_again(len(tried)):

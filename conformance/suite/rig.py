@@ -20,10 +20,9 @@ class ClaimRig(Rig, ABC):
     """One drive under test. `firmware`: as the drive reported it. `alone`: no other drive is on the bus, says the user.
 
     `named`: claims that the user named. `began_ns`: when its line was opened. `shown`: known quirks that the drive has shown,
-    by name; `looked_for`: quirks that the run tested for in addition to the claims. `searched`: for how
-    long (s) it searched for emulated drives that fail alike. `set_alike`: ideal drives, by the settings that this one has or
-    may have. `untold`: settings, by field, that neither the drive nor the
-    user tells.
+    by name; `looked_for`: quirks that the run tested for in addition to the claims. `loses`: its line was seen to damage or
+    lose something. `searched`: for how long (s) it searched for emulated drives that fail alike. `set_alike`: ideal drives, by
+    the settings that this one has or may have. `untold`: settings, by field, that neither the drive nor the user tells.
     """
 
     name: str
@@ -39,6 +38,7 @@ class ClaimRig(Rig, ABC):
         self.shown: set[str] = set()
         self.looked_for: set[str] = set()
         self.searched = 0.0
+        self.loses = False
         self.set_alike: dict[Hashable, ClaimRig] = {}
 
     @property

@@ -102,7 +102,8 @@ class Exchange:
     and `values` (integers as sent): what was asked, where it was built from a command. `requests`: the frames in what was
     sent; `answers`: all frames that came, but for `foreign`: those of CAN nodes that are no drives; `received`: every byte
     that came (on CAN the data of the frames of drives); `passed`: bytes of CAN frames that came and were not read. `until_ns`:
-    how long was listened. `again`: the same request sent once more, where the line had damaged the reply.
+    how long was listened. `awaited`: a reply was waited for. `again`: the same request sent once more, where the line had
+    damaged or lost something.
     """
 
     sent: bytes | CanFrame | None
@@ -118,6 +119,7 @@ class Exchange:
     requests: list[Entry] = field(default_factory=list)
     received: bytes = b""
     passed: int = 0
+    awaited: bool = False
     again: Exchange | None = None
 
     @property
@@ -129,6 +131,11 @@ class Exchange:
     def damaged(self) -> bool:
         """Whether something came that cannot be read: bytes that are no frame, or a frame whose checksum does not fit."""
         return bool(self.junk) or any(not a.message.frame.checksum_ok for a in self.answers)
+
+    @property
+    def unanswered(self) -> bool:
+        """Whether nothing at all came back to a command whose reply was waited for."""
+        return self.awaited and self.silent and self.command is not None and bool(self.command.reply_forms)
 
     @property
     def unread(self) -> int:

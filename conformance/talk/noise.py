@@ -19,8 +19,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 COUNT = 360 / 16384
-#: The most that two rests of a shaft may differ from what was asked, in degrees: less than three pulses at 16 subdivisions.
-_MOST_DEGREES = 0.3
+#: The most that two rests of a shaft may differ from what was asked, in degrees: half a full step, behind which a rotor that is
+#: let go falls into the next one.
+_MOST_DEGREES = 0.9
 #: How far from its target a loop that trembles rests at least, in degrees.
 LOOP_DEGREES = 4 * COUNT
 #: What a shaft swings by when it arrives, in degrees: one that trembles, and one that rests quietly.
@@ -101,7 +102,8 @@ class Noise:
     @property
     def place(self) -> float:
         """By how many degrees two places may differ from what was asked."""
-        return min(_MOST_DEGREES, 2 * self.degrees + 2 * max(self.loop, LOOP_DEGREES)) if self.live else 0.0
+        loop = max(self.loop * _UNSEEN / 2, LOOP_DEGREES)
+        return min(_MOST_DEGREES, 2 * self.degrees + 2 * loop) if self.live else 0.0
 
     @property
     def swing(self) -> float:

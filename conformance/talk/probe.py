@@ -92,6 +92,8 @@ class Rig:
         self.address = address
         #: Motions that several claims judge, by what was done.
         self.recordings: dict[Hashable, Recording] = {}
+        #: Names of commands that the drive has answered.
+        self.answered: set[str] = set()
 
     @property
     def byte_ns(self) -> int:
@@ -126,6 +128,10 @@ class Rig:
 
     def before_send(self, item: bytes | CanFrame) -> None:
         """Take note of what is about to leave; a rig that puts things back looks here at what is changed."""
+
+    def has_lost(self, exchange: Exchange) -> bool:
+        """Say whether a command was not answered here that the drive answers at other times."""
+        return exchange.unanswered and exchange.command is not None and exchange.command.name in self.answered
 
     def exchanged(self, exchange: Exchange) -> None:
         """Take note of what came back; a rig whose drive may fall silent looks here for when it did."""
@@ -336,10 +342,14 @@ class Probe:
             # Raw bytes are no request that the analyzer could pair replies with.
             exchange = dialogue.send(item, built, shown=built is not None)
         self.traffic.append(exchange)
-        wrecked = None if until is Until.TIMEOUT or built is None else partial(self._wrecked, until is Until.DONE)
+        awaited = until is not Until.TIMEOUT and built is not None
+        exchange.awaited = awaited and exchange.address == self.address
+        wrecked = partial(self._wrecked, until is Until.DONE) if awaited else None
         dialogue.collect(exchange, _ENDS[until], timeout_ns, quiet_ns=quiet_ns, wrecked=wrecked)
         if built is not None and exchange.answers and len(self.latencies) < _KEPT_LATENCIES:
             self.latencies.append((built.command.name, exchange.answers[0].latency_ns))
+        if built is not None and exchange.answers:
+            self.rig.answered.add(built.command.name)
         self.rig.exchanged(exchange)
         return exchange
 
@@ -424,7 +434,7 @@ class Probe:
             self.quirks.append(quirk)
 
     def reply(self, exchange: Exchange, *, once_more: bool = True) -> Answer:
-        """Return the reply of an exchange that another claim judges. `once_more`: ask again for one that the line damaged.
+        """Return the reply of an exchange that another claim judges. `once_more`: ask again for one that is damaged or lost.
 
         Raises Inconclusive where there is none, or none that can be read.
         """
@@ -437,16 +447,16 @@ class Probe:
         return answer
 
     def sound(self, exchange: Exchange) -> Exchange:
-        """Return an exchange, or one sent once more whose reply the line damaged: a read, a setting, or enabling.
+        """Return an exchange, or one sent once more whose reply the line damaged or lost: a read, a setting, or enabling.
 
-        A damaged reply is judged once, not by each claim.
+        A line that damages or loses something is judged once, not by each claim.
         """
         if exchange.again is not None:
             return exchange.again
         answer, command = exchange.reply, exchange.command
-        # What came may be no frame any more.
+        # What came may be no frame any more; a request that came damaged is not answered.
         is_damaged = exchange.damaged and not exchange.is_read and (answer is None or not answer.bare)
-        if not is_damaged or command is None:
+        if not (is_damaged or exchange.unanswered) or command is None:
             return exchange
         same = _SET_AGAIN if Risk.SETTING in command.all_risks else _SAME_AGAIN
         if not (command.all_risks <= same or command.verb in _ENABLING) or exchange.address is None:
@@ -454,7 +464,8 @@ class Probe:
         built = self.build(command, exchange.values, address=exchange.address)
         if built.item() != exchange.sent:
             return exchange
-        self.measured["damaged replies"] = self.measured.get("damaged replies", 0) + 1
+        what = "damaged replies" if is_damaged else "lost requests"
+        self.measured[what] = self.measured.get(what, 0) + 1
         exchange.again = self.ask_built(built)
         return exchange.again
 

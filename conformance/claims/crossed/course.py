@@ -308,8 +308,14 @@ def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
             if not _stands(rest):
                 motion.stand_still(probe)
                 rest = looks.at_rest(probe, reads_of(probe.dialect))
-            found.append(_try(probe, probe.command(row.command), row, reads, rest))
-            rest = found[-1].after
+            tried = _try(probe, probe.command(row.command), row, reads, rest)
+            if any(e is not None and e.unanswered for e in (tried.begun, tried.stopped)):
+                # The line may have lost it; what is not answered twice is the drive's.
+                motion.stand_still(probe)
+                rest = looks.at_rest(probe, reads_of(probe.dialect))
+                tried = _try(probe, probe.command(row.command), row, reads, rest)
+            found.append(tried)
+            rest = tried.after
         except Refused as error:
             refused, rest = error, ()
             motion.stand_still(probe)

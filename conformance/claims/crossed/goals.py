@@ -289,7 +289,12 @@ def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
             if motion.of(command).kind is MotionKind.MOVE_TO and Risk.SETTING in probe.rig.allowed:
                 _name_place(probe, row, 1 if tried[row.way, row.rpm] % 2 else -1)
                 tried[row.way, row.rpm] += 1
-            found.append(_try(probe, command, row, reads))
+            tried_row = _try(probe, command, row, reads)
+            if any(edge.exchange.unanswered for edge in tried_row.edges):
+                # The line may have lost it; what is not answered twice is the drive's.
+                motion.stand_still(probe)
+                tried_row = _try(probe, command, row, reads)
+            found.append(tried_row)
             if not found[-1].stood:
                 # What does not stop is judged; no row can begin behind it.
                 break

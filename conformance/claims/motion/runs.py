@@ -15,12 +15,15 @@ from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, commands, motions
 from conformance.claims.known_quirks import LATE, may_meet
 from conformance.claims.motion.motion_claim import expect_speed, has_direction, has_sign, of_motion, risks_by, risks_of
+from conformance.claims.motion.ramps import TOO_LATE_NS
 from conformance.motion import arriving, motion
 from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, SUBDIVISION
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import Probe
 from conformance.talk.restarts import restart
 
+#: A speed is measured over so many times the way by which places may be off.
+_CLEAR = 20
 #: The speed of runs that last, and that of runs whose direction alone matters: 16 bits hold them in every unit.
 _RPM, _SLOW = 54, 30
 #: The slowest, in whole rpm and in 0.01 deg/s: what they are measured in, after how long, and by how much they may be off.
@@ -48,14 +51,16 @@ def _turns_at(probe: Probe, rpm: float) -> None:
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     exchange = motion.run_at(probe, rpm, QUICK)
     probe.wait(200 * MS)
-    # At a low speed the shaft needs a while to go far enough to measure.
-    speed, spread = motion.mean_speed(probe, 1500 * MS if abs(rpm) < 10 else 600 * MS)
+    # At a low speed the shaft needs a while to go far enough to measure, the more so where it trembles.
+    clear_ns = int(_CLEAR * probe.noise.place / 6 / abs(rpm) * SECOND_NS)
+    speed, spread = motion.mean_speed(probe, max(clear_ns, 1500 * MS if abs(rpm) < 10 else 600 * MS))
+    looked = probe.latencies[-2:]
     motion.stand_still(probe)
     wanted, text = motion.rpm_as_asked(exchange), "the shaft does not turn at the speed that was asked for"
     probe.expect(abs(speed), near=wanted, within=wanted * CLOCK_SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
     if spread > wanted / 10:
-        if LATE not in probe.claim.quirks:
-            raise Inconclusive(f"the replies came too late to measure a speed ({spread:.1f} rpm uncertain)")
+        if LATE not in probe.claim.quirks or max(ns for _, ns in looked) <= 2 * TOO_LATE_NS:
+            raise Inconclusive(f"a speed cannot be measured: {spread:.1f} rpm are uncertain")
         probe.meets(LATE)
     else:
         probe.measured["rpm"] = abs(speed)

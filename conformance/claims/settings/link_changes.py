@@ -43,6 +43,9 @@ def change_address(probe: Probe, command: Command, address: int, *, at: int | No
     built = probe.build(command, {command.sets(Effect.ADDRESS): address}, address=at)
     exchange = probe.ask_built(built)
     if exchange.silent:
+        # The line may have lost it.
+        exchange = probe.ask_built(built)
+    if exchange.silent:
         raise Inconclusive(f"{command.name} {address} was not answered")
     from_new = exchange.answers and exchange.answers[0].message.address == address != built.address
     if from_new and NEW_ADDRESS_ANSWERS in probe.claim.quirks:

@@ -206,8 +206,11 @@ def _kept_run(probe: Probe, command: Command, way: _Way) -> None:
     way.ready(probe)
     motion.run_at(probe, _RPM)
     way.send(probe, command, _KEEP)
+    # Which way a positive speed turns the manual does not say for sure.
+    sense = 1 if motion.turning(probe).value > 0 else -1
     motion.run_at(probe, -_RPM)
     kept, sent = _after_restart(probe, way)
+    kept *= sense
     forgotten = 0.0
     if kept > _RPM / 2:
         way.send(probe, command, _FORGET)

@@ -402,7 +402,7 @@ class LkDrive(Drive):
     @property
     def rest(self) -> Rest:
         at_ns, way = self.motor.rests
-        return Rest(at_ns, self.now_ns - at_ns, way)
+        return Rest(at_ns, self.now_ns - at_ns, way, self.motor.motion.speed / 6)
 
     def hold(self, settings: Mapping[str, int]) -> None:
         for name, value in settings.items():

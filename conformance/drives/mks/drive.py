@@ -83,7 +83,7 @@ class MksDrive(MksCore):
         now, path = self.now_ns, self.motor.path
         speed = path.speed(now)
         if speed:
-            return Rest(now, -1, 1 if speed > 0 else -1)
+            return Rest(now, -1, 1 if speed > 0 else -1, float(speed))
         at_ns = float(path.settled)
         return Rest(at_ns, now - at_ns, next((s.way for s in reversed(path.segments) if s.way), 0))
 

@@ -22,6 +22,7 @@ from conformance.motion import motion, resting
 from conformance.safety.stopping import MAY_MOVE
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
+from conformance.talk.dialogue import Until
 from conformance.talk.noise import QUIET, Noise
 from tests.conformance.quirk_runs import run
 
@@ -262,6 +263,8 @@ def test_every_trait_has_an_example_that_is_read(capsys):
     [
         ("mks-rs485@1,line-errors=2%", "mks-rs485/resilience/reads/good"),
         ("lk-rs485@1,line-errors=2%", "lk-rs485/resilience/reads/good"),
+        ("mks-modbus@1,request-errors=2%", "mks-modbus/timing/replies/every-time"),
+        ("lk-rs485@1,request-errors=2%", "lk-rs485/timing/replies/every-time"),
         ("mks-rs485@1,fault=pause-in-frame", "mks-rs485/shape/one-piece"),
         ("lk-rs485@1,fault=pause-in-frame", "lk-rs485/shape/one-piece"),
     ],
@@ -281,14 +284,27 @@ def test_what_the_line_damages_is_no_part_of_what_is_measured(seed):
     assert probe.noise.share > 0.005
 
 
-def test_a_read_whose_reply_is_damaged_is_asked_again_and_counted():
-    each = rig("mks-rs485@1,line-errors=20%")
+@pytest.mark.parametrize(("trait", "counted"), [("line-errors", "damaged replies"), ("request-errors", "lost requests")])
+def test_a_read_whose_reply_is_damaged_or_lost_is_asked_again_and_counted(trait, counted):
+    each = rig(f"mks-rs485@1,{trait}=20%")
     probe = each.probe(next(iter(registry.every(each.dialect))))
     for _ in range(20):
         with contextlib.suppress(Inconclusive):
             probe.read("read_speed")
-    assert probe.measured["damaged replies"] >= 2
-    assert len(probe.traffic) == 20 + probe.measured["damaged replies"]
+    assert probe.measured[counted] >= 2
+    assert len(probe.traffic) == 20 + probe.measured[counted]
+
+
+@pytest.mark.parametrize(("until", "lost"), [(Until.REPLY, True), (Until.TIMEOUT, False)])
+def test_a_request_is_lost_where_a_reply_was_waited_for(until, lost):
+    each = rig("mks-rs485@1,request-errors=100%")
+    probe = each.probe(next(iter(registry.every(each.dialect))))
+    exchange = probe.ask("read_speed", until=until)
+    assert exchange.silent
+    assert exchange.unanswered is lost
+    assert not each.has_lost(exchange)
+    each.answered.add("read_speed")
+    assert each.has_lost(exchange) is lost
 
 
 #: Claims about times and speeds by the clock of the line, by the end of their ids.

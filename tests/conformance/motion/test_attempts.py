@@ -38,7 +38,7 @@ def test_what_the_last_attempt_shows_is_returned(probe, attempts, made):
         probe.wait(motion.SECOND_NS // 2)
         rests.append(rest.value)
         damages, fails = attempts[len(rests) - 1]
-        probe.traffic += [SimpleNamespace(damaged=True)] * damages
+        probe.traffic += [SimpleNamespace(damaged=True, command=None, unanswered=False)] * damages
         if fails:
             raise Inconclusive("not answered")
         return turns, len(rests)
@@ -53,7 +53,7 @@ def test_what_the_last_attempt_raises_is_raised(probe, damages, made):
     tried = []
 
     def attempt(probe):
-        tried.append(probe.traffic.append(SimpleNamespace(damaged=damages)))
+        tried.append(probe.traffic.append(SimpleNamespace(damaged=False, command=None, unanswered=damages)))
         raise Inconclusive("not answered")
 
     with pytest.raises(Inconclusive):
@@ -68,10 +68,23 @@ def test_a_function_that_makes_attempts_keeps_its_name_and_what_it_is_given(prob
     def turned(probe, turns, *, way):
         """Turn the shaft."""
         tried.append((turns, way))
-        probe.traffic += [SimpleNamespace(damaged=True)] * (len(tried) == 1)
+        probe.traffic += [SimpleNamespace(damaged=True, command=None, unanswered=False)] * (len(tried) == 1)
         return turns * way
 
     assert turned(probe, 3, way=-1) == -3
     assert tried == [(3, -1)] * 2
     # A recording is known by the name of what made it.
     assert turned.__name__ == "turned"
+
+
+@pytest.mark.parametrize(("silences", "made"), [(True, 1), (False, 3)])
+def test_a_silence_that_the_claim_has_set_is_no_loss(probe, silences, made):
+    if silences:
+        probe.ask("set_respond", {"respond": 0, "active": 0})
+    tried = []
+
+    def attempt(probe):
+        tried.append(probe.traffic.append(SimpleNamespace(damaged=False, command=None, unanswered=True)))
+
+    undamaged(probe, attempt)
+    assert len(tried) == made

@@ -12,10 +12,10 @@ LIVE = Noise(degrees=COUNT, loop=3 * COUNT, rpm=1.0, share=0.01, supply={"V": 0.
 @pytest.mark.parametrize(
     ("unit", "value", "expected"),
     [
-        ("degrees", 0, 10 * COUNT),
-        ("degrees from the start", 0, 10 * COUNT),
-        ("0.01 degrees", 0, 1000 * COUNT),
-        ("counts", 0, 10),
+        ("degrees", 0, 11 * COUNT),
+        ("degrees from the start", 0, 11 * COUNT),
+        ("0.01 degrees", 0, 1100 * COUNT),
+        ("counts", 0, 11),
         ("rpm", 100, 2.5),
         ("deg/s", 600, 15),
         ("0.01 V", 2400, 30),
@@ -42,7 +42,7 @@ def test_a_unit_without_a_resolution_has_to_be_told_one():
 
 def test_noise_is_bounded_by_what_a_manual_can_allow():
     wild = Noise(degrees=90, loop=90, rpm=500, share=0.9, supply={"V": 20.0})
-    assert (wild.place, wild.of("V"), wild.speed(100)) == (0.3, 1.0, 5.5)
+    assert (wild.place, wild.of("V"), wild.speed(100)) == (0.9, 1.0, 5.5)
 
 
 def test_a_shaft_that_has_just_arrived_may_swing_less_than_one_that_is_known_to_settle():
