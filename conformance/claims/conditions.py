@@ -25,10 +25,10 @@ from conformance.claims.motion import homing
 from conformance.claims.motion.protection import protect
 from conformance.claims.motion.stops import endless
 from conformance.model import limits
-from conformance.motion import motion
-from conformance.motion.motion import MOVES, MS, QUICK
+from conformance.motion import declared, motion
+from conformance.motion.declared import MOVES, QUICK
 from conformance.talk import restarts, samples
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: The speed of the fast run, in rpm.
 _FAST = 1200
@@ -72,8 +72,8 @@ class Condition:
     def facts(self, dialect: Dialect, *risks: Risk, settings: tuple[str, ...] = ()) -> dict[str, Any]:
         """Return what a claim must declare that is made in this condition, with more risks and settings."""
         return {
-            "risks": motion.risks(dialect, *(self.risks | set(risks)) - {Risk.UNKNOWN}, Risk.UNBOUNDED),
-            "settings": tuple(dict.fromkeys(motion.settings(dialect, *self.settings, *settings))),
+            "risks": declared.risks(dialect, *(self.risks | set(risks)) - {Risk.UNKNOWN}, Risk.UNBOUNDED),
+            "settings": tuple(dict.fromkeys(declared.settings(dialect, *self.settings, *settings))),
             "emulated": self.emulated,
             "by_name": self.by_name,
             # What changes an address may put a drive where another one is.
@@ -120,7 +120,7 @@ def _slow_down(probe: Probe) -> None:
 
 def _go_below_zero(probe: Probe) -> None:
     probe.do(Verb.SET_ZERO)
-    motion.begin(probe, motion.any_move(probe.dialect), -_BELOW * 360, rpm=180, acceleration=QUICK)
+    motion.begin(probe, declared.any_move(probe.dialect), -_BELOW * 360, rpm=180, acceleration=QUICK)
     probe.wait(round(_BELOW / 3 * 1000) * MS + _SOON_NS)
 
 
@@ -156,13 +156,13 @@ def _trip(probe: Probe, present: bool) -> None:
 
 
 def _pulse_mode(probe: Probe) -> None:
-    modes = motion.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
-    by_pulses = [mode for mode in modes if mode not in motion.bus_modes(probe.dialect) and "no_encoder" not in mode]
+    modes = declared.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
+    by_pulses = [mode for mode in modes if mode not in declared.bus_modes(probe.dialect) and "no_encoder" not in mode]
     motion.set_mode(probe, by_pulses[-1])
 
 
 def _refused_setting(probe: Probe) -> None:
-    field = motion.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode")
+    field = declared.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode")
     probe.ask(Verb.SET_WORK_MODE, {"work_mode": limits.beyond(field)[0]})
 
 
@@ -174,7 +174,7 @@ def _find_home(probe: Probe) -> None:
 
 
 def _bus_mode(probe: Probe) -> None:
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1])
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1])
 
 
 # --- the conditions of a dialect ----------------------------------------------------------------------------------------
@@ -185,7 +185,7 @@ AT_REST = Condition("at-rest", "at rest", _nothing, _nothing, stands=True)
 def _motions(dialect: Dialect) -> Iterator[Condition]:
     """Yield one motion of each kind, if possible one with a speed in its request."""
     for kind in (MotionKind.RUN, *MOVES, MotionKind.TORQUE):
-        commands = sorted(dialect.motions(kind), key=lambda c: (bool(c.models), not motion.of(c).speed))
+        commands = sorted(dialect.motions(kind), key=lambda c: (bool(c.models), not declared.of(c).speed))
         for command in commands[:1]:
             enter, when = partial(endless, run=command), f"while {command.name} turns the shaft"
             facts: dict[str, Any] = {"models": command.models, "steady": kind is MotionKind.RUN}
@@ -264,9 +264,9 @@ def _others(dialect: Dialect) -> Iterator[Condition]:
 
 def every(dialect: Dialect) -> Iterator[Condition]:
     """Yield the conditions in which a drive of a dialect can be, beside at rest: each in one of the work modes, in turn."""
-    if not motion.can_move(dialect):
+    if not declared.can_move(dialect):
         return
-    modes = [mode for mode in motion.bus_modes(dialect) if "no_encoder" not in mode]
+    modes = [mode for mode in declared.bus_modes(dialect) if "no_encoder" not in mode]
     for number, each in enumerate(chain(_motions(dialect), _tasks(dialect), _others(dialect))):
         fit = [mode for mode in modes if each.rpm <= dialect.mode_speeds.get(mode, each.rpm)]
         # What hands do to the shaft, and what wears, is not promised of an open loop.

@@ -23,10 +23,10 @@ from analyzer.catalogue import Command, Dialect, Form, Risk, Role, Verb
 from analyzer.encoder import Built
 from conformance.claim import Inconclusive
 from conformance.model.limits import with_bits
-from conformance.motion import arriving, motion
+from conformance.motion import arriving, declared, motion
 from conformance.talk import samples
 from conformance.talk.exchange import Completion, Exchange
-from conformance.talk.probe import Until
+from conformance.talk.probe import MS, Until
 from conformance.talk.restarts import wait_for_answer
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def _rest(probe: Probe) -> None:
     """Stop by a ramp. The end of the stop is told by a reply of its own, which a read at once would run into."""
     stopped = motion.stop(probe)
     if arriving.tells_end(probe.dialect) and stopped.completion is Completion.RUNNING:
-        probe.listen(200 * motion.MS, Until.REPLY)
+        probe.listen(200 * MS, Until.REPLY)
     motion.wait_standing(probe)
 
 
@@ -150,8 +150,8 @@ def demands(dialect: Dialect, command: Command) -> dict[str, Any]:
     risks = set(command.risks(samples.sample(dialect, command))) if command.slots is None else set(command.all_risks)
     settings = [name for form in command.request_forms for name in form.layout.named] if Risk.SETTING in risks else []
     if needs_motion(command):
-        risks |= motion.risks(dialect)
-        settings += motion.settings(dialect)
+        risks |= declared.risks(dialect)
+        settings += declared.settings(dialect)
     return {
         "risks": frozenset(risks) - {Risk.READ},
         "settings": tuple(dict.fromkeys(settings)),

@@ -16,7 +16,7 @@ from conformance.drives.make import KINDS
 from conformance.gate.bounds import Leeway
 from conformance.model import route, story
 from conformance.model.lk_parameters import need_room
-from conformance.motion import motion
+from conformance.motion import declared
 from conformance.talk.acceptance import need_plain_replies
 from conformance.talk.probe import Probe
 
@@ -31,9 +31,9 @@ def _legs(dialect: Dialect) -> Iterator[Case]:
     risks = frozenset[Risk]().union(*(command.all_risks for command in about)) - {Risk.UNKNOWN, Risk.READ}
     for leg in range(LEGS):
         facts = {
-            "risks": motion.risks(dialect, *risks),
+            "risks": declared.risks(dialect, *risks),
             # What cannot be put back besides is left out, step by step.
-            "settings": motion.settings(dialect),
+            "settings": declared.settings(dialect),
             "commands": tuple(command.name for command in about),
             "covers": tuple((command.name, Aspect.STATE) for command in about),
         }

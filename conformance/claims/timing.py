@@ -21,11 +21,11 @@ from conformance.claims.declare import Case, Cases, claim, commands, once
 from conformance.claims.known_quirks import HASTY, LATE, may_meet
 from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.claims.settings import setting_effects
-from conformance.motion import motion
-from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.motion import declared, motion
+from conformance.motion.declared import QUICK, RUNS_AND_MOVES, SUBDIVISION
 from conformance.talk.acceptance import plain_read
 from conformance.talk.exchange import Answer, Exchange
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 
 #: A reply later than this is late, and so long is waited for one that is.
 _LATE_NS, _LATEST_NS = SECOND_NS, 6 * SECOND_NS
@@ -195,7 +195,7 @@ def _turning(probe: Probe, command: Command) -> None:
     """While the shaft turns, either way, and while it moves, each reply comes as soon as at rest."""
     motion.ready_to_move(probe)
     soon_ns = 2 * max(latency for latency, _ in _latencies(probe)) + _LATER_NS
-    move = motion.any_move(probe.dialect, at_speed=True)
+    move = declared.any_move(probe.dialect, at_speed=True)
     for how, rpm in ((command, 60), (command, -60), (move, 60)):
         motion.begin(probe, how, 4 * 360, rpm=rpm)
         probe.wait(150 * MS)
@@ -240,7 +240,7 @@ def _while_moving(probe: Probe, command: Command) -> None:
 
 
 def _motions_and_stops(dialect: Dialect) -> Iterator[Case]:
-    motions = dialect.motions(*motion.RUNS_AND_MOVES)
+    motions = dialect.motions(*RUNS_AND_MOVES)
     for command in (*motions, *(dialect.stops_of(m)[0] for m in motions)):
         yield Case(dialect, command)
 
@@ -326,8 +326,8 @@ def _restarts_soon(probe: Probe) -> None:
     each=commands(Verb.SET_SUBDIVISION),
     name="settings/in-a-row",
     refuted_by="no reply to the second one, or one that is not stored",
-    risks=lambda case: risks_by(Verb.SET_SUBDIVISION, Verb.MOVE_RELATIVE_PULSES)(case) | motion.risks(case.dialect),
-    settings=lambda case: motion.settings(case.dialect),
+    risks=lambda case: risks_by(Verb.SET_SUBDIVISION, Verb.MOVE_RELATIVE_PULSES)(case) | declared.risks(case.dialect),
+    settings=lambda case: declared.settings(case.dialect),
     quirks=may_meet(HASTY),
 )
 def _in_a_row(probe: Probe, command: Command) -> None:
@@ -336,7 +336,7 @@ def _in_a_row(probe: Probe, command: Command) -> None:
     if effect is not None:
         effect.ready(probe)
     for _ in range(3):
-        probe.do(command, {"subdivision": motion.SUBDIVISION})
+        probe.do(command, {"subdivision": SUBDIVISION})
     probe.wait(probe.rig.write_gap_ns)
     exchanges = []
     for subdivision in (32, 16, 32, 8):

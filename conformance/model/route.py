@@ -26,8 +26,10 @@ from analyzer.layout import Effect, Field
 from conformance.gate.bounds import NO_BOUNDS, Leeway
 from conformance.model import covering, limits, lk_parameters
 from conformance.model.steps import LEAVE, LOOK, Step, selectors
-from conformance.motion import motion, ramp
+from conformance.motion import declared, ramp
+from conformance.motion.declared import MOVES, SUBDIVISION
 from conformance.talk import samples
+from conformance.talk.probe import MS
 
 #: What cannot be put back by a setting, or that other hands are needed for.
 _NOT_DONE = frozenset({Risk.LINK, Risk.DESTRUCTIVE, Risk.WEAR})
@@ -49,7 +51,7 @@ _OF_STANDING = frozenset(
 )
 #: A motor needs these as they are, or a switch decides what they do.
 _STRONG = frozenset({"current", "home_current", "holding_current", "stall_tolerance", "end_limit"})
-_SUBDIVISIONS = (motion.SUBDIVISION, 64, 7, 128, 0)
+_SUBDIVISIONS = (SUBDIVISION, 64, 7, 128, 0)
 #: Of these a little less is as good, so that what was not stored shows.
 _EITHER = _STRONG - {"end_limit"}
 #: How often values are drawn anew that are those of before.
@@ -60,7 +62,7 @@ _RPM, _TURNS, _ACCELERATIONS = (
     (0.025, 0.11, 0.25, 0.6, 2, 7, 21),
     (0, 56, 200, 230, 248, 255),
 )
-_AT_ONCE_MOST, _LEAST_OVER, _RAMP_NS, _MOVE_NS = 140, 60, 140 * motion.MS, 250 * motion.MS
+_AT_ONCE_MOST, _LEAST_OVER, _RAMP_NS, _MOVE_NS = 140, 60, 140 * MS, 250 * MS
 #: The same of drives without a law of ramps: a speed, and turns that take 0.6 s at most by it.
 _FREE_PACES = [(r, t) for r in (15, 40, 90, 160) for t in (0.025, 0.11, 0.25, 0.6, 1.4) if t * 100 <= r]
 #: How far a move goes that is not waited for, and how fast.
@@ -98,7 +100,7 @@ def deeds(dialect: Dialect) -> tuple[_Deed, ...]:
     found = []
     for command in (c for c in dialect.commands if _done(c)):
         kind = command.motion.kind if command.motion is not None else None
-        if kind in (MotionKind.RUN, *motion.MOVES):
+        if kind in (MotionKind.RUN, *MOVES):
             found += [_Deed(command.name, 1), _Deed(command.name, -1)]
             continue
         found.append(_Deed(command.name))
@@ -111,8 +113,8 @@ def _factors(dialect: Dialect) -> dict[str, Sequence[Any]]:
     verbs = dialect.by_verb
     found: dict[str, Sequence[Any]] = {}
     if Verb.SET_WORK_MODE in verbs:
-        modes = motion.field_of(verbs[Verb.SET_WORK_MODE], "work_mode").choice_names.values()
-        bus = motion.bus_modes(dialect)
+        modes = declared.field_of(verbs[Verb.SET_WORK_MODE], "work_mode").choice_names.values()
+        bus = declared.bus_modes(dialect)
         found["mode"] = (*(m for m in bus if "no_encoder" not in m), next(m for m in modes if m not in bus))
     found["on"] = (1, 0)
     if Verb.SET_SUBDIVISION in verbs:
@@ -132,7 +134,7 @@ def _rows(dialect_name: str, model: str) -> tuple[dict[str, Any], ...]:
     dialect = dialect.for_model(model) if model else dialect
     factors = _factors(dialect)
     verbs = {command.name: command for command in dialect.commands}
-    bus = motion.bus_modes(dialect) if "mode" in factors else ()
+    bus = declared.bus_modes(dialect) if "mode" in factors else ()
     # Motions over motions one by one, all else over a run one way and a move the other way.
     rules: list[covering.Rule] = [
         lambda going, deed: not going or not (verbs[deed.name].verb in _OF_STANDING or deed.name == "set_position"),
@@ -197,8 +199,8 @@ class _Route:
         command = dialect.by_name[deed.name]
         if going:
             kind, way = going
-            kinds = (MotionKind.RUN,) if kind == "run" else motion.MOVES
-            begun = chance.choice([c for c in dialect.motions(*kinds) if motion.of(c).speed])
+            kinds = (MotionKind.RUN,) if kind == "run" else MOVES
+            begun = chance.choice([c for c in dialect.motions(*kinds) if declared.of(c).speed])
             yield self._begun(begun, way)
             yield self._look(_GOING_LOOKS)
         yield from self._deed(deed, leave=bool(going))
@@ -218,11 +220,11 @@ class _Route:
 
     def _trial(self) -> Iterator[Step]:
         dialect, chance = self.dialect, self.chance
-        every = dialect.motions(MotionKind.RUN, *motion.MOVES)
+        every = dialect.motions(MotionKind.RUN, *MOVES)
         for command in chance.sample(every, 2):
             yield self._motion(command, chance.choice((1, -1)))
             yield self._look(2)
-            if motion.of(command).kind is MotionKind.RUN:
+            if declared.of(command).kind is MotionKind.RUN:
                 yield from self._stopped()
 
     def _stopped(self) -> Iterator[Step]:
@@ -232,7 +234,7 @@ class _Route:
 
     def _begun(self, command: Command, way: int) -> Step:
         """Return a motion that goes on while the deed is done."""
-        if motion.of(command).kind is MotionKind.RUN:
+        if declared.of(command).kind is MotionKind.RUN:
             return self._motion(command, way)
         self._rpm = float(_LONG_RPM)
         values = {"degrees": way * _LONG, "rpm": _LONG_RPM, "acceleration": self.chance.choice(_ACCELERATIONS[2:]), LEAVE: 1}
@@ -240,7 +242,7 @@ class _Route:
 
     def _motion(self, command: Command, way: int, *, over: bool = False) -> Step:
         """Return a motion by amounts that do not take long. `over`: it begins while the shaft turns, and slows it down."""
-        chance, runs = self.chance, motion.of(command).kind is MotionKind.RUN
+        chance, runs = self.chance, declared.of(command).kind is MotionKind.RUN
         if self.dialect.ramp is None:
             rpm, turns = chance.choice(_FREE_PACES)
             degrees = round(360 * turns)
@@ -261,7 +263,7 @@ class _Route:
     def _fastest(self) -> float:
         """The highest rpm of the shaft in this state."""
         law, limit = self.dialect.subdivision, self.dialect.mode_speeds.get(self.state.get("mode", ""), 3000)
-        subdivision = self.state.get("subdivision", motion.SUBDIVISION)
+        subdivision = self.state.get("subdivision", SUBDIVISION)
         if law is None or subdivision in law.plain:
             return float(limit)
         return limit * law.counted_at / (subdivision or law.largest)
@@ -280,7 +282,7 @@ class _Route:
         dialect, chance = self.dialect, self.chance
         command = dialect.by_name[deed.name]
         kind = command.motion.kind if command.motion is not None else None
-        if kind is MotionKind.RUN or kind in motion.MOVES:
+        if kind is MotionKind.RUN or kind in MOVES:
             yield self._motion(command, deed.way, over=leave)
         elif kind is MotionKind.STOP:
             yield Step(command.name, self._stop_values(command))
@@ -308,7 +310,7 @@ class _Route:
 
 def motion_on(dialect: Dialect) -> tuple[str, dict[str, int]]:
     """Return what enables the motor."""
-    command, values = motion.switching(dialect, True)
+    command, values = declared.switching(dialect, True)
     return command.name, values
 
 
@@ -317,7 +319,7 @@ def _into(dialect: Dialect, state: dict[str, Any], row: Mapping[str, Any]) -> It
     verbs = dialect.by_verb
     if "mode" in row and state.get("mode") != row["mode"]:
         command = verbs[Verb.SET_WORK_MODE]
-        yield Step(command.name, {"work_mode": motion.choice(command, "work_mode", row["mode"])})
+        yield Step(command.name, {"work_mode": declared.choice(command, "work_mode", row["mode"])})
         state.pop("on", None)
     for name, verb, fields in (
         ("subdivision", Verb.SET_SUBDIVISION, ("subdivision",)),
@@ -328,7 +330,7 @@ def _into(dialect: Dialect, state: dict[str, Any], row: Mapping[str, Any]) -> It
             value = row[name] if isinstance(row[name], tuple) else (row[name],)
             yield Step(verbs[verb].name, dict(zip(fields, value, strict=True)))
     if state.get("on") != row["on"]:
-        command, values = motion.switching(dialect, bool(row["on"]))
+        command, values = declared.switching(dialect, bool(row["on"]))
         yield Step(command.name, values)
     state.update(row)
 

@@ -12,7 +12,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from analyzer.catalogue import Dialect, Verb
-from conformance.motion import motion
+from conformance.motion import declared
+from conformance.motion.declared import SUBDIVISION
 
 
 @dataclass(frozen=True)
@@ -61,11 +62,11 @@ def beginning(dialect: Dialect) -> list[Step]:
     verbs = dialect.by_verb
     wanted: list[tuple[Verb, dict[str, int]]] = []
     if Verb.SET_WORK_MODE in verbs:
-        mode = motion.choice(verbs[Verb.SET_WORK_MODE], "work_mode", motion.bus_modes(dialect)[-1])
+        mode = declared.choice(verbs[Verb.SET_WORK_MODE], "work_mode", declared.bus_modes(dialect)[-1])
         wanted.append((Verb.SET_WORK_MODE, {"work_mode": mode}))
     wanted += [
         (Verb.ENABLE, {"enabled": 1}),
-        (Verb.SET_SUBDIVISION, {"subdivision": motion.SUBDIVISION}),
+        (Verb.SET_SUBDIVISION, {"subdivision": SUBDIVISION}),
         (Verb.SET_DIRECTION, {"motor_direction": 0}),
         (Verb.SET_RESPOND, {"respond": 1, "active": 1}),
         (Verb.SET_ZERO, {}),

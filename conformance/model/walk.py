@@ -26,11 +26,11 @@ from conformance.gate.gate import Refused as GateRefused
 from conformance.model.steps import LEAVE, LOOK, Step, beginning, selectors, steps_text
 from conformance.model.twin import Told, Twin
 from conformance.model.unasked import Unasked
-from conformance.motion import motion, ramp
-from conformance.motion.motion import MS, QUICK
+from conformance.motion import declared, motion, ramp
+from conformance.motion.declared import MOVES, QUICK, SUBDIVISION
 from conformance.talk.exchange import Answer, Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Until
+from conformance.talk.probe import MS, Until
 from conformance.talk.restarts import wait_for_answer
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ _LONG_NS = 100_000 * MS
 #: How long a shaft may take to come to rest that its twin's has, and the speed of one that surely turns.
 _REST_NS, _TURNS_RPM = 15_000 * MS, 5.0
 #: What sets the shaft going.
-_TURNING = frozenset({MotionKind.RUN, MotionKind.HOME, *motion.MOVES})
+_TURNING = frozenset({MotionKind.RUN, MotionKind.HOME, *MOVES})
 #: A shaft that is let go or held may settle by so many degrees.
 _LETS_GO = 2.0
 #: A shaft on its way may be so far before its law or behind it.
@@ -104,7 +104,7 @@ class Walk:
 
     def _begin(self) -> None:
         motion.ready_to_move(
-            self.probe, motion.bus_modes(self.dialect)[-1] if Verb.SET_WORK_MODE in self.dialect.by_verb else ""
+            self.probe, declared.bus_modes(self.dialect)[-1] if Verb.SET_WORK_MODE in self.dialect.by_verb else ""
         )
         motion.stand_still(self.probe)
         self._take_settings()
@@ -179,7 +179,7 @@ class Walk:
             values = self._values(command, given)
         if command.motion is not None:
             law = self.dialect.ramp is not None
-            self._from_rest = law and not was_turning and command.motion.kind in motion.MOVES
+            self._from_rest = law and not was_turning and command.motion.kind in MOVES
         built = probe.build(command, values)
         if not built.risks <= probe.rig.allowed | {Risk.READ}:
             raise NotRun("not allowed")
@@ -221,17 +221,17 @@ class Walk:
         if bounds.acceleration is not None:
             acceleration = min(acceleration, int(bounds.acceleration))
         start = motion.place(self.probe, command)
-        values = motion.values_of(
+        values = declared.values_of(
             self.dialect,
             command,
             given.get("degrees", 0),
             rpm=rpm,
             acceleration=acceleration,
-            subdivision=getattr(self.twin.drive, "subdivision", motion.SUBDIVISION),
+            subdivision=getattr(self.twin.drive, "subdivision", SUBDIVISION),
             start=start,
         )
         speed = command.motion.speed if command.motion is not None else ""
-        return values | ({speed: min(values[speed], motion.field_of(command, speed).high)} if speed else {})
+        return values | ({speed: min(values[speed], declared.field_of(command, speed).high)} if speed else {})
 
     def _follow(self, command: Command, given: Mapping[str, int], was_turning: bool, before: Mapping[str, int]) -> None:
         """Wait until both drives have done what they were told to; the twin takes over what the manual leaves open."""
@@ -268,7 +268,7 @@ class Walk:
         self._rpm = 0
         if self._from_rest and twin.turning:
             self._on_its_way()
-        if twin.turning or was_turning or kind in (MotionKind.STOP, *motion.MOVES):
+        if twin.turning or was_turning or kind in (MotionKind.STOP, *MOVES):
             self._rest(watched=was_turning)
         if self._loose:
             self._place(anywhere=was_turning or verb in (Verb.RESTART, Verb.CLEAR_TURNS))

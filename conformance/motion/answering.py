@@ -16,9 +16,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from analyzer.catalogue import Command, MotionKind, Verb
-from conformance.motion import arriving, motion
-from conformance.motion.motion import QUICK, SECOND_NS
-from conformance.talk.probe import Until
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import MOVES, QUICK
+from conformance.talk.probe import SECOND_NS, Until
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -39,12 +39,10 @@ def is_loud(probe: Probe) -> bool:
 
 def answers(probe: Probe) -> bool:
     """Say whether a resting drive answers any of its stops, or nothing at all."""
-    stops = {
-        stop.name: stop for run in probe.dialect.motions(MotionKind.RUN, *motion.MOVES) for stop in probe.dialect.stops_of(run)
-    }
+    stops = {stop.name: stop for run in probe.dialect.motions(MotionKind.RUN, *MOVES) for stop in probe.dialect.stops_of(run)}
     silenced = [stop for stop in stops.values() if stop.silenced]
     asked = (probe.ask(stop, {"acceleration": QUICK}, quiet_ns=0) for stop in silenced)
-    return not silenced or any(e.reply is not None for e in asked) or probe.ask(motion.reads_position(probe.dialect)).silent
+    return not silenced or any(e.reply is not None for e in asked) or probe.ask(declared.reads_position(probe.dialect)).silent
 
 
 def tells_ends(probe: Probe) -> bool:

@@ -14,18 +14,19 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, Dialect
 from conformance.claim import Inconclusive
-from conformance.motion import motion, ramp
+from conformance.motion import declared, motion, ramp
+from conformance.motion.declared import CALM, MOVES, QUICK, SUBDIVISION
 from conformance.talk.exchange import Answer, Exchange
 from conformance.talk.noise import TOLD_LATE_NS
-from conformance.talk.probe import Until
+from conformance.talk.probe import MS, SECOND_NS, Until
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
 
 #: How long a move without a known ramp has to get going before the shaft is watched.
-_SET_OFF_NS = 500 * motion.MS
+_SET_OFF_NS = 500 * MS
 #: How long a shaft may take to come to rest whose motion is over, by its time.
-_SOON_NS = motion.SECOND_NS // 2
+_SOON_NS = SECOND_NS // 2
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,9 @@ def follow(
     command: Command,
     degrees: float,
     *,
-    rpm: float = motion.CALM,
-    acceleration: int = motion.QUICK,
-    subdivision: int = motion.SUBDIVISION,
+    rpm: float = CALM,
+    acceleration: int = QUICK,
+    subdivision: int = SUBDIVISION,
     **how: Any,
 ) -> Move:
     """Move by so many degrees and follow the shaft until it stands.
@@ -67,8 +68,8 @@ def follow(
     Raises Inconclusive where the move is refused or the shaft does not come to rest.
     """
     start = motion.position(probe)
-    tells = motion.of(command).tells_end
-    turn = motion.units_per_turn(probe.dialect, command, subdivision)
+    tells = declared.of(command).tells_end
+    turn = declared.units_per_turn(probe.dialect, command, subdivision)
     asked = round(degrees * turn / 360) * 360 / turn
     how |= {"rpm": rpm, "acceleration": acceleration, "subdivision": subdivision}
     exchange = motion.ask(probe, command, degrees, until=Until.DONE if tells else Until.REPLY, **how)
@@ -95,12 +96,12 @@ def come_to_rest(probe: Probe, exchange: Exchange, least_ns: int, most_ns: int) 
     command = exchange.command
     assert command is not None  # it was asked for
     until_ns, since = exchange.sent_ns + most_ns + TOLD_LATE_NS, len(probe.traffic)
-    if motion.of(command).tells_end:
+    if declared.of(command).tells_end:
         final = command.replies.final
         while not final.intersection(statuses([exchange, *probe.traffic[since:]], command)) and probe.gate.now_ns() < until_ns:
             probe.listen(until_ns - probe.gate.now_ns(), Until.REPLY)
     probe.wait(exchange.sent_ns + least_ns - probe.gate.now_ns())
-    while abs(motion.speed(probe).value) >= motion.CALM / 2:
+    while abs(motion.speed(probe).value) >= CALM / 2:
         if probe.gate.now_ns() >= until_ns:
             return motion.stand_still(probe)
         probe.wait(motion.QUIET_LOOK_NS)
@@ -124,4 +125,4 @@ def statuses(exchanges: Iterable[Exchange], command: Command) -> list[int]:
 
 def tells_end(dialect: Dialect) -> bool:
     """Say whether the end of a move is told by a reply of its own."""
-    return any(motion.of(command).tells_end for command in dialect.motions(*motion.MOVES))
+    return any(declared.of(command).tells_end for command in dialect.motions(*MOVES))

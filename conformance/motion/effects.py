@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Command, Dialect, Verb
 from conformance.claim import Inconclusive, Refuted
-from conformance.motion import motion
+from conformance.motion import declared, motion
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -148,8 +148,8 @@ class _Move(Observable):
 
     def __init__(self, dialect: Dialect, command: Command, reads: Verb, field: str) -> None:
         super().__init__(dialect, command, reads, field)
-        self.risks = motion.risks(dialect, *self.risks)
-        self.settings = motion.settings(dialect)
+        self.risks = declared.risks(dialect, *self.risks)
+        self.settings = declared.settings(dialect)
 
     def change(self, probe: Probe, times: int = 1) -> Change:
         before = self.read(probe)
@@ -163,7 +163,7 @@ class _Move(Observable):
 
 def _can_step(dialect: Dialect) -> bool:
     verbs = dialect.by_verb
-    return Verb.MOVE_RELATIVE_AXIS in verbs and Verb.READ_POSITION in verbs and motion.can_move(dialect)
+    return Verb.MOVE_RELATIVE_AXIS in verbs and Verb.READ_POSITION in verbs and declared.can_move(dialect)
 
 
 def observable(dialect: Dialect) -> Observable | None:

@@ -7,7 +7,7 @@
     stand_still(probe)                          a stop by a ramp that keeps the torque, verified
 
 Rules kept here:
-- What a command does is the catalogue's word (`Motion`), and so is what a read means (`StatePart`); nothing here knows a code.
+- What a command does and what a read means is the catalogue's word (`declared`); nothing here knows a code.
 - Distances are degrees, signed: positive raises the position. Speeds are rpm of the shaft.
 - A move to a place goes from where the drive says that it is, so that nothing depends on its zero.
 - A value is known to have been true at some moment between the end of the request and the begin of the reply (`Sample`).
@@ -21,42 +21,21 @@ a pulse mode.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from analyzer.catalogue import Command, Dialect, Motion, MotionKind, Risk, Verb
-from analyzer.layout import Effect, Field
+from analyzer.catalogue import Command, MotionKind, Verb
 from conformance.claim import Inconclusive
 from conformance.gate.gate import Refused
-from conformance.motion import ramp
+from conformance.motion import declared, ramp
+from conformance.motion.declared import CALM, QUICK, SUBDIVISION
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Until
+from conformance.talk.probe import MS, SECOND_NS, Until
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
 
-MS = 1_000_000
-SECOND_NS = 1_000_000_000
-#: Degrees in which two positions are one: two counts of the coarsest encoder.
-SAME = 2 * 360 / 16384
-#: The acceleration (as sent) of stops that safety sends, and of ramps that are looked at: 2.8 ms for one rpm.
-GENTLE = 200
-#: The acceleration of motion whose ramps do not matter: 0.4 ms for one rpm. Not 250: FA begins a frame, and a gate would
-#: read one in the middle of a request.
-QUICK = 248
-#: The speed of motion whose speed does not matter, in rpm.
-CALM = 60
-#: The kinds of motion that end by themselves at a place.
-MOVES = (MotionKind.MOVE_BY, MotionKind.MOVE_TO, MotionKind.MOVE_IN_TURN)
-#: What any drive does at a speed that is asked for, but for moves within a turn.
-RUNS_AND_MOVES = (MotionKind.RUN, MotionKind.MOVE_BY, MotionKind.MOVE_TO)
-#: The subdivision at which the suite counts pulses.
-SUBDIVISION = 16
-#: Degrees by which an axis without a known encoder may miss its target.
-_NEAR = 0.25
-#: A force that turns a free shaft, as sent.
-FORCE = 60
 #: Room that an absolute move needs on each side, in its units: no claim goes more than twenty turns.
 _ROOM = 400_000
 #: What a move takes longer than the law at most before it is given up.
@@ -72,15 +51,8 @@ _REST_NS = 30 * SECOND_NS
 NO_RAMP_NS, AS_FAST = 3 * SECOND_NS, 0.95
 #: How often a measurement is taken again whose reply cannot be read.
 _AGAIN = 2
-
-_POSITION = (Verb.READ_POSITION, Verb.READ_ENCODER_CARRY)
-_SPEED = (Verb.READ_SPEED, Verb.READ_STATE_2)
-_STATUS = (Verb.READ_STATUS, Verb.READ_STATE_1)
-#: What tells whether a motor is on, in which field, and its values of a motor that is on and off.
-_ON_READ = ((Verb.READ_ENABLED, "enabled", 1, 0), (Verb.READ_STATE_1, "state", 0x00, 0x10))
 #: The unit by which the noise of a quantity is known.
 _UNITS: Mapping[str, str] = {"position": "degrees", "speed": "rpm"}
-_ENABLING = (Verb.ENABLE, Verb.MOTOR_ON)
 
 
 @dataclass(frozen=True)
@@ -101,52 +73,7 @@ class Sample:
         return self.value - other.value, self.t_ns - other.t_ns
 
 
-def can_move(dialect: Dialect) -> bool:
-    """Say whether a dialect has what this module needs of one."""
-    verbs = dialect.by_verb
-    return any(v in verbs for v in _ENABLING) and Verb.RUN_SPEED in verbs and any(v in verbs for v in _POSITION)
-
-
 # --- making ready -----------------------------------------------------------------------------------------------------
-
-
-def bus_modes(dialect: Dialect) -> tuple[str, ...]:
-    """Return the work modes in which the bus moves the motor, by name; the last one can do most."""
-    return dialect.by_verb[Verb.RUN_SPEED].modes
-
-
-def risks(dialect: Dialect, *more: Risk) -> frozenset[Risk]:
-    """Return the risks of what `ready_to_move` and `stand_still` send, and more."""
-    found: set[Risk] = {Risk.MOTION, *more}
-    for verb in (Verb.SET_WORK_MODE, Verb.SET_SUBDIVISION):
-        if verb in dialect.by_verb:
-            found |= dialect.by_verb[verb].all_risks
-    return frozenset(found)
-
-
-def settings(dialect: Dialect, *more: str) -> tuple[str, ...]:
-    """Return the settings that `ready_to_move` may change, and more."""
-    verbs = ((Verb.SET_WORK_MODE, "work_mode"), (Verb.SET_SUBDIVISION, "subdivision"))
-    return (*(name for verb, name in verbs if verb in dialect.by_verb), *more)
-
-
-def ready_settings(dialect: Dialect) -> dict[str, dict[str, int]]:
-    """Return what `ready_to_move` sets where it has to and nothing else is asked for, by command."""
-    found = {}
-    if Verb.SET_WORK_MODE in dialect.by_verb:
-        command = dialect.by_verb[Verb.SET_WORK_MODE]
-        found[command.name] = {"work_mode": choice(command, "work_mode", bus_modes(dialect)[-1])}
-    if Verb.SET_SUBDIVISION in dialect.by_verb:
-        found[dialect.by_verb[Verb.SET_SUBDIVISION].name] = {"subdivision": SUBDIVISION}
-    return found
-
-
-def choice(command: Command, field: str, name: str) -> int:
-    """Return the integer as sent of a named choice of a request's field."""
-    for form in command.request_forms:
-        if field in form.layout.named:
-            return next(value for value, known in form.layout.named[field].choice_names.items() if known == name)
-    raise KeyError(f"{command.name} has no field {field}")
 
 
 def ready_to_move(probe: Probe, mode: str = "", *, subdivision: int | None = None) -> None:
@@ -161,7 +88,7 @@ def ready_to_move(probe: Probe, mode: str = "", *, subdivision: int | None = Non
         probe.do(Verb.MOTOR_ON)
     else:
         if mode or not _enabled_now(probe):
-            set_mode(probe, mode or bus_modes(probe.dialect)[-1])
+            set_mode(probe, mode or declared.bus_modes(probe.dialect)[-1])
             probe.do(Verb.ENABLE, {"enabled": 1})
         if subdivision is None and probe.noise.rescaled and not _sets_subdivision(probe):
             subdivision = SUBDIVISION
@@ -177,7 +104,7 @@ def _sets_subdivision(probe: Probe) -> bool:
 def set_mode(probe: Probe, mode: str) -> None:
     """Set a work mode by its name."""
     command = probe.command(Verb.SET_WORK_MODE)
-    probe.do(command, {"work_mode": choice(command, "work_mode", mode)})
+    probe.do(command, {"work_mode": declared.choice(command, "work_mode", mode)})
 
 
 def _enabled_now(probe: Probe) -> bool:
@@ -188,26 +115,12 @@ def _enabled_now(probe: Probe) -> bool:
 
 def switch(probe: Probe, on: bool) -> Exchange:
     """Switch the motor on or off. Raises Inconclusive where the drive refuses."""
-    return probe.do(*switching(probe.dialect, on))
-
-
-def switching(dialect: Dialect, on: bool) -> tuple[Command, dict[str, int]]:
-    """Return what switches the motor on or off: a command and its values."""
-    verbs = dialect.by_verb
-    if not on and Verb.MOTOR_OFF in verbs:
-        return verbs[Verb.MOTOR_OFF], {}
-    command = verbs.get(Verb.ENABLE) or verbs[Verb.MOTOR_ON]
-    return command, dict.fromkeys(command.request_forms[0].layout.named, int(on))
-
-
-def tells_on(dialect: Dialect) -> bool:
-    """Say whether a read tells that the motor is on."""
-    return any(verb in dialect.by_verb for verb, *_ in _ON_READ)
+    return probe.do(*declared.switching(probe.dialect, on))
 
 
 def is_on(probe: Probe) -> bool | None:
     """Read whether the motor is on; None for a value that says neither, or where nothing tells it."""
-    for verb, name, on, off in _ON_READ:
+    for verb, name, on, off in declared.ON_READ:
         if verb in probe.dialect.by_verb:
             return {on: True, off: False}.get(probe.read(verb, name))
     return None
@@ -216,35 +129,7 @@ def is_on(probe: Probe) -> bool | None:
 # --- measuring --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Reading:
-    """A command whose reply holds a quantity, and the fields that add up to it."""
-
-    command: Command
-    quantity: str
-    fields: tuple[Field, ...]
-
-    def value(self, values: Mapping[str, int]) -> float:
-        return sum(f.physical(values[f.name]) * f.state.factor for f in self.fields if f.state is not None)
-
-    @property
-    def step(self) -> float:
-        return min(abs(float(f.scale) * f.state.factor) for f in self.fields if f.state is not None)
-
-
-def _reading(dialect: Dialect, quantity: str, verbs: Iterable[Verb]) -> _Reading:
-    for verb in verbs:
-        command = dialect.by_verb.get(verb)
-        if command is None or not command.reply_forms:
-            continue
-        named = command.reply_forms[0].layout.named.values()
-        fields = tuple(f for f in named if f.state is not None and f.state.quantity == quantity)
-        if fields:
-            return _Reading(command, quantity, fields)
-    raise Inconclusive(f"{dialect.name} has no command that reads the {quantity}")
-
-
-def _measure(probe: Probe, reading: _Reading, patience_ns: int | None = None) -> Sample:
+def _measure(probe: Probe, reading: declared.Reading, patience_ns: int | None = None) -> Sample:
     until = Until.REPLY if patience_ns is None else Until.READ
     exchange = probe.ask(reading.command, until=until, quiet_ns=0, timeout_ns=patience_ns)
     for _ in range(_AGAIN):
@@ -270,19 +155,9 @@ def position(probe: Probe, patience_ns: int | None = None) -> Sample:
     `patience_ns`: how long each reply is waited for; None: as long as the rig waits. The gate is told: it bounds moves to a
     place by where the shaft is.
     """
-    sample = _measure(probe, _reading(probe.dialect, "position", _POSITION), patience_ns)
+    sample = _measure(probe, declared.reading(probe.dialect, "position"), patience_ns)
     probe.gate.note_position(sample.value, probe.address)
     return sample
-
-
-def reads_position(dialect: Dialect) -> Command:
-    """Return the command that reads the position. Raises Inconclusive where there is none."""
-    return _reading(dialect, "position", _POSITION).command
-
-
-def reads_speed(dialect: Dialect) -> Command:
-    """Return the command that reads the speed. Raises Inconclusive where there is none."""
-    return _reading(dialect, "speed", _SPEED).command
 
 
 def speed(probe: Probe, patience_ns: int | None = None) -> Sample:
@@ -290,17 +165,7 @@ def speed(probe: Probe, patience_ns: int | None = None) -> Sample:
 
     `patience_ns`: as `position` takes it.
     """
-    return _measure(probe, _reading(probe.dialect, "speed", _SPEED), patience_ns)
-
-
-def proving_reads(dialect: Dialect) -> frozenset[str]:
-    """Return the names of the reads by which a shaft is proved to stand: its position, its speed, its status."""
-    found = {
-        _reading(dialect, quantity, verbs).command.name
-        for quantity, verbs in (("position", _POSITION), ("speed", _SPEED))
-        if any(v in dialect.by_verb for v in verbs)
-    }
-    return frozenset(found | {dialect.by_verb[v].name for v in _STATUS if v in dialect.by_verb})
+    return _measure(probe, declared.reading(probe.dialect, "speed"), patience_ns)
 
 
 def speed_between(first: Sample, second: Sample) -> tuple[float, float]:
@@ -352,21 +217,9 @@ def wait_until(probe: Probe, is_so: Callable[[], bool], *, every_ns: int = 20 * 
 # --- asking for motion ------------------------------------------------------------------------------------------------
 
 
-def of(command: Command) -> Motion:
-    """Return what a command that moves the shaft does, as the catalogue declares it."""
-    if command.motion is None:
-        raise ValueError(f"{command.name} is declared as no motion")
-    return command.motion
-
-
-def near(dialect: Dialect) -> float:
-    """Return by how many degrees a move may miss its target."""
-    return SAME if dialect.counts_per_turn else _NEAR
-
-
 def miss(probe: Probe) -> float:
     """Return by how many degrees a move of this drive may miss its target, as it reads."""
-    return near(probe.dialect) + probe.noise.place
+    return declared.near(probe.dialect) + probe.noise.place
 
 
 def same(probe: Probe) -> float:
@@ -374,127 +227,28 @@ def same(probe: Probe) -> float:
     return probe.within("degrees")
 
 
-def field_of(command: Command, name: str) -> Field:
-    """Return a field of a command's first request form."""
-    return command.request_forms[0].layout.named[name]
-
-
-def takes_pulses(command: Command) -> bool:
-    """Say whether the distance of a move is in pulses, so that the subdivision decides how far it goes."""
-    return bool(command.motion and command.motion.distance) and _distance(command).unit == "pulses"
-
-
-def _distance(command: Command) -> Field:
-    return field_of(command, of(command).distance)
-
-
-def units_per_turn(dialect: Dialect, command: Command, subdivision: int = SUBDIVISION) -> int:
-    """Return how many units of a move's distance, as sent, make a turn."""
-    field = _distance(command)
-    if field.unit == "pulses" and dialect.subdivision is not None:
-        return dialect.subdivision.full_steps * subdivision
-    return dialect.counts_per_turn if field.unit == "counts" else field.wire(360)
-
-
-def counts_of(dialect: Dialect, command: Command, units: int, subdivision: int) -> int:
-    """Return the encoder counts of a move's units at a subdivision as sent, which is 0 for the largest."""
-    largest = dialect.subdivision.largest if dialect.subdivision is not None else 0
-    return round(units * dialect.counts_per_turn / units_per_turn(dialect, command, subdivision or largest))
-
-
-def speed_as_sent(dialect: Dialect, field: Field, rpm: float, subdivision: int = SUBDIVISION) -> int:
-    """Return the speed to send so that the shaft turns at `rpm`."""
-    law = dialect.subdivision
-    if field.unit == "deg/s":
-        return field.wire(rpm * 6)
-    if law is not None and subdivision not in law.plain:
-        return max(1, round(rpm * subdivision / law.counted_at))
-    return field.wire(rpm)
-
-
-def rpm_as_asked(exchange: Exchange) -> float:
-    """Return the speed that a motion was asked for, in rpm, after rounding to the unit of its field; without a sign."""
-    assert exchange.command is not None  # asked
-    field = field_of(exchange.command, of(exchange.command).speed)
-    return abs(field.physical(exchange.values[field.name])) / (6 if field.unit == "deg/s" else 1)
-
-
-def any_move(dialect: Dialect, *, at_speed: bool = False) -> Command:
-    """Return a move, by a distance where there is one. `at_speed`: one that is told its speed."""
-    moves = (*dialect.motions(MotionKind.MOVE_BY), *dialect.motions(MotionKind.MOVE_TO))
-    return next(command for command in moves if of(command).speed or not at_speed)
-
-
-def finest(probe: Probe) -> int:
-    """Return how the largest subdivision is sent: as itself where the field holds it, else as 0."""
-    found = probe.dialect.effect(Effect.SUBDIVISION)
-    assert found is not None
-    assert probe.dialect.subdivision is not None
-    largest = probe.dialect.subdivision.largest
-    return largest if largest <= found[1].wire_maximum else 0
-
-
 def place(probe: Probe, command: Command) -> int:
     """Return where the shaft is as a move to a place counts it, as sent; 0 for a move by a distance.
 
     Raises Inconclusive where the move could not go on from there.
     """
-    motion = of(command)
+    motion = declared.of(command)
     if not motion.counted_by:
         return 0
     # A gate that bounds turns has to know where the shaft is.
     degrees = position(probe).value
     read = probe.command(motion.counted_by)
     now = probe.read(read, next(iter(read.reply_forms[0].layout.named)))
-    target = _distance(command)
+    target = declared.distance_of(command)
     if motion.kind is MotionKind.MOVE_TO and not target.low + _ROOM <= now <= target.high - _ROOM:
         raise Inconclusive(f"{read.name} reads {now}, from where {command.name} cannot go on")
-    probe.gate.note_position(degrees, probe.address, now if takes_pulses(command) else None)
+    probe.gate.note_position(degrees, probe.address, now if declared.takes_pulses(command) else None)
     return now
-
-
-def values_of(
-    dialect: Dialect,
-    command: Command,
-    degrees: float = 0.0,
-    *,
-    rpm: float = CALM,
-    acceleration: int = QUICK,
-    subdivision: int = SUBDIVISION,
-    start: int = 0,
-) -> dict[str, int]:
-    """Return the values of a run, move or torque, as sent.
-
-    `degrees`: the length of a move. `rpm`: the speed; of a run and a torque its sign is the direction. `start`: where a move to
-    a place begins, as `place` tells it.
-    """
-    motion = of(command)
-    values = {}
-    if motion.kind is MotionKind.TORQUE:
-        force = FORCE if rpm > 0 else -FORCE
-        values = {field.name: force for c, field in dialect.effects(Effect.CURRENT) if c.name == command.name}
-    elif motion.kind is MotionKind.RUN and motion.direction:
-        values = {motion.direction: int(rpm < 0)}
-        rpm = abs(rpm)
-    elif motion.distance:
-        turn = units_per_turn(dialect, command, subdivision)
-        amount = round(degrees * turn / 360)
-        if motion.direction:
-            values[motion.direction] = int(amount < 0)
-        if motion.kind is MotionKind.MOVE_BY:
-            values[motion.distance] = abs(amount) if motion.direction else amount
-        else:
-            values[motion.distance] = (start + amount) % turn if motion.kind is MotionKind.MOVE_IN_TURN else start + amount
-    if motion.speed:
-        values[motion.speed] = speed_as_sent(dialect, field_of(command, motion.speed), rpm, subdivision)
-    if motion.acceleration:
-        values[motion.acceleration] = acceleration
-    return values
 
 
 def prepare(probe: Probe, command: Command) -> None:
     """Make a drive ready for a motion; one that counts pulses gets the subdivision of the suite."""
-    ready_to_move(probe, subdivision=SUBDIVISION if takes_pulses(command) else None)
+    ready_to_move(probe, subdivision=SUBDIVISION if declared.takes_pulses(command) else None)
 
 
 #: Units between two targets of which one begins no frame: the heads of the native dialect are three in a row.
@@ -522,12 +276,12 @@ def ask(
     if until is Until.DONE and timeout_ns is None:
         law_ns = ramp.move_ns(degrees / 360, how.get("rpm", CALM), how.get("acceleration", QUICK))
         timeout_ns = int(law_ns * _PATIENCE) + _GRACE_NS
-    values = values_of(probe.dialect, command, degrees, start=begun, **how) | dict(more or {})
+    values = declared.values_of(probe.dialect, command, degrees, start=begun, **how) | dict(more or {})
     replies: dict[str, Any] = {"until": until, "timeout_ns": timeout_ns, "quiet_ns": quiet_ns}
     try:
         return probe.ask(command, values, **replies)
     except Refused:
-        distance = of(command).distance
+        distance = declared.of(command).distance
         if not distance or more:
             raise
         # Where the shaft stands, the bytes of a target may read as a frame of another dialect: beside it they do not.
@@ -555,7 +309,7 @@ def begin(probe: Probe, command: Command, degrees: float = 0.0, **how: Any) -> E
 def run_at(probe: Probe, rpm: float, acceleration: int = QUICK) -> Exchange:
     """Begin a run at a speed. Raises Inconclusive where the drive refuses or does not answer."""
     command = probe.command(Verb.RUN_SPEED)
-    return probe.do(command, values_of(probe.dialect, command, rpm=rpm, acceleration=acceleration))
+    return probe.do(command, declared.values_of(probe.dialect, command, rpm=rpm, acceleration=acceleration))
 
 
 def stop(probe: Probe, acceleration: int = QUICK) -> Exchange:

@@ -11,10 +11,11 @@ from analyzer.protocols.lk_rs485 import ERROR_BITS, BrakeControl, BrakeState
 from analyzer.protocols.mks_shared import Protection
 from conformance.claim import Claim, Inconclusive
 from conformance.gate.gate import Refused
-from conformance.motion import arriving, motion
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import CALM, QUICK
 from conformance.talk import restarts
 from conformance.talk.noise import LOOP_DEGREES, QUIET, Noise
-from conformance.talk.probe import Until
+from conformance.talk.probe import MS, SECOND_NS, Until
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -34,19 +35,19 @@ _IDLE, _HIGH, _MOST_STRAY = b"\x00\xff", b"\xff", 2
 _RESTS = 5.0
 #: When a move has come to its speed, until when it keeps it, how far it goes, in degrees, and how fast: in whole rpm
 #: a slower one shows its rounding alone.
-_GOING_NS, _STEADY_NS, _WAY, _RPM = 300 * motion.MS, 900 * motion.MS, 1080.0, 180
+_GOING_NS, _STEADY_NS, _WAY, _RPM = 300 * MS, 900 * MS, 1080.0, 180
 #: By then a run that a drive keeps turns the shaft.
-_BEGINS_NS = 150 * motion.MS
+_BEGINS_NS = 150 * MS
 #: How long a shaft that stands is watched.
-_CREEPS_NS = 800 * motion.MS
+_CREEPS_NS = 800 * MS
 #: The first looks at it, in which it may still settle: that is no tremble.
 _SETTLING = 5
 #: From this share on a speed differs from the one asked for; a move that misses by these degrees did not go its way.
 _ANOTHER, _SHORT = 0.1, 90.0
 #: By how many moves it is seen how far from its targets a loop rests, how long they are, in degrees, and when each has settled.
-_MOVES, _STEP, _SETTLED_NS = 8, 30.0, 150 * motion.MS
+_MOVES, _STEP, _SETTLED_NS = 8, 30.0, 150 * MS
 #: What a drive's own limits must leave to the suite, as they are sent, 0 being no limit; and a run that they allow.
-_LIMITED_RPM, _LIMITED_NS = 120, 500 * motion.MS
+_LIMITED_RPM, _LIMITED_NS = 120, 500 * MS
 _LEAST = {"speed_limit": 72_000, "speed_ramp": 180_000}
 #: Reading the brake and nothing else.
 _ASK_BRAKE = {"brake_control": int(BrakeControl.READ)}
@@ -100,7 +101,7 @@ def forget_run(probe: Probe, mode: int | None = None) -> bool:
     for left in reversed(range(_ATTEMPTS)):
         try:
             motion.ready_to_move(probe)
-            probe.do(command, {"save_state": motion.choice(command, "save_state", "clean")})
+            probe.do(command, {"save_state": declared.choice(command, "save_state", "clean")})
             if mode is not None:
                 probe.do(Verb.SET_WORK_MODE, {"work_mode": mode})
             break
@@ -133,7 +134,7 @@ def _in_motion(probe: Probe) -> Noise:
     """Measure that. Raises Inconclusive, Refused where the drive does not run."""
     motion.ready_to_move(probe)
     before = motion.position(probe).value
-    asked = motion.ask(probe, _move(probe.dialect), _WAY, rpm=_RPM, acceleration=motion.QUICK, quiet_ns=0)
+    asked = motion.ask(probe, _move(probe.dialect), _WAY, rpm=_RPM, acceleration=QUICK, quiet_ns=0)
     if motion.refused(probe, asked):
         return replace(probe.noise, hindrance=_protection(probe))
     begun_ns = probe.gate.now_ns()
@@ -183,7 +184,7 @@ def _beside(probe: Probe) -> float:
     move, before = _move(probe.dialect), motion.position(probe).value
     missed, told = [], []
     for _ in range(_MOVES):
-        motion.ask(probe, move, _STEP, rpm=_RPM, acceleration=motion.QUICK)
+        motion.ask(probe, move, _STEP, rpm=_RPM, acceleration=QUICK)
         motion.wait_standing(probe)
         probe.wait(_SETTLED_NS)
         now = motion.position(probe).value
@@ -197,7 +198,7 @@ def _arriving(probe: Probe) -> list[float]:
     """Wait until a move is told as complete; return where the shaft is then, again and again. Empty where no end is told."""
     if not arriving.tells_end(probe.dialect):
         return []
-    probe.listen(3 * motion.SECOND_NS, Until.REPLY)
+    probe.listen(3 * SECOND_NS, Until.REPLY)
     return [motion.position(probe).value for _ in range(_SWINGS)]
 
 
@@ -205,7 +206,7 @@ def _lag(probe: Probe) -> float:
     """Return how many degrees the shaft goes on after a stop at once has been answered."""
     if probe.dialect.ramp is None:
         return 0.0
-    motion.run_at(probe, motion.CALM)
+    motion.run_at(probe, CALM)
     probe.wait(_GOING_NS)
     probe.ask(Verb.STOP_SPEED, {"acceleration": 0}, quiet_ns=0)
     swings = [motion.position(probe).value for _ in range(_SWINGS)]
@@ -263,13 +264,13 @@ def _hindrance(probe: Probe, went: float) -> str:
 
 def can_turn(dialect: Dialect, claim: Claim) -> bool:
     """Say whether what a claim may do is enough to measure the speed of a shaft that turns."""
-    return motion.can_move(dialect) and claim.risks >= motion.risks(dialect, *_move(dialect).all_risks)
+    return declared.can_move(dialect) and claim.risks >= declared.risks(dialect, *_move(dialect).all_risks)
 
 
 def _move(dialect: Dialect) -> Command:
     """Return a move that is told its speed, and whose length no setting changes."""
     moves = dialect.motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO)
-    return next(m for m in moves if motion.of(m).speed and not motion.takes_pulses(m))
+    return next(m for m in moves if declared.of(m).speed and not declared.takes_pulses(m))
 
 
 def _half_span(values: list[float]) -> float:
@@ -306,7 +307,7 @@ def _of_line(probe: Probe) -> Noise:
     repeated: set[int] = set()
     checked, lost = False, 0
     # The replies end in different bytes.
-    reads = (motion.reads_position(probe.dialect), motion.reads_speed(probe.dialect)) * (_FEWER // 2)
+    reads = (declared.reads_position(probe.dialect), declared.reads_speed(probe.dialect)) * (_FEWER // 2)
     for command in reads:
         exchange = probe.ask(command, quiet_ns=0)
         answer = exchange.reply

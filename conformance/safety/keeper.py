@@ -27,7 +27,7 @@ from conformance.gate.budget import Budget
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.interpretations import Interpretation
 from conformance.gate.permissions import Allowance
-from conformance.motion import motion
+from conformance.motion import declared, motion
 from conformance.safety import following, settings
 from conformance.safety import journal as journals
 from conformance.safety.journal import Entry, Journal, values_text
@@ -303,7 +303,7 @@ class Keeper:
         command = self._dialect.by_verb.get(Verb.SET_WORK_MODE)
         if command is None or not self._can_keep(command):
             return False
-        mode = {"work_mode": motion.choice(command, "work_mode", motion.bus_modes(self._dialect)[-1])}
+        mode = {"work_mode": declared.choice(command, "work_mode", declared.bus_modes(self._dialect)[-1])}
         try:
             self._keep(command, mode)
         except NotRun:

@@ -31,6 +31,7 @@ from conformance.claim import Inconclusive, NotStopped
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion
+from conformance.motion.declared import GENTLE, SAME
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import QUIET, Noise
 from conformance.talk.probe import Probe, plain_probe
@@ -185,7 +186,7 @@ def flood(count: int, duration_ns: int, line: Line) -> list[str]:
 
 
 def _gentle(command: Command) -> dict[str, int]:
-    return {"acceleration": motion.GENTLE} if "acceleration" in command.request_forms[0].layout.named else {}
+    return {"acceleration": GENTLE} if "acceleration" in command.request_forms[0].layout.named else {}
 
 
 def ramped_stops(dialect: Dialect) -> tuple[Command, ...]:
@@ -217,7 +218,7 @@ def prove_standing(
     """
     begun_ns = probe.gate.now_ns()
     until_ns = begun_ns + limit_ns
-    within = motion.SAME + min(_SPOT_DEGREES, 2 * probe.noise.degrees)
+    within = SAME + min(_SPOT_DEGREES, 2 * probe.noise.degrees)
     slowest = 1 + min(_TREMBLE_RPM, probe.noise.rpm)
     first, failure = 0.0, "nothing was read"
     asked_ns, patience_ns = begun_ns, _patience_ns(probe)
@@ -270,7 +271,7 @@ def _stays(spot: Sequence[tuple[int, float]]) -> bool:
     if len(spot) <= PROOFS or spot[-1][0] - spot[0][0] < _SPOT_NS:
         return False
     places, half = [place for _, place in spot], len(spot) // 2
-    return abs(mean(places[:half]) - mean(places[-half:])) <= motion.SAME
+    return abs(mean(places[:half]) - mean(places[-half:])) <= SAME
 
 
 def standing_failure(gate: Gate, dialect: Dialect, address: int) -> str:

@@ -25,7 +25,7 @@ from conformance import claims as registry
 from conformance.claim import Claim, Outcome, Theme, Verdict
 from conformance.drives import make
 from conformance.gate.permissions import READS, Allowance
-from conformance.motion import motion
+from conformance.motion import declared
 from conformance.safety import settings
 from conformance.safety.keeper import cannot_keep
 from conformance.safety.stopping import MAY_MOVE
@@ -211,7 +211,7 @@ def proving_claims(plan: Plan, target: Target) -> list[Claim]:
     """Return the claims about the reads on which safety rests, where something may move a real drive."""
     if target.emulated or not (plan.allowance or Allowance(READS)).risks & MAY_MOVE:
         return []
-    reads = motion.proving_reads(target.dialect)
+    reads = declared.proving_reads(target.dialect)
     return [c for c in every_claim(target) if c.theme is Theme.SHAPE and reads.intersection(c.commands) and c.risks <= READS]
 
 

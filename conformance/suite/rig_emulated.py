@@ -15,7 +15,7 @@ from conformance.drives.make import Specification
 from conformance.gate.budget import Budget
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
-from conformance.motion import answering, motion, resting
+from conformance.motion import answering, declared, resting
 from conformance.safety.stopping import MAY_MOVE
 from conformance.suite import set_otherwise
 from conformance.suite.rig import ClaimRig
@@ -128,7 +128,7 @@ class EmulatedRig(ClaimRig):
         return gate
 
     def probe(self, claim: Claim) -> Probe:
-        if not self._ideal and self._in_motion is None and claim.risks & MAY_MOVE and motion.can_move(self.dialect):
+        if not self._ideal and self._in_motion is None and claim.risks & MAY_MOVE and declared.can_move(self.dialect):
             self._to_set = self._answers_once_set()
             measuring = self._plain_probe()
             if self._to_set:

@@ -27,7 +27,7 @@ from conformance.bus.line import Line, LineLost
 from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, RigFault
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import READS, Allowance
-from conformance.motion import answering, motion, resting
+from conformance.motion import answering, declared, resting
 from conformance.safety import messages as say
 from conformance.safety import settings
 from conformance.safety.guarded_line import GuardedLine, beginning
@@ -105,7 +105,7 @@ class RealRig(ClaimRig):
         self.keeper = Keeper(
             self.gate, self.dialect, self.address, known, self._journal, target.endpoint.text, alone=self.alone
         )
-        self._ready = motion.ready_settings(self.dialect)
+        self._ready = declared.ready_settings(self.dialect)
         #: What makes the drive answer motion, by command, where a user has set it not to; whether it was looked at for that.
         self._loud: dict[str, dict[str, int]] = {}
         self._heard = False
@@ -237,7 +237,7 @@ class RealRig(ClaimRig):
 
     def _let_stand(self, claim: Claim) -> None:
         """Stop and forget a run that was kept for power-on, before the first claim that moves: each restart would begin it."""
-        if self._ever_moved or not motion.can_move(self.dialect):
+        if self._ever_moved or not declared.can_move(self.dialect):
             return
         probe = Probe(self, claim)
         try:

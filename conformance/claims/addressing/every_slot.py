@@ -17,11 +17,11 @@ from conformance.claim import Inconclusive
 from conformance.claims.addressing.package import frame_of, motions, of, of_packages, others_of, rpm_of
 from conformance.claims.control_reads import plain_read
 from conformance.claims.declare import Case
-from conformance.motion import arriving, motion, ramp
+from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import CALM, MS
+from conformance.motion.declared import CALM, QUICK
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: How long a shaft rises until its way is looked at: by the ramp to 150 rpm. How far a motion would go (degrees).
 _RISES_NS, _FAR = 60 * MS, 10 * 360
@@ -57,7 +57,7 @@ def _in_each_slot(probe: Probe, command: Command, run: Command) -> None:
         key = f"{run.name} in a slot of a package does not turn the shaft as when it is sent alone"
         text = key.replace("a slot", f"slot {number + 1}")
         went = seen * alone * way
-        if motion.of(run).kind is MotionKind.RUN:
+        if declared.of(run).kind is MotionKind.RUN:
             probe.expect(went, at_least=CALM / 2, unit="rpm that way", refutes=text, exchange=sent, key=key)
         else:
             within = motion.miss(probe) + motion.same(probe)
@@ -69,9 +69,9 @@ def _turned_in_slot(
 ) -> tuple[Exchange, float, motion.Sample]:
     """Turn the shaft by a slot; return the package, the speed of a run or how far a move went, and where the shaft rests."""
     assert command.slots is not None
-    runs = motion.of(run).kind is MotionKind.RUN
+    runs = declared.of(run).kind is MotionKind.RUN
     start, degrees = motion.place(probe, run), _FAR if runs else _WAY
-    own, other = (motion.values_of(probe.dialect, run, w * degrees, rpm=rpm_of(run, w), start=start) for w in (way, -way))
+    own, other = (declared.values_of(probe.dialect, run, w * degrees, rpm=rpm_of(run, w), start=start) for w in (way, -way))
     slots = [
         {"address": address, "command": run.name, **other}
         for address in others_of(probe.dialect, probe.address, command.slots.count - 1)
@@ -82,7 +82,7 @@ def _turned_in_slot(
         sent = probe.send(frame, timeout_ns=_RISES_NS)
         seen = motion.turning(probe).value
         return sent, seen, motion.stand_still(probe)
-    sent = probe.send(frame, timeout_ns=int(ramp.move_ns(_WAY / 360, _RPM, motion.QUICK)))
+    sent = probe.send(frame, timeout_ns=int(ramp.move_ns(_WAY / 360, _RPM, QUICK)))
     try:
         end = motion.wait_standing(probe, limit_ns=_LATE_NS)
     except Inconclusive:
@@ -98,7 +98,7 @@ def _set_in_every_slot(dialect: Dialect) -> Iterator[Case]:
     verbs = (Verb.ENABLE, Verb.SET_SUBDIVISION, Verb.MOVE_RELATIVE_PULSES)
     risks = frozenset[Risk]().union(*(dialect.by_verb[verb].all_risks for verb in verbs)) if of(dialect) else frozenset[Risk]()
     for command in of(dialect):
-        facts = {"risks": motion.risks(dialect, *risks), "settings": motion.settings(dialect, "subdivision")}
+        facts = {"risks": declared.risks(dialect, *risks), "settings": declared.settings(dialect, "subdivision")}
         yield Case(dialect, command, facts=facts)
 
 

@@ -33,9 +33,9 @@ from conformance.claims.known_reads import every_read, is_stored, plain_reads
 from conformance.claims.motion.motion_claim import command_of
 from conformance.claims.settings.known_settings import ReadableSetting, needs, readable_settings
 from conformance.model import lk_parameters
-from conformance.motion import motion
+from conformance.motion import declared, motion
 from conformance.talk.exchange import Exchange, hex_of
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: The most bytes of a CAN frame.
 _CAN_BYTES = 8
@@ -211,7 +211,7 @@ def _settings_of_one_length(probe: Probe, chosen: list[ReadableSetting]) -> None
 
 
 #: How long is listened to a setting that is not to be stored, before it is read.
-_SHORT_NS = 20 * motion.MS
+_SHORT_NS = 20 * MS
 #: The work mode in which the suite moves, as sent.
 _FULL_CONTROL = 5
 #: What switches, stops and turns a drive, in turn; none of it stores anything else than it says.
@@ -237,7 +237,7 @@ def _that_stay(dialect: Dialect) -> Iterator[Case]:
     chosen = [each for each in readable_settings(dialect) if each.command.verb not in _NEEDED]
     # Of LK 19h is kept in the flash; the zero of MKS is where the shaft stands.
     deeds = [(n, v) for n, v in _DEEDS if n in dialect.by_name and Risk.WEAR not in dialect.by_name[n].all_risks]
-    if chosen and motion.can_move(dialect):
+    if chosen and declared.can_move(dialect):
         commands = [
             *(each.command for each in chosen),
             *(dialect.by_name[n] for n, _ in deeds),
@@ -245,7 +245,7 @@ def _that_stay(dialect: Dialect) -> Iterator[Case]:
         ]
         risks = frozenset[Risk]().union(*(c.all_risks for c in commands)) - {Risk.UNKNOWN}
         _, names = needs(chosen)
-        facts = {"risks": motion.risks(dialect, *risks), "settings": motion.settings(dialect, *names)}
+        facts = {"risks": declared.risks(dialect, *risks), "settings": declared.settings(dialect, *names)}
         yield Case(dialect, given={"chosen": chosen, "deeds": deeds}, facts=facts)
 
 

@@ -20,10 +20,10 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import command_of
 from conformance.claims.motion.protection import protect
 from conformance.claims.settings import setting_effects
-from conformance.motion import arriving, motion
-from conformance.motion.motion import MOVES, MS, SAME
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import MOVES, QUICK, SAME, SUBDIVISION
 from conformance.talk import restarts
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: A motion that shows: degrees, and rpm where it can be told.
 _DEGREES, RPM = 20, 30
@@ -86,7 +86,7 @@ def _nothing(probe: Probe, command: Command) -> Mapping[str, int]:
 
 def _motion_values(probe: Probe, command: Command) -> Mapping[str, int]:
     start = motion.place(probe, command)
-    return motion.values_of(probe.dialect, command, _DEGREES, rpm=RPM, start=start)
+    return declared.values_of(probe.dialect, command, _DEGREES, rpm=RPM, start=start)
 
 
 def _another_position(probe: Probe, command: Command) -> Mapping[str, int]:
@@ -99,7 +99,7 @@ def _away(probe: Probe) -> None:
     """Bring the shaft away from zero: what makes its place zero then shows."""
     motion.ready_to_move(probe)
     at = motion.position(probe).value
-    arriving.follow(probe, motion.any_move(probe.dialect), _OFF_ZERO if at > -_OFF_ZERO / 2 else -_OFF_ZERO)
+    arriving.follow(probe, declared.any_move(probe.dialect), _OFF_ZERO if at > -_OFF_ZERO / 2 else -_OFF_ZERO)
 
 
 def _turn(probe: Probe) -> None:
@@ -158,8 +158,8 @@ def _own_ports(probe: Probe) -> object:
 
 
 def _pulse_mode(probe: Probe, command: Command) -> Mapping[str, int]:
-    modes = motion.field_of(command, "work_mode").choice_names
-    return {"work_mode": next(value for value, name in modes.items() if name not in motion.bus_modes(probe.dialect))}
+    modes = declared.field_of(command, "work_mode").choice_names
+    return {"work_mode": next(value for value, name in modes.items() if name not in declared.bus_modes(probe.dialect))}
 
 
 def _moves_by_bus(probe: Probe) -> float:
@@ -180,14 +180,14 @@ def _forget_zero(probe: Probe) -> object:
 
 
 def _without_zero(probe: Probe) -> None:
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     _forget_zero(probe)
 
 
 def _goes_back(probe: Probe) -> float:
     """Bring the shaft away, restart, and return how far it is then from where it was left, in degrees within the turn."""
     motion.ready_to_move(probe)
-    arriving.follow(probe, motion.any_move(probe.dialect), _OFF_ZERO)
+    arriving.follow(probe, declared.any_move(probe.dialect), _OFF_ZERO)
     left = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
     restarts.restart(probe)
     motion.wait_standing(probe)
@@ -211,7 +211,7 @@ _SWITCHES: Mapping[str, Guarded] = {
     "brake": Guarded(_release, lambda probe, command: {"brake_control": _POWER_OFF}, _brake, after=_release),
     "set_position": Guarded(motion.ready_to_move, _another_position, _shaft, _STILL),
 }
-_STOP = Guarded(_turn, lambda probe, command: {"acceleration": motion.QUICK} if motion.of(command).acceleration else {}, _turns)
+_STOP = Guarded(_turn, lambda probe, command: {"acceleration": QUICK} if declared.of(command).acceleration else {}, _turns)
 _NEW_BEGINNING = Guarded(_turn, _nothing, _turns_still, after=motion.ready_to_move, again=False)
 #: What stops a shaft, and what shows beside: on buses alone whose frames tell their length. `facts` of their claims.
 _MORE: Mapping[str, tuple[Guarded, Mapping[str, Any]]] = {
@@ -256,7 +256,7 @@ MOTIONS = (*MOVES, MotionKind.RUN, MotionKind.TORQUE)
 
 def _all_guarded(dialect: Dialect) -> Iterator[Case]:
     """Yield what switches, renames or homes, and the motions of the LK drives: those of MKS stand with their frames."""
-    if not motion.can_move(dialect):
+    if not declared.can_move(dialect):
         return
     for command in dialect.motions(*MOTIONS) if dialect.family == "lk" else ():
         yield Case(dialect, command, {"guarded": MOTION})
@@ -280,7 +280,7 @@ def risks(case: Case) -> frozenset[Risk]:
     # A damaged frame with a head may be read as another one, where nothing tells its length.
     if case.dialect.link.first_bytes and not case.dialect.link.tells_length:
         switching.add(Risk.UNKNOWN)
-    return motion.risks(case.dialect, *(command.all_risks - {Risk.UNKNOWN}), *switching)
+    return declared.risks(case.dialect, *(command.all_risks - {Risk.UNKNOWN}), *switching)
 
 
 def switches(dialect: Dialect) -> Iterator[Case]:
@@ -292,8 +292,8 @@ def switches(dialect: Dialect) -> Iterator[Case]:
 
 def _of_table(dialect: Dialect, table: Mapping[str, tuple[Guarded, Mapping[str, Any]]]) -> Iterator[Case]:
     for name, (guarded, facts) in table.items():
-        if name in dialect.by_name and motion.can_move(dialect):
-            settings = motion.settings(dialect, *facts.get("settings", ()))
+        if name in dialect.by_name and declared.can_move(dialect):
+            settings = declared.settings(dialect, *facts.get("settings", ()))
             yield Case(dialect, dialect.by_name[name], {"guarded": guarded}, {**facts, "settings": settings})
 
 

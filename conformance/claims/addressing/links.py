@@ -19,20 +19,20 @@ from conformance.claims.addressing.many import Many, addressing, ways
 from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case, Cases
 from conformance.claims.settings.link_changes import another_rate, at_rate, change_address, other_address, settle
-from conformance.motion import motion
+from conformance.motion import declared
 from conformance.talk.acceptance import answers, need_reliable_replies
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: How long such a setting is listened to.
-_SILENT_NS = 20 * motion.MS
+_SILENT_NS = 20 * MS
 
 
 def _by_ways(effect: Effect) -> Cases:
     """Return cases of a setting of the link, one for each way to several drives."""
 
     def cases(dialect: Dialect) -> Iterator[Case]:
-        for many in ways(dialect) if motion.can_move(dialect) else ():
+        for many in ways(dialect) if declared.can_move(dialect) else ():
             for command, field in dialect.effects(effect):
                 risks = {*command.all_risks, *many.risks(dialect)}
                 facts = {"risks": risks, "settings": (field.name, *many.settings)}

@@ -30,9 +30,9 @@ from conformance.claims.ranges import edges
 from conformance.claims.settings import setting_effects
 from conformance.claims.settings.setting_effects import differing
 from conformance.gate.gate import Item
-from conformance.motion import effects, motion, ramp
+from conformance.motion import declared, effects, motion, ramp
+from conformance.motion.declared import CALM, MOVES, QUICK
 from conformance.motion.effects import STEP_NS, Change, Observable
-from conformance.motion.motion import MOVES
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
 from conformance.talk.settings import changes_link
@@ -292,8 +292,8 @@ def _motions(dialect: Dialect) -> Iterator[Case]:
     for many in addresses(dialect):
         for run in dialect.motions(MotionKind.RUN, *MOVES):
             for stop in dialect.stops_of(run):
-                risks = many.risks(dialect) | motion.risks(dialect, *run.all_risks)
-                settings = (*motion.settings(dialect), *many.settings)
+                risks = many.risks(dialect) | declared.risks(dialect, *run.all_risks)
+                settings = (*declared.settings(dialect), *many.settings)
                 given = {"many": many, "what": many.what, "run": run, "stop": stop}
                 yield Case(dialect, given=given, facts={"risks": risks, "settings": settings})
 
@@ -306,19 +306,19 @@ def _turns_and_stops(probe: Probe, many: Many, run: Command, stop: Command) -> N
     if many is _GROUPS and first:
         _expect_stays(probe, run, _near_groups(probe, to))
     # By its ramp the shaft would go on for 0.15 s.
-    ramped = motion.of(run).acceleration
-    how = {"rpm": 2 * motion.CALM, "acceleration": _HALTED_RAMP} if ramped else {}
-    values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run), **how)
+    ramped = declared.of(run).acceleration
+    how = {"rpm": 2 * CALM, "acceleration": _HALTED_RAMP} if ramped else {}
+    values = declared.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run), **how)
     begun = probe.send(probe.build(run, values, address=to).item(), timeout_ns=_RISES_NS if ramped else _TURNS_NS)
     text = f"{run.name} by {many.what} does not turn the shaft"
     seen = motion.turning(probe)
-    probe.expect(abs(seen.value), at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
+    probe.expect(abs(seen.value), at_least=CALM / 2, unit="rpm", refutes=text, exchange=begun)
     if ramped:
         text = f"{run.name} by {many.what} does not keep to the acceleration that was sent"
         most = (seen.t_ns + seen.spread_ns - begun.sent_ns) / ramp.step_ns(_HALTED_RAMP) + _BESIDE
         probe.expect(abs(seen.value), at_most=most, unit="rpm", refutes=text, exchange=begun)
-    at_once = motion.of(stop).acceleration or stop.verb is Verb.EMERGENCY_STOP
-    how = {"acceleration": 0} if motion.of(stop).acceleration else {}
+    at_once = declared.of(stop).acceleration or stop.verb is Verb.EMERGENCY_STOP
+    how = {"acceleration": 0} if declared.of(stop).acceleration else {}
     ended = probe.send(probe.build(stop, how, address=to).item(), timeout_ns=_HALTS_NS if at_once else _TURNS_NS)
     text = f"{stop.name} by {many.what} does not stop the shaft"
     if at_once:
@@ -332,10 +332,10 @@ def _turns_and_stops(probe: Probe, many: Many, run: Command, stop: Command) -> N
     expect_standing(probe, ended, text)
     for sent in (begun, ended):
         _expect_silence(probe, sent, many.what)
-    if first and motion.of(run).kind in MOVES:
+    if first and declared.of(run).kind in MOVES:
         _expect_goes(probe, many, run, to)
     if many is _GROUPS and first:
-        own = probe.ask(run, motion.values_of(probe.dialect, run, 36, start=motion.place(probe, run)))
+        own = probe.ask(run, declared.values_of(probe.dialect, run, 36, start=motion.place(probe, run)))
         motion.stand_still(probe)
         text = f"a drive in a group no longer answers {run.name} to its own address"
         probe.expect(received_text(own), holds=not own.silent, expected="a reply", refutes=text, exchange=own)
@@ -344,8 +344,8 @@ def _turns_and_stops(probe: Probe, many: Many, run: Command, stop: Command) -> N
 def _expect_goes(probe: Probe, many: Many, move: Command, to: int) -> None:
     """Refute a move that does not go as far as was sent."""
     rest = motion.position(probe)
-    values = motion.values_of(probe.dialect, move, _SHORT, acceleration=motion.QUICK, start=motion.place(probe, move))
-    law_ns = int(ramp.move_ns(_SHORT / 360, motion.CALM, motion.QUICK))
+    values = declared.values_of(probe.dialect, move, _SHORT, acceleration=QUICK, start=motion.place(probe, move))
+    law_ns = int(ramp.move_ns(_SHORT / 360, CALM, QUICK))
     sent = probe.send(probe.build(move, values, address=to).item(), timeout_ns=law_ns)
     went, within = abs(motion.wait_standing(probe).value - rest.value), motion.miss(probe) + motion.same(probe)
     text = f"{move.name} by {many.what} does not go as far as was sent"
@@ -354,12 +354,12 @@ def _expect_goes(probe: Probe, many: Many, move: Command, to: int) -> None:
 
 def _expect_stays(probe: Probe, run: Command, addresses: list[int]) -> None:
     """Refute a drive that any of these addresses turns."""
-    values = motion.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run))
+    values = declared.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run))
     for address in addresses:
         sent = probe.send(probe.build(run, values, address=address).item(), timeout_ns=_BETWEEN_NS)
         went = abs(motion.speed(probe).value)
         text, key = f"{run.name} by the group {address} turns a drive of another group", f"{run.name} by another group"
-        probe.expect(went, at_most=motion.CALM / 8, unit="rpm", refutes=text, exchange=sent, key=key)
+        probe.expect(went, at_most=CALM / 8, unit="rpm", refutes=text, exchange=sent, key=key)
 
 
 def _ramped(dialect: Dialect) -> Iterator[Case]:
@@ -367,8 +367,8 @@ def _ramped(dialect: Dialect) -> Iterator[Case]:
     every = dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ()
     for many in ways(dialect) if every else ():
         chosen = every if many is _PACKAGES else every[:1]
-        risks = many.risks(dialect) | motion.risks(dialect, *(risk for command in chosen for risk in command.all_risks))
-        facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
+        risks = many.risks(dialect) | declared.risks(dialect, *(risk for command in chosen for risk in command.all_risks))
+        facts = {"risks": risks, "settings": declared.settings(dialect, *many.settings)}
         yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
 
 
@@ -378,15 +378,15 @@ def _as_sent(probe: Probe, many: Many, chosen: tuple[Command, ...]) -> None:
     for command in chosen:
         motion.prepare(probe, command)
         to = many.join(probe)
-        runs = motion.of(command).kind is MotionKind.RUN
-        how: dict[str, Any] = {"rpm": -motion.CALM if runs else motion.CALM, "acceleration": _RAMP}
-        values = motion.values_of(probe.dialect, command, -_WAY, start=motion.place(probe, command), **how)
+        runs = declared.of(command).kind is MotionKind.RUN
+        how: dict[str, Any] = {"rpm": -CALM if runs else CALM, "acceleration": _RAMP}
+        values = declared.values_of(probe.dialect, command, -_WAY, start=motion.place(probe, command), **how)
         _expect_on_ramp(probe, many.frame(probe, command, values, to), 0, f"{command.name} by {many.what}")
         if runs:
             probe.wait(STEP_NS)
             stop = probe.dialect.stops_of(command)[0]
             ended = many.frame(probe, stop, {"acceleration": _RAMP}, to)
-            _expect_on_ramp(probe, ended, motion.CALM, f"{stop.name} by {many.what}")
+            _expect_on_ramp(probe, ended, CALM, f"{stop.name} by {many.what}")
         motion.stand_still(probe)
 
 
@@ -399,7 +399,7 @@ _BESIDE = 15
 def _expect_on_ramp(probe: Probe, item: Item | bytes, first: int, what: str) -> None:
     sent = probe.send(item, timeout_ns=_ON_RAMP_NS)
     seen = motion.speed(probe)
-    gone = min(motion.CALM, (seen.t_ns - sent.sent_ns) / ramp.step_ns(_RAMP))
+    gone = min(CALM, (seen.t_ns - sent.sent_ns) / ramp.step_ns(_RAMP))
     text = f"{what} does not keep to the acceleration that was sent"
     within = _BESIDE + seen.spread_ns / ramp.step_ns(_RAMP)
     probe.expect(abs(seen.value), near=abs(first - gone), within=within, unit="rpm", refutes=text, exchange=sent)
@@ -441,7 +441,7 @@ def _switches(dialect: Dialect) -> Iterator[Case]:
     for many in ways(dialect):
         for case in guarded_commands.switches(dialect):
             risks = many.risks(dialect) | guarded_commands.risks(case)
-            settings = case.facts.get("settings", motion.settings(dialect))
+            settings = case.facts.get("settings", declared.settings(dialect))
             facts = {**case.facts, "risks": risks, "settings": (*settings, *many.settings)}
             given = {"many": many, "what": many.what, "switch": case.command, "shown": case["guarded"]}
             yield Case(dialect, given=given, facts=facts)
@@ -465,10 +465,11 @@ def _switched(probe: Probe, many: Many, switch: Command, shown: guarded_commands
 
 def _whatever_happens(dialect: Dialect) -> Iterator[Case]:
     """Yield each address of several drives with what is refused while the motor is off."""
-    for many in addresses(dialect) if motion.can_move(dialect) else ():
+    for many in addresses(dialect) if declared.can_move(dialect) else ():
         chosen = dialect.motions(MotionKind.RUN, *MOVES)
-        risks = motion.risks(dialect, Risk.TORQUE, *many.risks(dialect).union(*(c.all_risks for c in chosen)) - {Risk.UNKNOWN})
-        facts = {"risks": risks, "settings": motion.settings(dialect, *many.settings)}
+        sent = many.risks(dialect).union(*(c.all_risks for c in chosen)) - {Risk.UNKNOWN}
+        risks = declared.risks(dialect, Risk.TORQUE, *sent)
+        facts = {"risks": risks, "settings": declared.settings(dialect, *many.settings)}
         yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
 
 
@@ -482,7 +483,7 @@ def _never_answered(probe: Probe, many: Many, chosen: tuple[Command, ...]) -> No
     motion.switch(probe, False)
     for command in chosen:
         # What moves turns nothing, or a tenth of a turn: a motor that is off may run all the same.
-        values = motion.values_of(probe.dialect, command, 36, start=motion.place(probe, command))
+        values = declared.values_of(probe.dialect, command, 36, start=motion.place(probe, command))
         sent = probe.ask(command, values, address=to, until=Until.TIMEOUT, timeout_ns=probe.rig.silence_ns)
         if not sent.silent:
             motion.stand_still(probe)
@@ -513,7 +514,7 @@ def _settings(probe: Probe, many: Many, chosen: list[Command]) -> None:
     if Verb.SET_WORK_MODE in probe.dialect.by_verb:
         # Some settings are refused in a pulse mode.
         mode = probe.command(Verb.SET_WORK_MODE)
-        probe.ask(mode, {"work_mode": motion.choice(mode, "work_mode", motion.bus_modes(probe.dialect)[-1])})
+        probe.ask(mode, {"work_mode": declared.choice(mode, "work_mode", declared.bus_modes(probe.dialect)[-1])})
     for command in chosen:
         before, _ = setting_effects.stored(probe, command)
         values = next(v for v in differing(command.request_forms[0]) if v != before)

@@ -23,7 +23,8 @@ from conformance.claims.declare import Case, claim, commands, described_in, need
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import by_bus, expect_not_turned, expect_stays, of_motion, risks_by
 from conformance.claims.settings.link_changes import NEW_ADDRESS_ANSWERS
-from conformance.motion import arriving, effects, motion
+from conformance.motion import arriving, declared, effects, motion
+from conformance.motion.declared import QUICK, SUBDIVISION
 from conformance.motion.effects import Observable
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
@@ -152,7 +153,7 @@ def _motion_of_another(probe: Probe, command: Command) -> None:
     dialect, own = probe.dialect, probe.address
     motion.prepare(probe, command)
     before = motion.wait_standing(probe)
-    values = motion.values_of(dialect, command, _DEGREES, start=motion.place(probe, command))
+    values = declared.values_of(dialect, command, _DEGREES, start=motion.place(probe, command))
     others = (own + 1, own - 1, own ^ 0x80, own + 16, _BYTE, own ^ 0x100, *_edges(dialect, own), *_one_bit(dialect, own))
     for address in _chosen(probe, others)[:_MANY]:
         sent = probe.ask(command, values, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
@@ -184,17 +185,17 @@ def _setting_of_another(probe: Probe, command: Command) -> None:
         sent = probe.ask(Verb.ENABLE, {"enabled": 0}, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
         text = f"disabling {address} switches the motor of {own} off"
         probe.expect("off", holds=motion.is_on(probe) is not False, expected="on", refutes=text, exchange=sent)
-    went = arriving.follow(probe, move, _DEGREES, acceleration=motion.QUICK)
+    went = arriving.follow(probe, move, _DEGREES, acceleration=QUICK)
     text = f"{command.name} to other addresses changes the pulses of {own}"
     # Which way is not judged: it may be set.
     probe.expect(abs(went.degrees), near=went.asked, unit="degrees", refutes=text, exchange=went.exchange)
     probe.do(command, {"subdivision": _FINER})
-    if abs(arriving.follow(probe, move, _DEGREES, acceleration=motion.QUICK).degrees) > went.asked * 3 / 4:
+    if abs(arriving.follow(probe, move, _DEGREES, acceleration=QUICK).degrees) > went.asked * 3 / 4:
         raise Inconclusive(f"{command.name} to the drive itself changes nothing either")
 
 
 #: Twice the subdivision at which the suite counts pulses.
-_FINER = 2 * motion.SUBDIVISION
+_FINER = 2 * SUBDIVISION
 
 
 def _with_room(dialect: Dialect) -> Iterator[Case]:

@@ -16,7 +16,8 @@ from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import ask_first, expect_silence, judge_next, plain_read
 from conformance.claims.declare import Case, Cases, claim
 from conformance.claims.known_reads import every_read
-from conformance.motion import effects, motion
+from conformance.motion import declared, effects, motion
+from conformance.motion.declared import CALM, MOVES, QUICK
 from conformance.motion.effects import STEP
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
@@ -42,7 +43,7 @@ _RPM = 260
 
 def of(dialect: Dialect) -> list[Command]:
     """Return the command whose data is a package, where its effect can be seen; none where there is none."""
-    shown = Verb.MOVE_RELATIVE_AXIS in dialect.by_verb and motion.can_move(dialect)
+    shown = Verb.MOVE_RELATIVE_AXIS in dialect.by_verb and declared.can_move(dialect)
     return [command for command in dialect.commands if command.slots is not None] if shown else []
 
 
@@ -61,8 +62,8 @@ def of_packages(
         name=f"package/{name}",
         refuted_by=refuted_by,
         alone=True,
-        risks=lambda case: motion.risks(case.dialect, *more),
-        settings=lambda case: motion.settings(case.dialect),
+        risks=lambda case: declared.risks(case.dialect, *more),
+        settings=lambda case: declared.settings(case.dialect),
         parameters={},
         **facts,
     )
@@ -264,7 +265,7 @@ def _slots(dialect: Dialect) -> Iterator[Case]:
         for kind, slots, steps, statement, refuted_by, at_best in _ROWS:
             # A value that enabling does not have is unknown.
             more = (Risk.UNKNOWN,) if kind == "behind_refused" else ()
-            risks = motion.risks(dialect, *dialect.by_verb[Verb.ENABLE].all_risks, *more)
+            risks = declared.risks(dialect, *dialect.by_verb[Verb.ENABLE].all_risks, *more)
             facts = {"statement": statement, "refuted_by": refuted_by, "at_best": at_best, "risks": risks}
             yield Case(dialect, case.command, {"kind": kind, "slots": slots, "steps": steps}, facts)
 
@@ -293,10 +294,10 @@ def motions(dialect: Dialect) -> Iterator[Case]:
     for case in _packages(dialect):
         assert case.command is not None
         assert case.command.slots is not None
-        for number, run in enumerate(dialect.motions(MotionKind.RUN, *motion.MOVES)):
+        for number, run in enumerate(dialect.motions(MotionKind.RUN, *MOVES)):
             slot = 1 + number % case.command.slots.count
             given = {"run": run, "stops": dialect.stops_of(run), "before": slot - 1}
-            yield Case(dialect, case.command, given, {"risks": motion.risks(dialect, *run.all_risks)})
+            yield Case(dialect, case.command, given, {"risks": declared.risks(dialect, *run.all_risks)})
 
 
 @of_packages("a shaft that stands, or one that turns on", name="{run}", each=motions)
@@ -316,15 +317,15 @@ def _two(stops: Sequence[Command]) -> tuple[Command, Command]:
 
 def rpm_of(run: Command, way: int) -> float:
     """Return how fast a run or move turns in a package; of a run the sign is its way."""
-    return way * _RPM if motion.of(run).kind is MotionKind.RUN else _RPM
+    return way * _RPM if declared.of(run).kind is MotionKind.RUN else _RPM
 
 
 def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, before: int, way: int) -> float:
     """Run and stop by packages; return the speed in between."""
     start = motion.place(probe, run)
-    values = motion.values_of(probe.dialect, run, way * _FAR, rpm=rpm_of(run, way), start=start)
+    values = declared.values_of(probe.dialect, run, way * _FAR, rpm=rpm_of(run, way), start=start)
     seen = []
-    ending = {"acceleration": motion.QUICK} if motion.of(stop).acceleration else {}
+    ending = {"acceleration": QUICK} if declared.of(stop).acceleration else {}
     for order, data, time_ns in ((run, values, _TURNS_NS), (stop, ending, _STANDS_NS)):
         slot = {"address": probe.address, "command": order.name, **data}
         sent = probe.send(frame_of(probe, command, [EMPTY] * before + [slot]), timeout_ns=time_ns)
@@ -332,7 +333,7 @@ def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, b
     (rpm, begun), (rest, ended) = seen
     turning, left = abs(rpm), abs(rest)
     text = f"{run.name} in a slot of a package does not turn the shaft"
-    probe.expect(turning, at_least=motion.CALM / 2, unit="rpm", refutes=text, exchange=begun)
+    probe.expect(turning, at_least=CALM / 2, unit="rpm", refutes=text, exchange=begun)
     if left:
         motion.stop(probe)
     text = f"{stop.name} in a slot of a package does not stop the shaft"
@@ -345,7 +346,7 @@ def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, b
 
 def _switching(dialect: Dialect) -> Iterator[Case]:
     for case in _packages(dialect):
-        yield Case(dialect, case.command, facts={"risks": motion.risks(dialect, *dialect.by_verb[Verb.ENABLE].all_risks)})
+        yield Case(dialect, case.command, facts={"risks": declared.risks(dialect, *dialect.by_verb[Verb.ENABLE].all_risks)})
 
 
 @of_packages("any answer", name="silent", each=_switching)

@@ -15,10 +15,10 @@ from conformance.claims.addressing.many import Many, addresses, addressing
 from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case
 from conformance.claims.motion import homing
-from conformance.motion import motion
-from conformance.motion.motion import CALM, MOVES, MS, QUICK
+from conformance.motion import declared, motion
+from conformance.motion.declared import CALM, MOVES, QUICK, SUBDIVISION
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: How fast what comes turns the shaft (rpm), and how far a move is to go (degrees).
 _RPM, _FAR = 2 * CALM, 720
@@ -27,14 +27,14 @@ _GOING_NS, _RUNS_NS = 60 * MS, 130 * MS
 
 
 def _cases(dialect: Dialect) -> Iterator[Case]:
-    motions = dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None and motion.can_move(dialect) else ()
+    motions = dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None and declared.can_move(dialect) else ()
     homes = [dialect.by_verb[v] for v in (Verb.HOME, *homing.SETS_HOME) if v in dialect.by_verb]
     chosen = (*motions, *homes[:1])
     risks = frozenset[Risk]().union(*(command.all_risks for command in (*motions, *homes))) - {Risk.UNKNOWN}
     for many in addresses(dialect) if motions else ():
         facts = {
-            "risks": motion.risks(dialect, *risks, *many.risks(dialect), Risk.UNBOUNDED),
-            "settings": (*motion.settings(dialect, *homing.fields(dialect)), *many.settings),
+            "risks": declared.risks(dialect, *risks, *many.risks(dialect), Risk.UNBOUNDED),
+            "settings": (*declared.settings(dialect, *homing.fields(dialect)), *many.settings),
         }
         yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
 
@@ -42,7 +42,7 @@ def _cases(dialect: Dialect) -> Iterator[Case]:
 @addressing("a shaft that goes on as before, or an answer", _cases, name="{many}/while-turning")
 def _while_turning(probe: Probe, many: Many, chosen: tuple[Command, ...]) -> None:
     """Each motion and homing by {what} takes over from a run, and is not answered."""
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     homing.set_home(probe, home_speed=_RPM)
     to = many.join(probe)
     for command in chosen:
@@ -61,5 +61,5 @@ def _while_turning(probe: Probe, many: Many, chosen: tuple[Command, ...]) -> Non
 def _values(probe: Probe, command: Command) -> dict[str, int]:
     if command.verb is Verb.HOME:
         return dict.fromkeys(command.request_forms[0].layout.named, 1)
-    rpm = -_RPM if motion.of(command).kind is MotionKind.RUN else _RPM
-    return motion.values_of(probe.dialect, command, -_FAR, rpm=rpm, acceleration=QUICK, start=motion.place(probe, command))
+    rpm = -_RPM if declared.of(command).kind is MotionKind.RUN else _RPM
+    return declared.values_of(probe.dialect, command, -_FAR, rpm=rpm, acceleration=QUICK, start=motion.place(probe, command))

@@ -20,11 +20,12 @@ from conformance.claims.crossed.course import motions_of
 from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.model import covering
-from conformance.motion import arriving, motion, ramp
+from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, SUBDIVISION, Sample
+from conformance.motion.declared import CALM, MOVES, QUICK, SUBDIVISION
+from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 #: The way of the older motion, which it does not get to, and that of the move (degrees), with its speed (rpm).
 _FAR, _WAY, _RPM = 720, 45, 150
@@ -71,7 +72,7 @@ def _ends(dialect: Dialect) -> dict[str, Verb | None]:
 
 
 def _moves(dialect: Dialect) -> list[Command]:
-    return [command for command in motions_of(dialect) if motion.of(command).kind in MOVES]
+    return [command for command in motions_of(dialect) if declared.of(command).kind in MOVES]
 
 
 def table(dialect: Dialect) -> tuple[Row, ...]:
@@ -87,7 +88,7 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
 
 def moved_on(probe: Probe) -> tuple[Tried, ...]:
     """Carry out all rows and return what was seen."""
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     rest = motion.stand_still(probe)
     found = []
     for row in table(probe.dialect):
@@ -98,7 +99,7 @@ def moved_on(probe: Probe) -> tuple[Tried, ...]:
 
 def _try(probe: Probe, row: Row, rest: Sample) -> Tried:
     older, move = probe.command(row.older), probe.command(row.command)
-    rpm = row.way * CALM if motion.of(older).kind is MotionKind.RUN else CALM
+    rpm = row.way * CALM if declared.of(older).kind is MotionKind.RUN else CALM
     motion.begin(probe, older, row.way * _FAR, rpm=rpm, acceleration=QUICK, quiet_ns=0)
     probe.wait(_GOING_NS)
     verb = _ends(probe.dialect)[row.ended]
@@ -124,7 +125,7 @@ def _cases(dialect: Dialect) -> Iterator[Case]:
     ends = [dialect.by_verb[verb] for verb in _ends(dialect).values() if verb is not None]
     risks = frozenset[Risk]().union(*(c.all_risks for c in (*motions_of(dialect), *ends))) - {Risk.UNKNOWN}
     for command in _moves(dialect):
-        yield Case(dialect, command, facts={"risks": motion.risks(dialect, *risks, Risk.UNBOUNDED)})
+        yield Case(dialect, command, facts={"risks": declared.risks(dialect, *risks, Risk.UNBOUNDED)})
 
 
 @of_motion(

@@ -29,12 +29,12 @@ from conformance.claims.crossed.looks import Look, place
 from conformance.claims.declare import Case
 from conformance.gate.gate import Refused
 from conformance.model import covering
-from conformance.motion import arriving, course, motion, ramp
+from conformance.motion import arriving, course, declared, motion, ramp
 from conformance.motion.course import Course, Span
-from conformance.motion.motion import CALM, MOVES, MS, QUICK, SUBDIVISION
+from conformance.motion.declared import CALM, MOVES, QUICK, SUBDIVISION
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, Probe, Until
 
 #: Very slow, slow, middle, above 1500 and the highest; a mode that has a lower limit takes the highest for its own.
 _SPEEDS, _HIGHEST = (4, 20, 150, 900, 1700, 3000), 3000
@@ -93,7 +93,7 @@ class Row(NamedTuple):
 
 def motions_of(dialect: Dialect) -> tuple[Command, ...]:
     """Return the motions that are crossed: those of drives that have a law of ramps."""
-    return dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None and motion.can_move(dialect) else ()
+    return dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None and declared.can_move(dialect) else ()
 
 
 def cases(dialect: Dialect) -> Iterator[Case]:
@@ -108,8 +108,8 @@ def reads_of(dialect: Dialect) -> list[Command]:
 
 def table(dialect: Dialect) -> tuple[Row, ...]:
     """Return the rows of all motions that are crossed."""
-    modes = tuple((m, dialect.mode_speeds.get(m, _HIGHEST)) for m in motion.bus_modes(dialect) if "no_encoder" not in m)
-    return _table(modes, tuple((c.name, motion.of(c).kind is MotionKind.RUN) for c in motions_of(dialect)))
+    modes = tuple((m, dialect.mode_speeds.get(m, _HIGHEST)) for m in declared.bus_modes(dialect) if "no_encoder" not in m)
+    return _table(modes, tuple((c.name, declared.of(c).kind is MotionKind.RUN) for c in motions_of(dialect)))
 
 
 @cache
@@ -167,7 +167,7 @@ def _table(modes: tuple[tuple[str, int], ...], commands: tuple[tuple[str, bool],
 
 def first_rows(dialect: Dialect) -> tuple[Row, ...]:
     """Return few rows of the table, and short ones that turn, in which each condition comes once and each speed either way."""
-    runs = {command.name: motion.of(command).kind is MotionKind.RUN for command in motions_of(dialect)}
+    runs = {command.name: declared.of(command).kind is MotionKind.RUN for command in motions_of(dialect)}
     every = [row for row in table(dialect) if row.turns or runs[row.command]]
     return covering.few(
         every,
@@ -256,7 +256,7 @@ class Tried:
 
 def sense(command: Command, rows: tuple[Tried, ...]) -> int:
     """Return 1 where a positive way raises the position, else -1: by the first row where that is not the manual's word."""
-    if motion.of(command).kind in MOVES and not motion.takes_pulses(command):
+    if declared.of(command).kind in MOVES and not declared.takes_pulses(command):
         return 1
     return next((1 if tried.went * tried.row.way > 0 else -1 for tried in rows if not tried.row.start and moved(tried)), 1)
 
@@ -301,7 +301,7 @@ def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
         try:
             if ready != (row.mode, row.subdivision):
                 ready = (row.mode, row.subdivision)
-                sent = motion.finest(probe) if row.subdivision == _SUBDIVISIONS[-1] else row.subdivision
+                sent = declared.finest(probe.dialect) if row.subdivision == _SUBDIVISIONS[-1] else row.subdivision
                 motion.ready_to_move(probe, row.mode, subdivision=sent)
                 # A shaft that stood still stands; it is looked at anew.
                 rest = looks.at_rest(probe, reads_of(probe.dialect)) if _stands(rest) else ()
@@ -325,7 +325,7 @@ def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
 
 
 def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], before: tuple[Look, ...]) -> Tried:
-    runs = motion.of(command).kind is MotionKind.RUN
+    runs = declared.of(command).kind is MotionKind.RUN
     if row.start:
         run = probe.command(Verb.RUN_SPEED)
         motion.ask(probe, run, rpm=row.start * row.way * CALM, acceleration=QUICK, subdivision=row.subdivision)
@@ -348,7 +348,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
     if not refused:
         asked = last.command
         assert asked is not None  # it was asked for
-        if motion.of(asked).tells_end:
+        if declared.of(asked).tells_end:
             until_ns = last.sent_ns + int(lasts_ns - slack_ns) - _UNASKED_NS - 2 * probe.noise.latency_ns
             during += looks.on_the_way(probe, reads, _LOOK_NS, until_ns)
             if 2 not in arriving.statuses(probe.traffic[since:], asked):
@@ -359,7 +359,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
         probe.wait(_SETTLES_NS)
     after = looks.at_rest(probe, reads_of(probe.dialect))
     told = tuple(arriving.statuses(probe.traffic[since:], command)) if command.replies.status else ()
-    damaged = looks.damaged(probe.traffic[since:], told, ends=last.command is not None and motion.of(last.command).tells_end)
+    damaged = looks.damaged(probe.traffic[since:], told, ends=last.command is not None and declared.of(last.command).tells_end)
     told, of_stop = (told[:1], told[1:]) if stopped is not None else (told, ())
     return Tried(
         row, command, begun, stopped, refused, damaged, told, of_stop, before, tuple(during), after, on, stopping, slack_ns
@@ -378,7 +378,7 @@ def _ends(exchange: Exchange, lasts_ns: float, slack_ns: float) -> int:
 
 def _course(dialect: Dialect, command: Command, row: Row, begun: Exchange) -> tuple[Course, float]:
     """Return the course that a row asks for, after rounding, and by how much its times may be off."""
-    of, law = motion.of(command), dialect.subdivision
+    of, law = declared.of(command), dialect.subdivision
     sent = begun.values[of.speed]
     plain = law is None or row.subdivision in law.plain
     rpm = sent if plain or law is None else sent * law.counted_at / row.subdivision
@@ -389,7 +389,7 @@ def _course(dialect: Dialect, command: Command, row: Row, begun: Exchange) -> tu
     slack_ns = ramp.slack_ns(row.acceleration, ramps) + other_ns
     if of.kind is MotionKind.RUN:
         return course.run(row.start * row.way * CALM, row.way * rpm, row.acceleration), slack_ns
-    turn = motion.units_per_turn(dialect, command, row.subdivision)
+    turn = declared.units_per_turn(dialect, command, row.subdivision)
     return course.move(round(row.way * row.turns * turn) / turn, rpm, row.acceleration), slack_ns
 
 

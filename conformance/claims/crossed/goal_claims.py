@@ -42,10 +42,11 @@ from conformance.claims.crossed.goals import (
 from conformance.claims.crossed.looks import Look
 from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import of_motion, of_rows, risks_by
-from conformance.motion import motion
-from conformance.motion.motion import FORCE, MS, Sample
+from conformance.motion import declared, motion
+from conformance.motion.declared import FORCE
+from conformance.motion.motion import Sample
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: The least ramp that the suite asks of a drive (deg/s2), and by how much a speed may be off beside its share, in rpm.
 _LEAST_RAMP, _RPM = 1800, 1.0
@@ -81,7 +82,7 @@ _STRENGTHS = ("torque_current", "power")
 
 def _position(case: Case) -> tuple[str, ...]:
     assert case.command is not None
-    return ("position",) if motion.of(case.command).kind is MotionKind.MOVE_TO else ()
+    return ("position",) if declared.of(case.command).kind is MotionKind.MOVE_TO else ()
 
 
 def _rows(probe: Probe, command: Command, *, few: bool = False) -> tuple[Tried, ...]:
@@ -122,7 +123,7 @@ def _tells(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
                     what = f"{command.name} is answered with"
                     _expect_between(probe, what, edge, first, answer.values, last)
                     # What comes once more changes nothing, and a move by nothing does nothing.
-                    if edge is tried.again or (motion.of(command).kind is MotionKind.MOVE_BY and not tried.target):
+                    if edge is tried.again or (declared.of(command).kind is MotionKind.MOVE_BY and not tried.target):
                         _expect_strength(probe, what, edge, first, answer.values, last)
 
 
@@ -196,7 +197,7 @@ def _ends(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
 
 def _wanted(probe: Probe, tried: Tried) -> tuple[float, float]:
     """Return between which places a move ends, in degrees from where its row began."""
-    if not tried.row.start or motion.of(tried.command).kind is not MotionKind.MOVE_BY:
+    if not tried.row.start or declared.of(tried.command).kind is not MotionKind.MOVE_BY:
         return tried.target, tried.target
     # It goes on from where the shaft was when it came.
     rest = samples(probe, tried.before)[-1].value
@@ -209,7 +210,7 @@ def _wanted(probe: Probe, tried: Tried) -> tuple[float, float]:
 def _gone(probe: Probe, tried: Tried) -> float:
     """Return how far a move went; one to an angle of a turning shaft but for whole turns."""
     went = tried.went(probe)
-    if tried.row.start and motion.of(tried.command).kind is MotionKind.MOVE_IN_TURN:
+    if tried.row.start and declared.of(tried.command).kind is MotionKind.MOVE_IN_TURN:
         return tried.target + (went - tried.target + 180) % 360 - 180
     return went
 
@@ -256,7 +257,7 @@ def _slows_down(first: Sample, last: Sample) -> float:
 @_of_goals(name="{command}/crossed-speed", refuted_by="another speed, or another way")
 def _speed(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
     """{command} turns the shaft no faster than it is told, and as fast where the way is long, as its positions tell."""
-    if motion.of(command).kind is MotionKind.TORQUE or not motion.of(command).speed:
+    if declared.of(command).kind is MotionKind.TORQUE or not declared.of(command).speed:
         return
     for tried in rows:
         row, text = tried.row, f"{command.name} turns at another speed in one condition"
@@ -334,7 +335,7 @@ def _reads(dialect: Dialect) -> Iterator[Case]:
     risks = frozenset().union(*(c.all_risks for c in motions_of(dialect)))
     for read in (dialect.by_verb[Verb.READ_POSITION], *reads_of(dialect)) if risks else ():
         facts = {"aspect": Aspect.STATE, "settings": ("position",), "name": "{command}/crossed"}
-        yield Case(dialect, read, facts=facts | {"risks": motion.risks(dialect, *risks, *dialect.by_verb[OFF].all_risks)})
+        yield Case(dialect, read, facts=facts | {"risks": declared.risks(dialect, *risks, *dialect.by_verb[OFF].all_risks)})
 
 
 def _first_reads(dialect: Dialect) -> Iterator[Case]:
@@ -446,7 +447,7 @@ def _expect_speed(probe: Probe, seen: _Seen) -> None:
 
 def _torque(seen: _Seen) -> int | None:
     """Return the torque that was asked for where it is steady, as sent, else None."""
-    if motion.of(seen.tried.command).kind is not MotionKind.TORQUE or seen.phase is not seen.tried.during:
+    if declared.of(seen.tried.command).kind is not MotionKind.TORQUE or seen.phase is not seen.tried.during:
         return None
     long = seen.look.span[0] - seen.tried.begun.exchange.sent_ns >= _STEADY_NS / 2
     met = seen.tried.met is not None and seen.look.span[1] > seen.tried.met.exchange.sent_ns

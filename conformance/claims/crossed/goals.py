@@ -29,10 +29,11 @@ from conformance.claims.crossed.looks import Look, look, place
 from conformance.claims.declare import Case
 from conformance.gate.gate import Refused
 from conformance.model import covering, lk_parameters
-from conformance.motion import motion
-from conformance.motion.motion import CALM, MOVES, MS, SECOND_NS, Sample
+from conformance.motion import declared, motion
+from conformance.motion.declared import CALM, MOVES
+from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 #: Speeds in rpm, 0 for a move that is told none; the highest of a run, which the drive's own limit must allow too.
 _SPEEDS, OWN, _RUN_MOST = (110, 20, 60, 240, 0), 0, 110
@@ -88,7 +89,7 @@ class Row(NamedTuple):
 
 def motions_of(dialect: Dialect) -> tuple[Command, ...]:
     """Return the motions that are crossed: those of drives that have no law of ramps, and answer with their state."""
-    if dialect.ramp is not None or not motion.can_move(dialect) or Verb.READ_STATE_2 not in dialect.by_verb:
+    if dialect.ramp is not None or not declared.can_move(dialect) or Verb.READ_STATE_2 not in dialect.by_verb:
         return ()
     return dialect.motions(MotionKind.TORQUE, MotionKind.RUN, *MOVES)
 
@@ -106,7 +107,7 @@ def reads_of(dialect: Dialect) -> list[Command]:
 
 def moves(command: Command) -> bool:
     """Say whether a motion ends by itself."""
-    return motion.of(command).kind in MOVES
+    return declared.of(command).kind in MOVES
 
 
 class _Kind(NamedTuple):
@@ -120,7 +121,7 @@ class _Kind(NamedTuple):
 
 def table(dialect: Dialect) -> tuple[Row, ...]:
     """Return the rows of all motions that are crossed."""
-    of = {c.name: motion.of(c) for c in motions_of(dialect)}
+    of = {c.name: declared.of(c) for c in motions_of(dialect)}
     kinds = (_Kind(n, m.kind in MOVES, bool(m.speed), m.kind is MotionKind.MOVE_IN_TURN) for n, m in of.items())
     return _table(tuple(kinds))
 
@@ -172,7 +173,8 @@ def first_rows(dialect: Dialect) -> tuple[Row, ...]:
 
     Moves to a place are not among them: they need a position that can be put back.
     """
-    ends = {c.name: moves(c) for c in motions_of(dialect) if motion.of(c).kind is not MotionKind.MOVE_TO and _known(dialect, c)}
+    chosen = [c for c in motions_of(dialect) if declared.of(c).kind is not MotionKind.MOVE_TO and _known(dialect, c)]
+    ends = {c.name: moves(c) for c in chosen}
     return covering.few(
         [row for row in table(dialect) if row.command in ends and (row.turns >= _FAR or not ends[row.command])],
         lambda row: {*enumerate(row), (row.way, ends[row.command]), (row.way, row.meets)},
@@ -286,7 +288,7 @@ def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
         try:
             motion.stand_still(probe)
             # The position is put back, but a run that may change no setting leaves it.
-            if motion.of(command).kind is MotionKind.MOVE_TO and Risk.SETTING in probe.rig.allowed:
+            if declared.of(command).kind is MotionKind.MOVE_TO and Risk.SETTING in probe.rig.allowed:
                 _name_place(probe, row, 1 if tried[row.way, row.rpm] % 2 else -1)
                 tried[row.way, row.rpm] += 1
             tried_row = _try(probe, command, row, reads)
@@ -311,7 +313,7 @@ def _name_place(probe: Probe, row: Row, side: int) -> None:
 
     So a move to a place goes each way, at each speed, to positive and to negative places.
     """
-    position = motion.field_of(probe.command("set_position"), "position")
+    position = declared.field_of(probe.command("set_position"), "position")
     degrees = side * (row.turns * 360 + _BESIDE_ZERO)
     probe.ask("set_position", {"position": round(degrees / float(position.scale))}, quiet_ns=0)
 
@@ -325,10 +327,10 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command]) -> 
         probe.wait(_BEFORE_NS)
 
     def begin() -> Exchange:
-        runs = motion.of(command).kind is MotionKind.RUN
+        runs = declared.of(command).kind is MotionKind.RUN
         rpm = row.way * row.rpm if runs else row.rpm or CALM
-        force = motion.of(command).kind is MotionKind.TORQUE
-        more = dict.fromkeys(motion.values_of(probe.dialect, command), row.way * FORCES[row.rpm]) if force else {}
+        force = declared.of(command).kind is MotionKind.TORQUE
+        more = dict.fromkeys(declared.values_of(probe.dialect, command), row.way * FORCES[row.rpm]) if force else {}
         return motion.ask(probe, command, row.way * row.turns * 360, rpm=rpm, start=start, more=more, quiet_ns=0)
 
     begun = _edge(probe, begin)

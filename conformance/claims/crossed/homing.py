@@ -22,12 +22,12 @@ from conformance.claims.declare import Case
 from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.model import covering
-from conformance.motion import arriving, motion
+from conformance.motion import arriving, declared, motion
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import CALM, MS, QUICK
+from conformance.motion.declared import CALM, QUICK, SUBDIVISION
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: How far the older motion goes (degrees), when homing comes, and when that has its speed.
 _FAR, _GOING_NS, _RUNS_NS = 720, 80 * MS, 110 * MS
@@ -44,8 +44,8 @@ def _homes(dialect: Dialect) -> Iterator[Case]:
         risks = frozenset[Risk]().union(*(c.all_risks for c in (home, *known, *motions_of(dialect)))) - {Risk.UNKNOWN}
         names = dict.fromkeys(name for c in known for name in c.request_forms[0].layout.named)
         facts = {
-            "risks": motion.risks(dialect, *risks, Risk.UNBOUNDED, Risk.TORQUE),
-            "settings": motion.settings(dialect, *names),
+            "risks": declared.risks(dialect, *risks, Risk.UNBOUNDED, Risk.TORQUE),
+            "settings": declared.settings(dialect, *names),
         }
         yield Case(dialect, home, facts=facts | {"parameters": {}})
 
@@ -70,7 +70,7 @@ def _homed(probe: Probe, command: Command) -> tuple[Exchange, tuple[float, float
 
 def _over(probe: Probe, older: Command, way: int, command: Command) -> tuple[Exchange, tuple[float, float, int]]:
     """Ask for homing while another motion turns the shaft."""
-    asked = way * CALM if motion.of(older).kind is MotionKind.RUN else CALM
+    asked = way * CALM if declared.of(older).kind is MotionKind.RUN else CALM
     motion.ask(probe, older, way * _FAR, rpm=asked, acceleration=QUICK, quiet_ns=0)
     probe.wait(_GOING_NS)
     return _homed(probe, command)
@@ -84,13 +84,13 @@ def _over(probe: Probe, older: Command, way: int, command: Command) -> tuple[Exc
 )
 def _home_takes_over(probe: Probe, command: Command) -> None:
     """Homing takes over from each motion, either way: the shaft turns at the speed of homing, and F1 says so."""
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     homing.set_home(probe, home_speed=_HOME_RPM)
     every = motions_of(probe.dialect)
-    both = [(run, way) for run in every for way in (1, -1) if motion.of(run).kind is MotionKind.RUN]
+    both = [(run, way) for run in every for way in (1, -1) if declared.of(run).kind is MotionKind.RUN]
     for older, way in (
         *both,
-        *((move, (-1) ** n) for n, move in enumerate(every) if motion.of(move).kind is not MotionKind.RUN),
+        *((move, (-1) ** n) for n, move in enumerate(every) if declared.of(move).kind is not MotionKind.RUN),
     ):
         exchange, (rpm, spread, status) = undamaged(probe, _over, older, way, command)
         text, shown = f"{command.name} does not take over from another motion", f"over {older.name}, {'+' if way > 0 else '-'}"
@@ -109,15 +109,15 @@ def _turning_homes(dialect: Dialect) -> Iterator[Case]:
 @of_motion(each=_turning_homes, name="{command}/turns", refuted_by="another way or another speed", at_best=Certainty.LIKELY)
 def _home_turns(probe: Probe, command: Command) -> None:
     """Homing turns the shaft at its speed and by its direction in each mode, with and without a switch, at each subdivision."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     law = probe.dialect.subdivision
     assert law is not None  # it homes by a speed as sent
     sense = 0.0
     factors = {
-        "mode": tuple(reversed(motion.bus_modes(probe.dialect))),
+        "mode": tuple(reversed(declared.bus_modes(probe.dialect))),
         "direction": (0, 1),
         "home_mode": (0, 1),
-        "subdivision": (motion.SUBDIVISION, 8),
+        "subdivision": (SUBDIVISION, 8),
         "home_speed": (_HOME_RPM, _FAST_RPM),
     }
     for row in covering.rows(factors, lambda home_speed, subdivision: home_speed == _HOME_RPM or subdivision in law.plain):
@@ -153,8 +153,8 @@ def _homes_in_modes(dialect: Dialect) -> Iterator[Case]:
 def _home_within_mode(probe: Probe, command: Command) -> None:
     """Homing turns no faster than the slowest work mode allows, where a higher speed is set."""
     limits = probe.dialect.mode_speeds
-    mode = min(motion.bus_modes(probe.dialect), key=limits.__getitem__)
-    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
+    mode = min(declared.bus_modes(probe.dialect), key=limits.__getitem__)
+    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
     homing.set_home(probe, home_speed=limits[mode] + _ABOVE_MODE, home_mode=1, return_angle=0)
     begun = probe.ask(command, quiet_ns=0)
     rpm, spread, _ = _seen(probe, begun)
@@ -178,7 +178,7 @@ def _ends_of_homing(dialect: Dialect) -> Iterator[Case]:
 @of_motion(each=_ends_of_homing, name="{command}/ends-{home}", refuted_by="a shaft that goes on", at_best=Certainty.LIKELY)
 def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str, int]) -> None:
     """{command} ends homing in both directions: the shaft stands, and no success is told."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     for direction in (0, 1):
         homing.set_home(probe, home_speed=_HOME_RPM, home_direction=direction)
         first, since = motion.position(probe), len(probe.traffic)

@@ -19,7 +19,7 @@ from conformance.claims.crossed.looks import place
 from conformance.claims.known_quirks import LATE, may_meet
 from conformance.claims.motion.motion_claim import expect_between, of_motion, of_rows, that_tell_their_end
 from conformance.claims.motion.ramps import TOO_LATE_NS
-from conformance.motion import arriving, motion
+from conformance.motion import arriving, declared, motion
 from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE, COUNT
@@ -84,9 +84,9 @@ def _ends(probe: Probe, command: Command, rows: tuple[Tried, ...]) -> None:
         if tried.row.start:
             continue
         # A command that counts places by pulses goes from the whole pulse at which it stands.
-        within = motion.near(probe.dialect) + (
-            180 / motion.units_per_turn(probe.dialect, command, tried.row.subdivision)
-            if motion.takes_pulses(command) and motion.of(command).kind is MotionKind.MOVE_TO
+        within = declared.near(probe.dialect) + (
+            180 / declared.units_per_turn(probe.dialect, command, tried.row.subdivision)
+            if declared.takes_pulses(command) and declared.of(command).kind is MotionKind.MOVE_TO
             else 0.0
         )
         within += _OPEN_DEGREES if "open" in tried.row.mode else 0.0

@@ -26,13 +26,14 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import expect_between, expect_row_taken, expect_speed, of_motion
 from conformance.claims.motion.told import expect_states, states
 from conformance.model import covering
-from conformance.motion import arriving, course, motion, ramp
+from conformance.motion import arriving, course, declared, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
+from conformance.motion.declared import CALM, QUICK, SUBDIVISION
+from conformance.motion.motion import Sample
 from conformance.talk import settings
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 #: Other speeds than that of the older motion; its way, which the rows do not come to, and that of the newer move (degrees),
 #: with what it goes too far on the way round.
@@ -109,7 +110,7 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
     found = covering.rows(
         factors,
         # Behind a shaft that went away from it.
-        lambda command, turn, zero: not zero or (turn < 0 and motion.of(known[command]).kind is MotionKind.MOVE_TO),
+        lambda command, turn, zero: not zero or (turn < 0 and declared.of(known[command]).kind is MotionKind.MOVE_TO),
         lambda zero, acceleration: not zero or acceleration == QUICK,
         together=[
             ("older", "command", "turn"),
@@ -127,7 +128,7 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
 
 def taken_over(probe: Probe) -> tuple[Tried, ...]:
     """Carry out all rows and return what was seen."""
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     motion.stand_still(probe)
     # One that turns some motions round and not others would make other rows of the table.
     settings.to_defaults(probe, "motor_direction")
@@ -157,7 +158,7 @@ def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
         probe.wait(exchange.sent_ns + _ON_RAMP_NS - probe.gate.now_ns())
         on_ramp = motion.position(probe)
     change_ns = ramp.ramp_ns(0, CALM + row.rpm, row.acceleration) if row.acceleration == _SLOW else 0
-    if motion.of(newer).kind is MotionKind.RUN:
+    if declared.of(newer).kind is MotionKind.RUN:
         probe.wait(exchange.sent_ns + _RUNS_NS + int(change_ns) - probe.gate.now_ns())
         seen = motion.speed(probe)
     elif not refused:
@@ -174,7 +175,7 @@ def _try(probe: Probe, row: Row, zero: float, start: Sample) -> Tried:
 
 
 def _begin(probe: Probe, command: Command, degrees: float, rpm: int, start: int, acceleration: int = QUICK) -> Exchange:
-    rpm = rpm if motion.of(command).kind is MotionKind.RUN else abs(rpm)
+    rpm = rpm if declared.of(command).kind is MotionKind.RUN else abs(rpm)
     return motion.ask(probe, command, degrees, rpm=rpm, acceleration=acceleration, start=start, quiet_ns=0)
 
 
@@ -186,9 +187,9 @@ def _cases(dialect: Dialect) -> Iterator[Case]:
     for command in every:
         # What becomes of the rest of the older way no manual says.
         certainty = Certainty.OPEN if command.verb is Verb.MOVE_RELATIVE_AXIS else Certainty.LIKELY
-        facts = {"risks": motion.risks(dialect, *risks, Risk.UNBOUNDED), "at_best": certainty}
+        facts = {"risks": declared.risks(dialect, *risks, Risk.UNBOUNDED), "at_best": certainty}
         told = any(c.verb is Verb.SET_DIRECTION and c.readable for c in dialect.commands)
-        facts |= {"settings": motion.settings(dialect, *(("motor_direction",) if told else ()))}
+        facts |= {"settings": declared.settings(dialect, *(("motor_direction",) if told else ()))}
         yield Case(dialect, command, facts=facts)
 
 
@@ -246,7 +247,7 @@ def _expect_ramp(probe: Probe, tried: Tried, sense: int) -> None:
 
 def _kind(tried: Tried) -> MotionKind:
     assert tried.newer.command is not None  # it was asked for
-    return motion.of(tried.newer.command).kind
+    return declared.of(tried.newer.command).kind
 
 
 def _ends(tried: Tried, sense: int) -> tuple[float, float]:
@@ -270,7 +271,7 @@ def _ends(tried: Tried, sense: int) -> tuple[float, float]:
 )
 def _again_and_again(probe: Probe, command: Command) -> None:
     """Many {command} follow one another, each before the last is done: the newest holds, and one back turns by its ramp."""
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     start, begin, before = motion.wait_standing(probe), motion.place(probe, command), states(probe)
     for degrees, rpm in _UPDATES:
         exchange = _begin(probe, command, degrees, rpm, begin)
@@ -278,7 +279,7 @@ def _again_and_again(probe: Probe, command: Command) -> None:
     text = f"the last of many {command.name} does not hold"
     last, speed = _UPDATES[-1]
     seen, at = motion.speed(probe), motion.position(probe)
-    to_place = motion.of(command).kind is MotionKind.MOVE_TO
+    to_place = declared.of(command).kind is MotionKind.MOVE_TO
     back = _begin(probe, command, _BACK if to_place else -_BACK, -speed, begin, _SLOW)
     probe.wait(_ON_RAMP_NS)
     turning = motion.speed(probe)

@@ -23,12 +23,12 @@ from conformance.claims.crossed.looks import Look, place
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import known
 from conformance.claims.motion.motion_claim import of_motion
-from conformance.motion import motion
+from conformance.motion import declared
 from conformance.motion.course import Trend
-from conformance.motion.motion import MOVES, MS
+from conformance.motion.declared import MOVES, SAME
 from conformance.talk import settings
 from conformance.talk.noise import CLOCK_SHARE, COUNT, TOLD_LATE_NS
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: How long a read speed may lag, and the angle error of a free shaft in motion and at rest (degrees).
 _FILTER_NS, _LAG, _REST = 100 * MS, 45.0, 1.0
@@ -64,7 +64,7 @@ def _cases(dialect: Dialect) -> Iterator[Case]:
     risks = frozenset().union(*(c.all_risks for c in motions_of(dialect)))
     for read in reads_of(dialect) if risks else ():
         quirks = known(dialect, *_STATUS_QUIRKS) if read.verb is Verb.READ_STATUS else ()
-        yield Case(dialect, read, facts={"risks": motion.risks(dialect, *risks), "aspect": Aspect.STATE, "quirks": quirks})
+        yield Case(dialect, read, facts={"risks": declared.risks(dialect, *risks), "aspect": Aspect.STATE, "quirks": quirks})
 
 
 def _looks(probe: Probe, read: Command, *, few: bool) -> Iterator[_Seen]:
@@ -183,7 +183,7 @@ def _pulses(probe: Probe, seen: _Seen, when: str) -> None:
     low, high = sorted(360 / probe.dialect.counts_per_turn * (place(look) - begin) for look in (seen.before, seen.after))
     went = (seen.values["pulses"] - rest.values["pulses"]) * 360 / turn
     went *= -1 if went * (low + high) < 0 else 1
-    beside = (_REST if seen.rests else _LAG) + motion.SAME
+    beside = (_REST if seen.rests else _LAG) + SAME
     probe.expect(
         went,
         at_least=low - beside,
@@ -227,7 +227,7 @@ def _ports(probe: Probe, seen: _Seen, when: str, but: str = "") -> None:
     if _IN_PLACE in wanted and not seen.rests:
         on, (first_ns, last_ns) = seen.tried.spans(seen.look)
         slow, fast = on.rpm(first_ns - TOLD_LATE_NS, last_ns)
-        moves = motion.of(seen.tried.command).kind in MOVES
+        moves = declared.of(seen.tried.command).kind in MOVES
         del wanted[_IN_PLACE]
         # Whether a run is in place no manual says; a port that was written tells nothing of the shaft.
         if moves and slow * fast > 0 and _tells_moves(probe):
@@ -240,7 +240,7 @@ def _ports(probe: Probe, seen: _Seen, when: str, but: str = "") -> None:
 def _tells_moves(probe: Probe) -> bool:
     """Say whether the port of a shaft in place was seen at 0, on the way of any move."""
     for command in motions_of(probe.dialect):
-        for tried in probe.recorded(crossed, command) if motion.of(command).kind in MOVES else ():
+        for tried in probe.recorded(crossed, command) if declared.of(command).kind in MOVES else ():
             if any(look.values is not None and look.values.get(_IN_PLACE) == 0 for look in tried.during):
                 return True
     return False

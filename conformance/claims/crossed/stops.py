@@ -26,12 +26,13 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import expect_between, expect_row_taken, of_motion
 from conformance.gate.gate import Refused
 from conformance.model import covering
-from conformance.motion import arriving, motion, ramp
+from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import MS, SECOND_NS, SUBDIVISION, Sample
+from conformance.motion.declared import SUBDIVISION
+from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 
 #: What stops: disabling, the emergency stop, at once, from the top bit on, and the steepest ramp.
 _OFF, _EMERGENCY, _STOPS = -2, -1, (-1, 0, 255, 200, 128)
@@ -103,7 +104,7 @@ class Tried:
 
 def table(dialect: Dialect) -> tuple[Row, ...]:
     """Return the rows of all motions."""
-    limits = {m: dialect.mode_speeds.get(m, _FAST) for m in reversed(motion.bus_modes(dialect))}
+    limits = {m: dialect.mode_speeds.get(m, _FAST) for m in reversed(declared.bus_modes(dialect))}
     factors = {
         "command": tuple(command.name for command in motions_of(dialect)),
         "way": (1, -1),
@@ -126,7 +127,10 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
 
 def disablings(dialect: Dialect) -> tuple[Row, ...]:
     """Return a row of each move that disabling ends, in one mode and way; a run has a claim of its own."""
-    modes, moves = motion.bus_modes(dialect), [c.name for c in motions_of(dialect) if motion.of(c).kind is not MotionKind.RUN]
+    modes, moves = (
+        declared.bus_modes(dialect),
+        [c.name for c in motions_of(dialect) if declared.of(c).kind is not MotionKind.RUN],
+    )
     rows = (Row(name, (-1) ** n, _OFF, 60, modes[n % len(modes)]) for n, name in enumerate(moves))
     return tuple(sorted(rows, key=lambda row: (row.mode, row)))
 
@@ -171,7 +175,7 @@ def _stands(probe: Probe, tried: Tried) -> bool:
 
 def _try(probe: Probe, row: Row) -> Tried:
     command = probe.command(row.command)
-    runs = motion.of(command).kind is MotionKind.RUN
+    runs = declared.of(command).kind is MotionKind.RUN
     counted = Verb.READ_PULSES in probe.dialect.by_verb
     pulses = [probe.read(Verb.READ_PULSES)] if counted else []
     start, first = motion.position(probe), len(probe.traffic)
@@ -184,7 +188,7 @@ def _try(probe: Probe, row: Row) -> Tried:
     exchange = probe.ask(stop, values, quiet_ns=0)
     refused = not exchange.is_read or probe.refused(exchange)
     over_ns = exchange.sent_ns + int(ramp.ramp_ns(row.rpm, 0, max(row.stop, 0)) * (1 + ramp.SLOW_QUIRK))
-    if row.stop >= 0 and motion.of(stop).tells_end and not refused:
+    if row.stop >= 0 and declared.of(stop).tells_end and not refused:
         left_ns = over_ns - probe.gate.now_ns()
         if 2 not in arriving.statuses(probe.traffic[since:], stop):
             probe.listen(max(0, left_ns) + TOLD_LATE_NS, Until.REPLY)
@@ -200,7 +204,7 @@ def _try(probe: Probe, row: Row) -> Tried:
         motion.switch(probe, True)
     # A stop by a ramp has the code of its motion.
     ends = 0 if runs else sum(status == _COMPLETE for status in arriving.statuses(probe.traffic[first:], command))
-    ends -= row.stop >= 0 and not runs and motion.of(stop).tells_end
+    ends -= row.stop >= 0 and not runs and declared.of(stop).tells_end
     went = before.value - start.value
     sense = 0 if abs(went) < 2 else 1 if went > 0 else -1
     return Tried(row, exchange, refused, start, before, sense, at, end, told, ends, tuple(pulses))
@@ -209,7 +213,7 @@ def _try(probe: Probe, row: Row) -> Tried:
 def _ending(probe: Probe, command: Command, stop: int) -> tuple[Command, dict[str, int]]:
     """Return what ends a motion, as sent, by the number of a row."""
     if stop == _OFF:
-        return motion.switching(probe.dialect, False)
+        return declared.switching(probe.dialect, False)
     if stop == _EMERGENCY:
         return probe.command(Verb.EMERGENCY_STOP), {}
     return probe.dialect.stops_of(command)[0], {"acceleration": stop}
@@ -222,13 +226,13 @@ def _every(dialect: Dialect) -> Iterator[tuple[Command, Command]]:
     """Yield each motion with its stop by a ramp."""
     for run in motions_of(dialect):
         stop = dialect.stops_of(run)[0]
-        if motion.of(stop).acceleration:
+        if declared.of(stop).acceleration:
             yield run, stop
 
 
 def _facts(dialect: Dialect) -> dict[str, Any]:
     every = [c for pair in _every(dialect) for c in pair] + [dialect.by_verb[Verb.EMERGENCY_STOP]]
-    return {"risks": motion.risks(dialect, *frozenset().union(*(c.all_risks for c in every))), "parameters": {}}
+    return {"risks": declared.risks(dialect, *frozenset().union(*(c.all_risks for c in every))), "parameters": {}}
 
 
 def _by_ramp(dialect: Dialect) -> Iterator[Case]:
@@ -300,7 +304,7 @@ def _disabled(dialect: Dialect) -> Iterator[Case]:
     if any(_every(dialect)) and Verb.ENABLE in dialect.by_verb:
         facts, off = _facts(dialect), dialect.by_verb[Verb.ENABLE]
         yield Case(
-            dialect, off, facts=facts | {"risks": motion.risks(dialect, *off.all_risks - {Risk.UNKNOWN}, *facts["risks"])}
+            dialect, off, facts=facts | {"risks": declared.risks(dialect, *off.all_risks - {Risk.UNKNOWN}, *facts["risks"])}
         )
 
 
@@ -318,7 +322,7 @@ def _counts_pulses(dialect: Dialect) -> Iterator[Case]:
 @_of_stops(each=_counts_pulses, name="{command}/behind-stops", refuted_by="a count that is not where the shaft stands")
 def _pulses_behind(probe: Probe, command: Command) -> None:
     """Behind every stop of every motion {command} has changed as far as the shaft has turned, and the same way."""
-    turn = motion.units_per_turn(probe.dialect, probe.command(Verb.MOVE_RELATIVE_PULSES), SUBDIVISION)
+    turn = declared.units_per_turn(probe.dialect, probe.command(Verb.MOVE_RELATIVE_PULSES), SUBDIVISION)
     sense = 0.0
     for tried in probe.recorded(stopped, table):
         if tried.refused or not tried.sense or not _stands(probe, tried):

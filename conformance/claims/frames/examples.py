@@ -29,7 +29,7 @@ from conformance.claims.frames.examples_many import is_to_many
 from conformance.claims.known_quirks import LATE, NO_CHECKSUM, known
 from conformance.claims.requests import demands, needs_motion, put_to_rest, values_for
 from conformance.model.lk_parameters import OTHER_FIRMWARE
-from conformance.motion import motion, ramp
+from conformance.motion import declared, motion, ramp
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
@@ -119,7 +119,7 @@ def _risks(dialect: Dialect, example: Example) -> frozenset[Risk]:
     risks = demands(dialect, command)["risks"]
     if example.request is not None:
         sent = encoder.assemble(dialect, command, 1, example.values).risks
-        risks = frozenset(sent) | (motion.risks(dialect) if needs_motion(command) else frozenset())
+        risks = frozenset(sent) | (declared.risks(dialect) if needs_motion(command) else frozenset())
     run = _run_of(dialect, command)
     return frozenset(risks | run.risks(samples.sample(dialect, run)) if run is not None else risks)
 
@@ -160,7 +160,7 @@ def _lasts_ns(dialect: Dialect, command: Command, values: Mapping[str, Any]) -> 
     of, law = command.motion, dialect.subdivision
     if of is None or law is None or not of.distance or not values[of.speed]:
         return 0.0
-    turns = abs(values[of.distance]) / motion.units_per_turn(dialect, command, max(law.plain))
+    turns = abs(values[of.distance]) / declared.units_per_turn(dialect, command, max(law.plain))
     return ramp.move_ns(turns, values[of.speed], values[of.acceleration])
 
 
@@ -254,7 +254,7 @@ def _expected(probe: Probe, example: Example, reading: MatchedReply, printed: Ve
     asked = [f for form in command.request_forms for n, f in form.layout.named.items() if n in example.values]
     told = {command.replies.status, *(n for n, f in layout.named.items() if f in asked)}
     values = {
-        name: measured[name] if name in measured and name not in told and declared.fixed is None else printed.values[name]
-        for name, declared in layout.named.items()
+        name: measured[name] if name in measured and name not in told and field.fixed is None else printed.values[name]
+        for name, field in layout.named.items()
     }
     return probe.dialect.link.build(command, form, probe.address, codec(layout).encode(values), Role.REPLY)

@@ -15,13 +15,13 @@ from analyzer.decoder import slots_of
 from conformance.claim import Aspect, Inconclusive, Theme
 from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case, claim
-from conformance.motion import motion
-from conformance.motion.motion import SECOND_NS
+from conformance.motion import declared, motion
+from conformance.motion.declared import SUBDIVISION
 from conformance.talk.exchange import Exchange, hex_of
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 #: How long the examples are looked at: they turn the shaft at 300 rpm and less.
-_MOVE_NS = 1500 * motion.MS
+_MOVE_NS = 1500 * MS
 #: Degrees after which a move counts as one.
 _MOVED = 90.0
 
@@ -55,12 +55,12 @@ def _to_many(dialect: Dialect) -> Iterator[Case]:
         vectors = [v for v in _requests(command) if command.slots is None and is_to_many(dialect, command, v)]
         for number, vector in enumerate(vectors, 1):
             grouped = setting is not None and _group(dialect, command, vector)
-            risks = set(encoder.assemble(dialect, command, 1, vector.values).risks) | motion.risks(dialect)
+            risks = set(encoder.assemble(dialect, command, 1, vector.values).risks) | declared.risks(dialect)
             facts = {
                 "name": f"{{command}}/to_{'group' if grouped else 'all'}_{number}",
                 "section": vector.section,
                 "risks": risks | (setting.all_risks if setting is not None and grouped else set()),
-                "settings": motion.settings(dialect, *(("group_address",) if grouped else ())),
+                "settings": declared.settings(dialect, *(("group_address",) if grouped else ())),
                 "parameters": {"printed": vector.printed},
             }
             yield Case(dialect, command, {"vector": vector, "grouped": grouped, "printed": vector.printed}, facts)
@@ -70,7 +70,7 @@ def _to_many(dialect: Dialect) -> Iterator[Case]:
 def _turns(probe: Probe, command: Command, vector: Vector, grouped: bool) -> None:
     """The printed request {printed} turns the motor and is not answered."""
     to = _address(probe.dialect, vector)
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     if grouped:
         probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": to})
     before = motion.position(probe).value
@@ -120,13 +120,13 @@ def _packages(dialect: Dialect) -> Iterator[Case]:
         for number, (printed, vector) in enumerate(frames.items(), 1):
             data = bytes.fromhex(printed)
             slots = slots_of(dialect, command, data[1:-1])
-            risks = motion.risks(dialect).union(*(slot.command.all_risks for slot in slots if slot.command is not None))
+            risks = declared.risks(dialect).union(*(slot.command.all_risks for slot in slots if slot.command is not None))
             facts = {
                 "name": f"{{command}}/{number}",
                 "section": vector.section,
                 "errata": (vector.erratum,) if vector.erratum else (),
                 "risks": risks,
-                "settings": motion.settings(dialect),
+                "settings": declared.settings(dialect),
                 "parameters": {"printed": vector.printed},
             }
             yield Case(dialect, command, {"data": data, "used": len(slots)}, facts)

@@ -15,9 +15,9 @@ from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import received_text
 from conformance.claims.declare import Case, claim, commands, described_in
 from conformance.claims.motion.motion_claim import by_bus, expect_not_turned, expect_stays, of_motion
-from conformance.motion import effects, motion
+from conformance.motion import declared, effects, motion
+from conformance.motion.declared import CALM, QUICK, SUBDIVISION
 from conformance.motion.effects import Observable
-from conformance.motion.motion import QUICK
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe
 
@@ -247,7 +247,7 @@ def _wrong_check(probe: Probe, command: Command) -> None:
     """{command} whose checksum does not fit turns nothing, however it is wrong."""
     motion.prepare(probe, command)
     before = motion.wait_standing(probe)
-    values = motion.values_of(probe.dialect, command, _DEGREES, acceleration=QUICK, start=motion.place(probe, command))
+    values = declared.values_of(probe.dialect, command, _DEGREES, acceleration=QUICK, start=motion.place(probe, command))
     _expect_none_turns(probe, command, values, probe.address, before)
     _expect_stays(probe, command, before)
     motion.begin(probe, command, _DEGREES)
@@ -275,7 +275,7 @@ def _stopping(dialect: Dialect) -> Iterable[Case]:
 def _wrong_stop(probe: Probe, run: Command) -> None:
     """A stop, an emergency stop or a disabling whose checksum does not fit stops nothing, however it is wrong."""
     motion.ready_to_move(probe)
-    motion.run_at(probe, motion.CALM, QUICK)
+    motion.run_at(probe, CALM, QUICK)
     before = motion.position(probe)
     for stop in (*probe.dialect.stops_of(run), probe.command(Verb.ENABLE)):
         named = stop.request_forms[0].layout.named
@@ -319,12 +319,12 @@ def _broadcasting(dialect: Dialect) -> Iterable[Case]:
 )
 def _wrong_to_all(probe: Probe) -> None:
     """No motion to all drives turns a shaft if its checksum does not fit."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     before = motion.wait_standing(probe)
     for case in by_bus(probe.dialect):
         assert case.command is not None
         command = probe.command(case.command.name)
-        values = motion.values_of(probe.dialect, command, _DEGREES, acceleration=QUICK, start=motion.place(probe, command))
+        values = declared.values_of(probe.dialect, command, _DEGREES, acceleration=QUICK, start=motion.place(probe, command))
         _expect_none_turns(probe, command, values, probe.dialect.broadcast or 0, before)
     _expect_stays(probe, command, before)
 

@@ -19,10 +19,10 @@ from conformance.claims.motion.motion_claim import expect_speed, expect_stays, o
 from conformance.claims.motion.reads import PLACES, angle, around, turn_by
 from conformance.model.lk_parameters import need_room
 from conformance.motion import arriving, motion
-from conformance.motion.motion import CALM, MS, SECOND_NS
+from conformance.motion.declared import CALM
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import Noise
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 #: Resolutions that the manual names: 14, 15 and 16 bits; of 18 bits the upper 16 are sent.
 _WIDTHS = (14, 15, 16)

@@ -17,9 +17,9 @@ from conformance.claims.declare import Case, commands
 from conformance.claims.known_reads import every_read
 from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import CALM, SECOND_NS
+from conformance.motion.declared import CALM
 from conformance.talk.acceptance import need_reliable_replies
-from conformance.talk.probe import Probe
+from conformance.talk.probe import SECOND_NS, Probe
 
 _state = partial(of_motion, each=commands(Verb.READ_STATE_1), still=True)
 _clear = partial(of_motion, each=commands(Verb.CLEAR_ERRORS), emulated=True, still=True)

@@ -23,11 +23,11 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import command_of, of_motion, risks_by
 from conformance.claims.motion.moves import without_max_speed
 from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
-from conformance.motion import motion
-from conformance.motion.motion import CALM, FORCE, MOVES, MS, SECOND_NS
+from conformance.motion import declared, motion
+from conformance.motion.declared import CALM, FORCE, MOVES
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 _of_parameter = partial(
     of_motion,
@@ -158,7 +158,7 @@ def _unlimited_motions(dialect: Dialect) -> Iterator[Case]:
     for case in commands(Verb.WRITE_PARAMETER)(dialect):
         for each in unlimited:
             risks = {*command_of(each).all_risks, Risk.SETTING}
-            yield Case(dialect, case.command, {"move": each.command}, {"risks": motion.risks(dialect, *risks)})
+            yield Case(dialect, case.command, {"move": each.command}, {"risks": declared.risks(dialect, *risks)})
 
 
 _of_speed_limit = partial(_of_parameter, each=_unlimited_motions, at_best=Certainty.LIKELY, rests_on=())
@@ -208,7 +208,7 @@ def _limited_motions(dialect: Dialect) -> Iterator[Case]:
         command = command_of(case)
         if command.verb is not Verb.RUN_SPEED:
             risks = {*command.all_risks, *dialect.by_verb[Verb.RUN_SPEED].all_risks, Risk.TORQUE, Risk.SETTING}
-            facts = {"risks": motion.risks(dialect, *risks - {Risk.UNKNOWN}), "models": command.models}
+            facts = {"risks": declared.risks(dialect, *risks - {Risk.UNKNOWN}), "models": command.models}
             yield Case(dialect, dialect.by_verb[Verb.WRITE_PARAMETER], {"how": command}, facts)
 
 
@@ -263,7 +263,7 @@ def _torque_limit_at_once(probe: Probe, how: Command) -> None:
     kept = parameter(probe, "torque_limit")
     if kept is None:
         return
-    (name,) = motion.values_of(probe.dialect, how)
+    (name,) = declared.values_of(probe.dialect, how)
 
     def strength() -> float:
         probe.wait(_THERE_NS)

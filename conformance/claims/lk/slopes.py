@@ -27,10 +27,11 @@ from conformance.claims.lk.limits import tried
 from conformance.claims.lk.speed_ramp import SHORTER
 from conformance.claims.motion.motion_claim import command_of, of_motion
 from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
-from conformance.motion import motion
-from conformance.motion.motion import MOVES, MS, SECOND_NS, Sample
+from conformance.motion import declared, motion
+from conformance.motion.declared import MOVES
+from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 #: The ramp as sent and in deg/s2; the speed limit of moves that say none, as sent.
 _RAMP, _SLOPE, _LIMIT = 54_000, 540.0, 18_000
@@ -86,7 +87,7 @@ def changes(probe: Probe, command: Command) -> tuple[_Change, ...]:
         return ()
     motion.ready_to_move(probe)
     set_parameter(probe, "speed_ramp", _RAMP)
-    if not motion.of(command).speed:
+    if not declared.of(command).speed:
         set_parameter(probe, "speed_limit", _LIMIT)
     found = list(_changed(probe, command))
     motion.stand_still(probe)
@@ -96,7 +97,7 @@ def changes(probe: Probe, command: Command) -> tuple[_Change, ...]:
 
 
 def _changed(probe: Probe, command: Command) -> Iterator[_Change]:
-    before, runs = 0.0, motion.of(command).kind is MotionKind.RUN
+    before, runs = 0.0, declared.of(command).kind is MotionKind.RUN
     for rpm, degrees in _steps(command):
         exchange = motion.ask(probe, command, degrees, rpm=rpm if runs else abs(rpm), quiet_ns=0)
         after = rpm * 6.0
@@ -120,7 +121,7 @@ def _until(probe: Probe, before: float, after: float, more_ns: int = 0) -> tuple
 
 def _steps(command: Command) -> tuple[tuple[int, int], ...]:
     """Return the speeds (rpm) and the ways (degrees) that are asked for in turn."""
-    what = motion.of(command)
+    what = declared.of(command)
     if what.kind is MotionKind.RUN:
         return tuple((rpm, 0) for rpm in _RUNS)
     if what.kind is MotionKind.MOVE_IN_TURN:
@@ -169,7 +170,7 @@ def _motions(dialect: Dialect) -> Iterator[Case]:
         for case in motions(MotionKind.RUN, *MOVES)(dialect):
             command = command_of(case)
             risks = {*command.all_risks, Risk.SETTING} - {Risk.UNKNOWN}
-            facts = {"risks": motion.risks(dialect, *risks), "models": command.models}
+            facts = {"risks": declared.risks(dialect, *risks), "models": command.models}
             yield Case(dialect, dialect.by_verb[Verb.WRITE_PARAMETER], {"run": command}, facts)
 
 

@@ -19,11 +19,12 @@ from conformance.claim import Inconclusive, Observed, Theme
 from conformance.claims.declare import Case, commands
 from conformance.claims.lk.limits import of_run, tried
 from conformance.model.lk_parameters import parameter, set_parameter
-from conformance.motion import motion
-from conformance.motion.motion import MS, SECOND_NS, Sample
+from conformance.motion import declared, motion
+from conformance.motion.declared import RUNS_AND_MOVES
+from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 _of_ramp = partial(of_run, theme=Theme.TIMING)
 _of_change = partial(_of_ramp, settings=("speed_ramp",))
@@ -103,7 +104,7 @@ def _acceleration(probe: Probe, ramp: int, how: Command, way: int = 1) -> _Ramp:
     kept = parameter(probe, "speed_limit") or 0
     # A move has no speed of its own: the limit is its speed, which it keeps for more turns than it is looked at.
     set_parameter(probe, "speed_limit", 18_000)
-    runs = motion.of(how).kind is MotionKind.RUN
+    runs = declared.of(how).kind is MotionKind.RUN
     exchange = motion.ask(probe, how, way * 20 * 360, rpm=way * 30 if runs else 30, quiet_ns=0)
     probe.wait(ramp_ns * 3 // 2)
     first = motion.position(probe)
@@ -122,7 +123,7 @@ def _acceleration(probe: Probe, ramp: int, how: Command, way: int = 1) -> _Ramp:
 
 def _ramped(dialect: Dialect) -> Iterator[Case]:
     for case in commands(Verb.WRITE_PARAMETER)(dialect):
-        for run in dialect.motions(*motion.RUNS_AND_MOVES):
+        for run in dialect.motions(*RUNS_AND_MOVES):
             yield Case(dialect, case.command, {"run": run})
 
 

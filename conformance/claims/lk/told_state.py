@@ -19,9 +19,9 @@ from conformance.claims.declare import Case, commands
 from conformance.claims.lk.encoder_zero import named
 from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.claims.motion.reads import PLACES, turn_by
-from conformance.motion import motion
+from conformance.motion import declared, motion
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 from conformance.talk.samples import sample
 
 #: The supply current of a motor that stands and holds nothing, at most (0.01 A).
@@ -56,7 +56,7 @@ def _temperature(probe: Probe, command: Command) -> None:
 def _tells_temperature(dialect: Dialect) -> Iterable[Case]:
     for command in filter(_has_temperature, dialect.commands):
         # What moves the shaft tells it too, of each motion.
-        facts = {"risks": motion.risks(dialect, *command.all_risks), "models": command.models} if command.motion else {}
+        facts = {"risks": declared.risks(dialect, *command.all_risks), "models": command.models} if command.motion else {}
         yield Case(dialect, command, facts=facts)
 
 
@@ -121,7 +121,7 @@ def _angle_is_encoder(probe: Probe, command: Command) -> None:
 
 
 #: A run that shows, in rpm, and how long until its speed is even; a torque that has a sign, and by how much it may differ.
-_RPM, _EVEN_NS, _TELLING, _ALIKE = 60, 300 * motion.MS, 20, 0.1
+_RPM, _EVEN_NS, _TELLING, _ALIKE = 60, 300 * MS, 20, 0.1
 
 
 @of_motion(

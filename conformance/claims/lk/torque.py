@@ -17,9 +17,9 @@ from conformance.claim import NotRun, Theme
 from conformance.claims.bench import lk_drive
 from conformance.claims.declare import Case, claim, commands, motions
 from conformance.claims.motion.motion_claim import expect_stays, of_motion, risks_by
-from conformance.motion import motion
-from conformance.motion.motion import CALM, FORCE, MOVES, MS, SECOND_NS
-from conformance.talk.probe import Probe
+from conformance.motion import declared, motion
+from conformance.motion.declared import CALM, FORCE, MOVES
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 _POWER_OFF, _RELEASE, _READ_BRAKE = 0x00, 0x01, 0x10
 _of_brake = partial(of_motion, each=commands(Verb.BRAKE))
@@ -31,7 +31,7 @@ _of_force = partial(of_motion, each=motions(MotionKind.TORQUE))
 
 def _field(probe: Probe, command: Command) -> str:
     """Return the field that says how strongly the shaft is driven."""
-    return next(iter(motion.values_of(probe.dialect, command)))
+    return next(iter(declared.values_of(probe.dialect, command)))
 
 
 def _force(probe: Probe, command: Command, value: int) -> float:
@@ -80,7 +80,7 @@ def _to_its_end(probe: Probe, command: Command) -> None:
     """{command} drives the shaft as strongly as asked for to the end of its range, both ways."""
     motion.ready_to_move(probe)
     name = _field(probe, command)
-    field = motion.field_of(command, name)
+    field = declared.field_of(command, name)
     lk_drive(probe).block()
     for part in (1, 0.75, 0.5, 0.25):
         for end in (field.high, field.low):
@@ -115,7 +115,7 @@ def _of_other_models(dialect: Dialect) -> Iterator[Case]:
     each=_of_other_models,
     name="{foreign}/other-models",
     refuted_by="motion",
-    risks=lambda case: motion.risks(case.dialect, Risk.UNBOUNDED, Risk.TORQUE, Risk.UNKNOWN),
+    risks=lambda case: declared.risks(case.dialect, Risk.UNBOUNDED, Risk.TORQUE, Risk.UNKNOWN),
 )
 def _other_models(probe: Probe, foreign: str) -> None:
     """{others} do not have {foreign}, and do not obey it."""
@@ -124,7 +124,7 @@ def _other_models(probe: Probe, foreign: str) -> None:
         raise NotRun("which model it is was not said")
     motion.ready_to_move(probe)
     whole = _whole(probe.dialect)
-    frame = encoder.build(whole, foreign, probe.address, motion.values_of(whole, whole.by_name[foreign]))
+    frame = encoder.build(whole, foreign, probe.address, declared.values_of(whole, whole.by_name[foreign]))
     before = motion.position(probe)
     exchange = probe.send(frame, timeout_ns=500 * MS)
     after = motion.position(probe)
@@ -181,7 +181,7 @@ def _ways(probe: Probe) -> Iterator[tuple[Command, int]]:
 
 def _begin(probe: Probe, command: Command, way: int) -> None:
     """Begin a long motion of a direction."""
-    kind = motion.of(command).kind
+    kind = declared.of(command).kind
     force = {_field(probe, command): way * FORCE} if kind is MotionKind.TORQUE else {}
     degrees = 300 if kind is MotionKind.MOVE_IN_TURN else 720
     motion.begin(probe, command, way * degrees, rpm=way * CALM if kind is MotionKind.RUN else CALM, more=force)
@@ -288,7 +288,7 @@ def _stays_applied(probe: Probe) -> None:
         text = f"{command.name} releases the brake"
         probe.expect([seen, left], equal=[_POWER_OFF] * 2, refutes=text, exchange=exchange, key="released")
     # A motor may have none: then each motion with a speed turns its shaft.
-    held = [abs(now.value - before.value) <= 1 + motion.same(probe) for c, _, before, now in went if motion.of(c).speed]
+    held = [abs(now.value - before.value) <= 1 + motion.same(probe) for c, _, before, now in went if declared.of(c).speed]
     for command, exchange, before, now in went if any(held) else ():
         expect_stays(before, now, exchange, f"{command.name} turns the shaft against the brake", 1 + motion.same(probe))
 

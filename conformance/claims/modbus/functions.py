@@ -27,7 +27,8 @@ from conformance.claims.control_reads import ask_alone, expect_silence, plain_re
 from conformance.claims.declare import Case, claim, described_in
 from conformance.claims.modbus.frames import expect_exceptions, on_modbus, request
 from conformance.claims.motion.motion_claim import of_motion
-from conformance.motion import motion
+from conformance.motion import declared, motion
+from conformance.motion.declared import CALM
 from conformance.talk.garbling import harmless
 from conformance.talk.probe import Probe
 
@@ -181,7 +182,7 @@ def _refused(probe: Probe, kind: _Denied) -> None:
 
 def _turning(dialect: Dialect) -> Iterator[Case]:
     for case in on_modbus(dialect):
-        if motion.can_move(dialect):
+        if declared.can_move(dialect):
             yield Case(case.dialect, dialect.by_verb[Verb.RUN_SPEED])
 
 
@@ -197,7 +198,7 @@ def _turning(dialect: Dialect) -> Iterator[Case]:
 def _refused_while_turning(probe: Probe) -> None:
     """While the shaft turns a wrong function, register or quantity is refused by the same exceptions as at rest."""
     motion.ready_to_move(probe)
-    motion.run_at(probe, motion.CALM)
+    motion.run_at(probe, CALM)
     read = plain_read(probe.dialect)
     own, asked = read.function or 0, []
     for function, register, quantity, code in (

@@ -16,11 +16,12 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.modbus.frames import Denied, ask, expect_answer, expect_exceptions, on_modbus, request, unambiguous
 from conformance.claims.motion.motion_claim import expect_not_turned, expect_stays, of_motion
 from conformance.model import limits
-from conformance.motion import motion
+from conformance.motion import declared, motion
+from conformance.motion.declared import CALM, QUICK, RUNS_AND_MOVES
 from conformance.motion.effects import STEP_NS
 from conformance.talk import samples
 from conformance.talk.exchange import hex_of
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 REGISTER_94 = "register-94h"
 _ADDRESS, _VALUE = ModbusException.ILLEGAL_DATA_ADDRESS, ModbusException.ILLEGAL_DATA_VALUE
@@ -227,7 +228,7 @@ def _other_function(probe: Probe, settings: tuple[Command, ...]) -> None:
 
 def _motions(dialect: Dialect) -> Iterator[Case]:
     for case in on_modbus(dialect):
-        for command in dialect.motions(*motion.RUNS_AND_MOVES):
+        for command in dialect.motions(*RUNS_AND_MOVES):
             yield Case(case.dialect, command)
 
 
@@ -243,11 +244,11 @@ def _other_forms(probe: Probe, command: Command) -> None:
     """{command} turns nothing by another function, another quantity or another byte count than its own."""
     motion.prepare(probe, command)
     before = motion.wait_standing(probe)
-    values = motion.values_of(probe.dialect, command, 36, acceleration=motion.QUICK, start=motion.place(probe, command))
+    values = declared.values_of(probe.dialect, command, 36, acceleration=QUICK, start=motion.place(probe, command))
     frame = probe.build(command, values).frame
     data, own = frame[7:-2], command.quantity
     forms = {
-        "function 06h": request(probe, 0x06, command.code, motion.CALM),
+        "function 06h": request(probe, 0x06, command.code, CALM),
         "function 05h": request(probe, 0x05, command.code, 0xFF00),
         "one register fewer": request(probe, 0x10, command.code, own - 1, data=bytes((len(data) - 2,)) + data[:-2]),
         "one register more": request(probe, 0x10, command.code, own + 1, data=bytes((len(data) + 2,)) + data + b"\0\0"),
@@ -263,7 +264,7 @@ def _other_forms(probe: Probe, command: Command) -> None:
 
 
 #: How long is listened to a form that is to do nothing, and how long the shaft is watched behind all.
-_BETWEEN_NS, _WATCH_NS = 60 * motion.MS, 300 * motion.MS
+_BETWEEN_NS, _WATCH_NS = 60 * MS, 300 * MS
 
 
 @claim(
@@ -271,8 +272,8 @@ _BETWEEN_NS, _WATCH_NS = 60 * motion.MS, 300 * motion.MS
     each=lambda dialect: [Case(dialect, dialect.by_verb[Verb.ENABLE]) for _ in on_modbus(dialect)],
     name="{command}/other_forms",
     refuted_by="a motor that is off",
-    risks=lambda case: motion.risks(case.dialect, Risk.UNKNOWN, Risk.TORQUE),
-    settings=lambda case: motion.settings(case.dialect),
+    risks=lambda case: declared.risks(case.dialect, Risk.UNKNOWN, Risk.TORQUE),
+    settings=lambda case: declared.settings(case.dialect),
     at_best=Certainty.LIKELY,
 )
 def _not_disabled(probe: Probe, command: Command) -> None:
@@ -355,7 +356,7 @@ _STEP: Mapping[str, int] = {"speed": 60, "acceleration": 200, "position": 400}
 
 def _moves(dialect: Dialect) -> Iterator[Case]:
     for case in on_modbus(dialect):
-        if motion.can_move(dialect):
+        if declared.can_move(dialect):
             yield Case(case.dialect, dialect.by_verb[Verb.MOVE_RELATIVE_AXIS])
 
 
@@ -364,8 +365,8 @@ def _moves(dialect: Dialect) -> Iterator[Case]:
     each=_moves,
     name="write_many/once",
     refuted_by="a second frame when the move is done",
-    risks=lambda case: motion.risks(case.dialect),
-    settings=lambda case: motion.settings(case.dialect),
+    risks=lambda case: declared.risks(case.dialect),
+    settings=lambda case: declared.settings(case.dialect),
 )
 def _answered_once(probe: Probe, command: Command) -> None:
     """A move is answered once, when it begins; that it is done has to be asked for."""

@@ -17,8 +17,7 @@ from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import of_motion, that_tell_their_end
 from conformance.claims.motion.stops import expect_standing
 from conformance.motion import arriving, motion
-from conformance.motion.motion import MS, SECOND_NS
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 
 _LIMIT_NS = 60 * SECOND_NS
 _CALIBRATING, _STOPPED = 6, 1

@@ -18,9 +18,9 @@ from conformance.claims.known_quirks import LATE, known
 from conformance.claims.motion.motion_claim import expect_speed, of_motion, that_tell_their_end
 from conformance.claims.motion.ramps import time_of, too_late
 from conformance.motion import arriving, motion, ramp
-from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.motion.declared import QUICK
 from conformance.talk.noise import TOLD_LATE_NS
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 
 #: What a move may take longer or less long than the law, beside its uncertainty.
 _SHARE = 0.03

@@ -18,9 +18,9 @@ from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import expect_stays, expect_taken, of_motion, risks_by
 from conformance.claims.motion.stops import expect_standing, set_going
-from conformance.motion import arriving, motion
-from conformance.motion.motion import MOVES, MS, SECOND_NS
-from conformance.talk.probe import Probe
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import MOVES, QUICK, SUBDIVISION
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 _enable, _off, _on = commands(Verb.ENABLE), commands(Verb.MOTOR_OFF), commands(Verb.MOTOR_ON)
 
@@ -45,9 +45,9 @@ def _is_read(probe: Probe) -> None:
 def _switch_off_going(probe: Probe) -> None:
     """Switch the motor off on a run, and refute unless that ends it."""
     set_going(probe, probe.command(Verb.RUN_SPEED))
-    exchange = probe.ask(*motion.switching(probe.dialect, False))
+    exchange = probe.ask(*declared.switching(probe.dialect, False))
     expect_taken(probe, exchange, "switching a turning motor off is refused")
-    if motion.tells_on(probe.dialect):
+    if declared.tells_on(probe.dialect):
         text = "a motor that was switched off does not read as off while it runs out"
         seen = motion.is_on(probe)
         probe.expect("on", holds=seen is False, expected="off", refutes=text, exchange=exchange, key="off at once")
@@ -55,7 +55,7 @@ def _switch_off_going(probe: Probe) -> None:
     motion.wait_until(probe, lambda: abs(motion.speed(probe).value) < 1 + probe.noise.rpm, limit_ns=3 * SECOND_NS // 2)
     probe.wait(SECOND_NS // 2)
     expect_standing(probe, exchange, "the shaft still turns after the motor was switched off")
-    if motion.tells_on(probe.dialect):
+    if declared.tells_on(probe.dialect):
         text = "a motor that was switched off while it turned does not read as off when it stands"
         seen = motion.is_on(probe)
         probe.expect("on", holds=seen is False, expected="off", refutes=text, exchange=exchange, key="off at rest")
@@ -87,7 +87,7 @@ def _does_not_resume(probe: Probe) -> None:
     exchange = motion.switch(probe, True)
     probe.wait(400 * MS)
     expect_standing(probe, exchange, "switching the motor on takes up the motion again")
-    if motion.tells_on(probe.dialect):
+    if declared.tells_on(probe.dialect):
         text = "a motor that was switched off while it turned does not read as on when it is on again"
         probe.expect("off", holds=motion.is_on(probe) is True, expected="on", refutes=text, exchange=exchange)
 
@@ -157,7 +157,7 @@ def _not_switching(dialect: Dialect) -> list[Command]:
 def _staying_off(dialect: Dialect) -> Iterator[Case]:
     risks = frozenset[Risk]().union(*(c.all_risks for c in _not_switching(dialect)))
     for case in (*_enable(dialect), *_off(dialect)):
-        yield Case(dialect, case.command, facts={"risks": motion.risks(dialect, Risk.TORQUE, *risks)})
+        yield Case(dialect, case.command, facts={"risks": declared.risks(dialect, Risk.TORQUE, *risks)})
 
 
 @of_motion(each=_staying_off, name="{command}/stays-off", refuted_by="a motor that is on", at_best=Certainty.LIKELY)
@@ -166,10 +166,10 @@ def _stays_off(probe: Probe) -> None:
     motion.ready_to_move(probe)
     motion.switch(probe, False)
     for command in _not_switching(probe.dialect):
-        kind = motion.of(command).kind if command.motion is not None else None
-        values = motion.values_of(probe.dialect, command, 36, start=motion.place(probe, command)) if kind in MOVES else {}
-        if kind is MotionKind.STOP and motion.of(command).acceleration:
-            values = {"acceleration": motion.QUICK}
+        kind = declared.of(command).kind if command.motion is not None else None
+        values = declared.values_of(probe.dialect, command, 36, start=motion.place(probe, command)) if kind in MOVES else {}
+        if kind is MotionKind.STOP and declared.of(command).acceleration:
+            values = {"acceleration": QUICK}
         exchange = probe.ask(command, values, quiet_ns=0)
         text = f"{command.name} switches on a motor that is off"
         probe.expect("on", holds=motion.is_on(probe) is not True, expected="off", refutes=text, exchange=exchange)
@@ -190,7 +190,7 @@ _BY_HAND, _WATCH_NS = (3000, -20_000), 200 * MS
 )
 def _on_holds_here(probe: Probe) -> None:
     """A motor that a hand turned while disabled holds the shaft there when enabled, and each move begins there."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     for move, turned in product(probe.dialect.motions(*MOVES), _BY_HAND):
         motion.switch(probe, False)
         bench.drive_of(probe).turn_shaft(turned)
@@ -201,13 +201,13 @@ def _on_holds_here(probe: Probe) -> None:
         expect_stays(before, motion.position(probe), exchange, text, motion.same(probe))
         went = arriving.follow(probe, move, 45)
         text = f"{move.name} does not begin where a hand has turned the shaft"
-        within = motion.near(probe.dialect) + motion.same(probe)
+        within = declared.near(probe.dialect) + motion.same(probe)
         probe.expect(abs(went.degrees), near=45, within=within, unit="degrees", refutes=text, exchange=went.exchange)
 
 
 def expect_obeys(probe: Probe, refutes: str) -> None:
     """Refute unless a move turns the shaft."""
-    move = arriving.follow(probe, motion.any_move(probe.dialect), 45)
+    move = arriving.follow(probe, declared.any_move(probe.dialect), 45)
     probe.expect(abs(move.degrees), near=45, within=1, unit="degrees", refutes=refutes, exchange=move.exchange)
 
 
@@ -260,7 +260,7 @@ def _expect_turns_kept_turning(probe: Probe, command: Command) -> None:
 def _keeps_turns(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe)
     for _ in range(2):
-        arriving.follow(probe, motion.any_move(probe.dialect), 420)
+        arriving.follow(probe, declared.any_move(probe.dialect), 420)
     before = motion.position(probe)
     exchange = probe.do(command)
     motion.switch(probe, True)

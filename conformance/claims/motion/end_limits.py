@@ -23,10 +23,10 @@ from conformance.claims.known_quirks import known, may_meet
 from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import expect_stays, of_motion, risks_by, that_tell_their_end
 from conformance.model import covering
-from conformance.motion import arriving, motion
-from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import QUICK, RUNS_AND_MOVES, SUBDIVISION
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 
 #: Where the left end stop is found (counts), and where homing leaves the shaft afterwards.
 _LEFT, _HALF = -3000, 8000
@@ -67,7 +67,7 @@ def _motions(*kinds: MotionKind) -> Cases:
 
 
 _moves = _motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO)
-_runs_and_moves = _motions(*motion.RUNS_AND_MOVES)
+_runs_and_moves = _motions(*RUNS_AND_MOVES)
 
 
 def _of_limits(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -88,7 +88,7 @@ def _homed(probe: Probe, end_limit: int = 1, side: int = -1, mode: str = "", tri
 
     `side`: the way in which left lies, 1 where counts rise. `trigger`: the level of a pin at its end stop.
     """
-    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
     ways = {"home_direction": 1} if side > 0 else {}
     homing.set_home(probe, end_limit=end_limit, home_speed=60, home_trigger=trigger, **ways)
     bench.left_switch(probe, -side * _LEFT, trigger)
@@ -111,7 +111,7 @@ def _degrees(probe: Probe, counts: int) -> float:
 
 def _sense_of(probe: Probe, command: Command) -> int:
     # The sense of counts is known; that of a direction bit and of pulses is not.
-    return _sense(probe, command) if motion.of(command).direction or motion.takes_pulses(command) else 1
+    return _sense(probe, command) if declared.of(command).direction or declared.takes_pulses(command) else 1
 
 
 def _values(
@@ -120,8 +120,8 @@ def _values(
     """Return the values of a long motion down (-1) or up (1). `sense`: the drive's sense of direction, if known."""
     sense = sense or _sense_of(probe, command)
     start, turned = motion.place(probe, command), way * sense
-    how = {"rpm": rpm * turned if motion.of(command).kind is MotionKind.RUN else rpm, "acceleration": acceleration}
-    return motion.values_of(probe.dialect, command, _LONG_TURNS * 360 * turned, start=start, **how)
+    how = {"rpm": rpm * turned if declared.of(command).kind is MotionKind.RUN else rpm, "acceleration": acceleration}
+    return declared.values_of(probe.dialect, command, _LONG_TURNS * 360 * turned, start=start, **how)
 
 
 def _sense(probe: Probe, command: Command) -> int:
@@ -235,7 +235,7 @@ def _ask_again(probe: Probe, command: Command, values: dict[str, int]) -> Exchan
 def _hear_again(probe: Probe) -> None:
     """Ask a drive that stood at a limit for a move by nothing: where it is deaf, it hears what comes behind."""
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    _ask_again(probe, move, motion.values_of(probe.dialect, move, 0, rpm=_RPM, acceleration=QUICK))
+    _ask_again(probe, move, declared.values_of(probe.dialect, move, 0, rpm=_RPM, acceleration=QUICK))
 
 
 @_of_limits("a shaft that runs beyond it", each=_runs_and_moves, name="{command}/end-limit-holds-{run}", quirks=may_meet(_DEAF))
@@ -313,9 +313,9 @@ def _backing_off(dialect: Dialect) -> Iterator[Case]:
 )
 def _by_level(probe: Probe, command: Command) -> None:
     """Where home_trigger is the level of a pin without a switch, homing ends at once, and nothing turns to the left then."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     homing.set_home(probe)
-    runs = [(run, _sense_of(probe, run)) for run in probe.dialect.motions(*motion.RUNS_AND_MOVES)]
+    runs = [(run, _sense_of(probe, run)) for run in probe.dialect.motions(*RUNS_AND_MOVES)]
     if not any(_homes_at_once(probe, trigger) for trigger in (1, 0)):
         raise Inconclusive("homing ends at once with neither level of home_trigger")
     probe.do(Verb.ENABLE, {"enabled": 1})
@@ -331,7 +331,7 @@ def _by_level(probe: Probe, command: Command) -> None:
 
 def _homes_at_once(probe: Probe, trigger: int) -> bool:
     """Say whether homing ends soon with a level; stop it where it does not."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     homing.set_home(probe, end_limit=1, home_trigger=trigger, return_angle=_BACK)
     exchange = probe.ask(Verb.HOME)
     probe.reply(exchange)
@@ -346,14 +346,14 @@ def _homes_at_once(probe: Probe, trigger: int) -> bool:
 @_of_limits("a refusal, or no motion", each=_settings, name="{command}/end-limit-lets-back", quirks=may_meet(_DEAF))
 def _lets_back(probe: Probe) -> None:
     """With the end limit on, each motion away from a closed end stop is carried out, as far as it was asked to."""
-    for run in probe.dialect.motions(*motion.RUNS_AND_MOVES):
+    for run in probe.dialect.motions(*RUNS_AND_MOVES):
         _homed(probe)
         sense = _sense_of(probe, run)
         _send_left(probe, probe.command(Verb.MOVE_RELATIVE_AXIS))
         before = motion.position(probe)
-        runs, asked = motion.of(run).kind is MotionKind.RUN, _degrees(probe, _AWAY)
+        runs, asked = declared.of(run).kind is MotionKind.RUN, _degrees(probe, _AWAY)
         how = {"rpm": sense * _RPM if runs else _RPM, "acceleration": QUICK, "start": motion.place(probe, run)}
-        exchange = _ask_again(probe, run, motion.values_of(probe.dialect, run, sense * asked, **how))
+        exchange = _ask_again(probe, run, declared.values_of(probe.dialect, run, sense * asked, **how))
         probe.wait(200 * MS if runs else 2 * SECOND_NS)
         end = motion.stand_still(probe) if runs else motion.wait_standing(probe)
         went = end.value - before.value

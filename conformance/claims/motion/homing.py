@@ -19,12 +19,12 @@ from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by, that_tell_their_end
 from conformance.model import covering
-from conformance.motion import arriving, motion
+from conformance.motion import arriving, declared, motion
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.motion.declared import QUICK, SUBDIVISION
 from conformance.talk import samples
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 
 _CW, _CCW = 0, 1
 _SWITCH = 3000
@@ -110,7 +110,7 @@ def _status_now(probe: Probe) -> int:
 
 def _prepared(probe: Probe, mode: str = "", **values: int) -> float:
     """Make a drive ready for homing; return where the shaft stands (counts of its own)."""
-    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
     # Away from where it was made, so that its zero is not by chance where homing ends.
     arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 216)
     set_home(probe, **values)
@@ -176,7 +176,7 @@ def _both_ways(dialect: Dialect) -> Iterator[Case]:
 def _finds_switch(probe: Probe, way: str) -> None:
     """Homing with direction {way} turns the shaft {way} until its end stop, at either level and in each mode."""
     direction = _DIRECTIONS[way]
-    for row in covering.rows({"mode": motion.bus_modes(probe.dialect), "rpm": (60, 300), "trigger": (0, 1)}):
+    for row in covering.rows({"mode": declared.bus_modes(probe.dialect), "rpm": (60, 300), "trigger": (0, 1)}):
         trigger = row["trigger"]
         bench.left_switch(probe, _WAYS[direction] * 10 * probe.dialect.counts_per_turn, trigger)
         start = _prepared(probe, row["mode"], home_direction=direction, home_speed=row["rpm"], home_trigger=trigger)
@@ -298,7 +298,7 @@ def _at_speeds(dialect: Dialect) -> Iterator[Case]:
 def _speed(probe: Probe, command: Command, rpm: int) -> None:
     """With home_speed {rpm} homing turns the shaft at {rpm} rpm, at most at what the mode allows, either way."""
     highest = probe.dialect.mode_speeds
-    for row in covering.rows({"mode": motion.bus_modes(probe.dialect), "direction": (_CW, _CCW)}):
+    for row in covering.rows({"mode": declared.bus_modes(probe.dialect), "direction": (_CW, _CCW)}):
         mode = row["mode"]
         _prepared(probe, mode, home_speed=rpm, home_direction=row["direction"])
         since = len(probe.traffic)
@@ -316,7 +316,7 @@ def _speed(probe: Probe, command: Command, rpm: int) -> None:
 @_of_homing("another status")
 def _status(probe: Probe, command: Command) -> None:
     """While homing F1 reads 5, and afterwards 1, either way and in each mode."""
-    for row in covering.rows({"mode": motion.bus_modes(probe.dialect), "direction": (_CW, _CCW)}):
+    for row in covering.rows({"mode": declared.bus_modes(probe.dialect), "direction": (_CW, _CCW)}):
         mode, direction = row["mode"], row["direction"]
         _prepared(probe, mode, home_direction=direction)
         # Four seconds at 60 rpm.

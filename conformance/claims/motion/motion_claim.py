@@ -18,18 +18,19 @@ from conformance.claim import Aspect, Inconclusive, Refuted, Theme
 from conformance.claims.declare import Case, Cases, claim, motions
 from conformance.claims.known_quirks import SETTLING
 from conformance.model.lk_parameters import need_room
-from conformance.motion import arriving, motion, ramp
-from conformance.motion.motion import CALM, QUICK, SAME, Sample
+from conformance.motion import arriving, declared, motion, ramp
+from conformance.motion.declared import CALM, QUICK, RUNS_AND_MOVES, SAME
+from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, Probe, Until
 
 #: How far a shaft that is settling was seen to be from where it comes to rest, in degrees, and a little more.
 _SETTLING = 32 * 360 / 16384
 #: How far one that does not tremble may be off when it arrives: the shaft that was seen to settle was 14 counts off.
 _SWINGS = 11 * 360 / 16384
 #: How long that was seen to take.
-_SETTLES_NS = 100 * motion.MS
+_SETTLES_NS = 100 * MS
 
 
 def of_motion(
@@ -56,11 +57,11 @@ def of_motion(
     def all_risks(case: Case) -> frozenset[Risk]:
         of_command = command_of(case).all_risks - {Risk.UNKNOWN} if own is None else own(case)
         more = {*(risks(case) if callable(risks) else risks), *of_command}
-        return frozenset(more) if still else motion.risks(case.dialect, *more)
+        return frozenset(more) if still else declared.risks(case.dialect, *more)
 
     def all_settings(case: Case) -> tuple[str, ...]:
         more = settings(case) if callable(settings) else settings
-        return tuple(more) if still else motion.settings(case.dialect, *more)
+        return tuple(more) if still else declared.settings(case.dialect, *more)
 
     facts = {"aspect": Aspect.MOTION, "fields": named, "first": _need_room, **facts}
     return claim(theme, each=each, refuted_by=refuted_by, risks=all_risks, settings=all_settings, **facts)
@@ -74,7 +75,7 @@ def of_rows(
     The judge itself takes any rows, so that another claim can have it judge some of them.
     """
 
-    def declared(judge: Callable[[Probe, Command, Any], None]) -> Callable[[Probe, Command, Any], None]:
+    def declare(judge: Callable[[Probe, Command, Any], None]) -> Callable[[Probe, Command, Any], None]:
         def check(probe: Probe, command: Command) -> None:
             judge(probe, command, rows(probe, command))
 
@@ -82,7 +83,7 @@ def of_rows(
         of_motion(**facts)(check)
         return judge
 
-    return declared
+    return declare
 
 
 def _need_room(probe: Probe) -> None:
@@ -111,12 +112,12 @@ def risks_by(*verbs: Verb) -> Callable[[Case], frozenset[Risk]]:
 def by_bus(dialect: Dialect) -> Iterator[Case]:
     """Yield the runs and moves of the MKS drives; a damaged one is small and slow as the whole one is."""
     if dialect.family == "mks":
-        yield from motions(*motion.RUNS_AND_MOVES)(dialect)
+        yield from motions(*RUNS_AND_MOVES)(dialect)
 
 
 def has_direction(command: Command) -> bool:
     """Say whether a motion has a direction beside its distance or speed, which has no sign then."""
-    return bool(motion.of(command).direction)
+    return bool(declared.of(command).direction)
 
 
 def has_sign(command: Command) -> bool:
@@ -159,7 +160,7 @@ def expect_taken(probe: Probe, exchange: Exchange, refutes: str) -> None:
 
 def expect_goes(probe: Probe, move: Command, degrees: float, when: str, rpm: float = CALM, acceleration: int = QUICK) -> None:
     """Ask for a move; refute where it is refused, or does not go as far as asked, to one side or the other."""
-    before, until = motion.position(probe), Until.DONE if motion.of(move).tells_end else Until.REPLY
+    before, until = motion.position(probe), Until.DONE if declared.of(move).tells_end else Until.REPLY
     exchange = motion.ask(probe, move, degrees, rpm=rpm, acceleration=acceleration, until=until)
     expect_taken(probe, exchange, f"{move.name} is refused {when}")
     probe.wait(exchange.sent_ns + int(ramp.move_ns(degrees / 360, rpm, acceleration)) - probe.gate.now_ns())

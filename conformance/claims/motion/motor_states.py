@@ -16,10 +16,10 @@ from conformance.claims.declare import Case, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import of_motion, risks_by
-from conformance.motion import motion
-from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
+from conformance.motion import declared, motion
+from conformance.motion.declared import QUICK, SUBDIVISION
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 #: 90 rpm at 12 ms for each rpm: 1.08 s up and as long down.
 _RPM, _RAMP, _RAMP_NS = 90, 16, 1080 * MS
@@ -142,8 +142,8 @@ def _ended_at_once(dialect: Dialect) -> Iterator[Case]:
     if len(needed) == len(verbs):
         known = [c for v in homing.SETS_HOME if (c := dialect.by_verb.get(v)) is not None]
         risks = frozenset[Risk]().union(*(command.all_risks for command in (*needed, *known))) - {Risk.UNKNOWN}
-        settings = motion.settings(dialect, *(name for c in known for name in c.request_forms[0].layout.named))
-        facts = {"risks": motion.risks(dialect, *risks, Risk.UNBOUNDED, Risk.TORQUE), "settings": settings}
+        settings = declared.settings(dialect, *(name for c in known for name in c.request_forms[0].layout.named))
+        facts = {"risks": declared.risks(dialect, *risks, Risk.UNBOUNDED, Risk.TORQUE), "settings": settings}
         for case in commands(Verb.READ_STATUS)(dialect):
             yield Case(dialect, case.command, facts=facts)
 
@@ -154,7 +154,7 @@ def _behind_emergency(probe: Probe) -> None:
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     homing.set_home(probe, home_speed=_RPM)
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    off = motion.switching(probe.dialect, False)
+    off = declared.switching(probe.dialect, False)
     emergency: tuple[Command, dict[str, int]] = (probe.command(Verb.EMERGENCY_STOP), {})
     for what, begin, for_ns, (ends, values) in (
         ("speeds up in a run", lambda: motion.run_at(probe, _RPM, _RAMP), 300 * MS, emergency),

@@ -29,11 +29,11 @@ from conformance.claims.motion.motion_claim import (
     that_tell_their_end,
 )
 from conformance.claims.motion.stops import endless
-from conformance.motion import arriving, motion
+from conformance.motion import arriving, declared, motion
 from conformance.motion.arriving import Move
-from conformance.motion.motion import MOVES, MS, QUICK, takes_pulses
+from conformance.motion.declared import GENTLE, MOVES, QUICK, takes_pulses
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, Probe, Until
 
 #: A way that no power of two divides, one back that is shorter, and a short one, in degrees.
 _THERE, _BACK, _SHORT = 97.2, -39.6, 41.4
@@ -46,7 +46,7 @@ _SO_MANY, _STEP_NS = 4, 25 * MS
 
 def takes_angle(command: Command) -> bool:
     """Say whether the distance of a move is an angle, and not a number of counts or pulses."""
-    return motion.field_of(command, motion.of(command).distance).unit == "deg"
+    return declared.field_of(command, declared.of(command).distance).unit == "deg"
 
 
 def takes_counts(command: Command) -> bool:
@@ -56,22 +56,22 @@ def takes_counts(command: Command) -> bool:
 
 def takes_place(command: Command) -> bool:
     """Say whether a move goes to a place, and not by a distance."""
-    return motion.of(command).kind is MotionKind.MOVE_TO
+    return declared.of(command).kind is MotionKind.MOVE_TO
 
 
 _counted = motions(*MOVES, where=takes_counts)
 _angled = motions(*MOVES, where=takes_angle)
 _counted_places = motions(MotionKind.MOVE_TO, where=takes_counts)
 _in_turn = motions(MotionKind.MOVE_IN_TURN)
-with_max_speed = motions(*MOVES, where=lambda c: takes_angle(c) and bool(motion.of(c).speed))
+with_max_speed = motions(*MOVES, where=lambda c: takes_angle(c) and bool(declared.of(c).speed))
 
 
 def without_max_speed(dialect: Dialect) -> Iterator[Case]:
     """Yield the moves without a max_speed, each with the one of its kind that has one."""
-    limited = {motion.of(command_of(case)).kind: command_of(case) for case in with_max_speed(dialect)}
+    limited = {declared.of(command_of(case)).kind: command_of(case) for case in with_max_speed(dialect)}
     for command in dialect.motions(*limited):
-        if not motion.of(command).speed:
-            yield Case(dialect, command, {"limited": limited[motion.of(command).kind]})
+        if not declared.of(command).speed:
+            yield Case(dialect, command, {"limited": limited[declared.of(command).kind]})
 
 
 def keeps_position(case: Case) -> tuple[str, ...]:
@@ -85,24 +85,24 @@ def keeps_position(case: Case) -> tuple[str, ...]:
 
 def _distances(dialect: Dialect) -> Iterator[Case]:
     for command in filter(takes_counts, dialect.motions(*MOVES)):
-        unit = motion.field_of(command, motion.of(command).distance).unit
+        unit = declared.field_of(command, declared.of(command).distance).unit
         where = "to a place" if takes_place(command) else "by a distance"
         yield Case(dialect, command, {"signed": False, "unit": unit, "where": where}, {"parameters": {}})
 
 
 def _angles(dialect: Dialect) -> Iterator[Case]:
     for command in filter(takes_angle, dialect.motions(*MOVES)):
-        signed = motion.of(command).kind is not MotionKind.MOVE_IN_TURN
+        signed = declared.of(command).kind is not MotionKind.MOVE_IN_TURN
         yield Case(dialect, command, {"signed": signed}, {"parameters": {}})
 
 
 def _expect_way(probe: Probe, move: Move, signed: bool, refutes: str, *, times: int = 1) -> None:
     """Refute unless a move, or several, went as far as was asked, the way that was asked where it is `signed`."""
     seen, asked = (move.degrees, move.asked) if signed else (abs(move.degrees), abs(move.asked))
-    within = times * motion.near(probe.dialect)
+    within = times * declared.near(probe.dialect)
     if takes_place(move.command) and takes_pulses(move.command):
         # The shaft may have stood between two pulses, of which the drive read one.
-        within += 180 / motion.units_per_turn(probe.dialect, move.command)
+        within += 180 / declared.units_per_turn(probe.dialect, move.command)
     if takes_place(move.command):
         # Each of several goes from where the shaft was read to be: what that is off by adds up.
         within += (times - 1) * probe.noise.place
@@ -114,7 +114,7 @@ def there_and_back(probe: Probe, command: Command) -> tuple[Move, Move, tuple[in
     motion.prepare(probe, command)
     since = len(probe.traffic)
     there = arriving.follow(probe, command, _THERE)
-    if motion.of(command).tells_end:
+    if declared.of(command).tells_end:
         probe.wait(700 * MS)
     statuses = arriving.statuses(probe.traffic[since:], command)
     return there, arriving.follow(probe, command, _BACK), tuple(statuses)
@@ -187,23 +187,23 @@ def _again(probe: Probe, command: Command, signed: bool) -> None:
 def _steps(probe: Probe, command: Command) -> None:
     """{command} by few units at a time, either way, goes as far as it was asked to: no step is too short."""
     motion.prepare(probe, command)
-    turn = motion.units_per_turn(probe.dialect, command)
+    turn = declared.units_per_turn(probe.dialect, command)
     stands = motion.wait_standing(probe)
     for units, way in _STEPS:
         step = way * units * 360 / turn
-        if units * 360 / turn <= motion.near(probe.dialect):
+        if units * 360 / turn <= declared.near(probe.dialect):
             # A shaft may miss its target by as much.
             continue
         begin = motion.place(probe, command)
         for number in range(_SO_MANY):
             # To a place it is one step more each time.
             start = begin + number * way * units if takes_place(command) else begin
-            done = Until.DONE if motion.of(command).tells_end else Until.REPLY
+            done = Until.DONE if declared.of(command).tells_end else Until.REPLY
             exchange = motion.ask(probe, command, step, acceleration=QUICK, start=start, until=done, quiet_ns=0)
             expect_taken(probe, exchange, f"{command.name} by {units} units is refused")
-            probe.wait(0 if motion.of(command).tells_end else _STEP_NS)
+            probe.wait(0 if declared.of(command).tells_end else _STEP_NS)
         before, stands = stands, motion.wait_standing(probe)
-        within = (1 if takes_place(command) else _SO_MANY) * motion.near(probe.dialect) + motion.miss(probe)
+        within = (1 if takes_place(command) else _SO_MANY) * declared.near(probe.dialect) + motion.miss(probe)
         text = f"{command.name} by few units at a time goes elsewhere"
         probe.expect(
             abs(stands.value - before.value),
@@ -230,10 +230,10 @@ def _steps(probe: Probe, command: Command) -> None:
 def _same_place(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
     there = arriving.follow(probe, command, _THERE)
-    exchange = motion.ask(probe, command, until=Until.DONE if motion.of(command).tells_end else Until.REPLY)
+    exchange = motion.ask(probe, command, until=Until.DONE if declared.of(command).tells_end else Until.REPLY)
     expect_taken(probe, exchange, f"{command.name} to the same place is refused")
     probe.wait(300 * MS)
-    within = motion.near(probe.dialect)
+    within = declared.near(probe.dialect)
     expect_stays(there.end, motion.wait_standing(probe), exchange, f"{command.name} to the same place turns the shaft", within)
 
 
@@ -244,7 +244,7 @@ def _same_place(probe: Probe, command: Command) -> None:
 )
 def _reads_as_asked(probe: Probe, command: Command) -> None:
     motion.prepare(probe, command)
-    turn = motion.units_per_turn(probe.dialect, command)
+    turn = declared.units_per_turn(probe.dialect, command)
     for degrees in (108, -216):
         target = motion.place(probe, command) + round(degrees * turn / 360)
         move = arriving.follow(probe, command, degrees)
@@ -331,7 +331,7 @@ def _across_zero(probe: Probe, command: Command) -> None:
     """{command} goes on across the zero of the turn, both ways, and no turn more."""
     motion.ready_to_move(probe)
     here = motion.place(probe, command)
-    turn = motion.units_per_turn(probe.dialect, command)
+    turn = declared.units_per_turn(probe.dialect, command)
     # To 300 degrees, then to 60 and back: 120 degrees each time.
     arriving.follow(probe, command, (300 - here * 360 / turn) % 360, start=here)
     for way in (1, -1):
@@ -416,6 +416,6 @@ def _replies(probe: Probe, command: Command) -> None:
 def _told_when_there(probe: Probe, command: Command) -> None:
     """When {command} says that it is complete, the shaft is at its target."""
     motion.prepare(probe, command)
-    for degrees, rpm, acceleration in ((_THERE, 120, motion.GENTLE), (-1080, 900, QUICK)):
+    for degrees, rpm, acceleration in ((_THERE, 120, GENTLE), (-1080, 900, QUICK)):
         exchange = motion.ask(probe, command, degrees, rpm=rpm, acceleration=acceleration, until=Until.DONE, quiet_ns=0)
         expect_at_rest(probe, command, exchange, f"{command.name} is told as complete before the shaft is there")

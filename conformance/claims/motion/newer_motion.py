@@ -27,10 +27,10 @@ from conformance.claims.motion.motion_claim import (
 )
 from conformance.claims.motion.moves import takes_angle, takes_counts, with_max_speed, without_max_speed
 from conformance.claims.motion.stops import expect_standing
-from conformance.motion import arriving, motion
-from conformance.motion.motion import CALM, FORCE, MOVES, MS, QUICK, SECOND_NS
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import CALM, FORCE, MOVES, QUICK, SUBDIVISION
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 #: The older move: 270 degrees at 30 rpm last a second and a half; the newer one comes after 0.3 of one.
 _DEGREES, _RPM, _WHEN_NS = 270, 30, 300 * MS
@@ -40,7 +40,7 @@ _SPEED_NS, _RESTS_NS = 200 * MS, 500 * MS
 _UPDATED = Verb.MOVE_ABSOLUTE_AXIS
 _moves = motions(*MOVES, where=takes_counts)
 #: Increments with a speed: an angle counts from where the shaft is.
-_increments = motions(MotionKind.MOVE_BY, where=lambda c: takes_angle(c) and bool(motion.of(c).speed))
+_increments = motions(MotionKind.MOVE_BY, where=lambda c: takes_angle(c) and bool(declared.of(c).speed))
 _update = motions(MotionKind.MOVE_TO, where=lambda c: c.verb is _UPDATED and takes_counts(c))
 
 
@@ -120,7 +120,7 @@ _SLOW_RAMP = 156
 
 
 @of_motion(
-    each=motions(MotionKind.MOVE_TO, where=lambda c: takes_counts(c) and bool(motion.of(c).acceleration)),
+    each=motions(MotionKind.MOVE_TO, where=lambda c: takes_counts(c) and bool(declared.of(c).acceleration)),
     name="{command}/newer-acceleration-alone",
     refuted_by="a motion that goes on as before",
     at_best=_certainty,
@@ -177,7 +177,7 @@ def _without_stop(probe: Probe, command: Command) -> None:
 def _newer_moves(dialect: Dialect) -> Iterator[Case]:
     """Yield the moves to a place without a speed, each with the older one from which it takes over, which has one."""
     for case in without_max_speed(dialect):
-        if motion.of(command_of(case)).kind is MotionKind.MOVE_TO:
+        if declared.of(command_of(case)).kind is MotionKind.MOVE_TO:
             yield Case(dialect, case.command, {"older": case["limited"]})
 
 
@@ -195,18 +195,18 @@ def _turns_back(probe: Probe, command: Command, older: Command) -> None:
     probe.wait(_WHEN_NS)
     exchange = motion.begin(probe, command, -30, acceleration=QUICK, start=start)
     went = motion.wait_standing(probe).value - begun.value
-    text, within = f"{command.name}: a newer target behind the shaft is not where it ends", motion.near(probe.dialect)
+    text, within = f"{command.name}: a newer target behind the shaft is not where it ends", declared.near(probe.dialect)
     probe.expect(went, near=-30, within=within, unit="degrees from the start", refutes=text, exchange=exchange)
 
 
 def _certain_of_speed_0(case: Case) -> Certainty:
     """Of runs the section that has the highest speed of each mode says it; of moves none does."""
-    runs = motion.of(command_of(case)).kind is MotionKind.RUN
+    runs = declared.of(command_of(case)).kind is MotionKind.RUN
     return Certainty.LIKELY if runs and case.dialect.mode_speeds else Certainty.OPEN
 
 
 @of_motion(
-    each=lambda dialect: (c for c in motions(MotionKind.RUN, *MOVES)(dialect) if motion.of(command_of(c)).acceleration),
+    each=lambda dialect: (c for c in motions(MotionKind.RUN, *MOVES)(dialect) if declared.of(command_of(c)).acceleration),
     name="{command}/speed-0",
     statement="{command} with speed 0 stops the shaft, with any of its other values.",
     refuted_by="a shaft that goes on",
@@ -224,7 +224,7 @@ def _speed_0(probe: Probe, command: Command) -> None:
     motion.run_at(probe, CALM, QUICK)
     probe.wait(_SPEED_NS)
     # A run with direction 0 as well would be the stop of this command.
-    direction = {"direction": 1} if motion.of(command).kind is MotionKind.RUN and has_direction(command) else {}
+    direction = {"direction": 1} if declared.of(command).kind is MotionKind.RUN and has_direction(command) else {}
     exchange = motion.ask(probe, command, 90, rpm=0, acceleration=QUICK, more=direction)
     probe.wait(_SPEED_NS if probe.dialect.ramp is not None else _RESTS_NS)
     expect_standing(probe, exchange, f"{command.name} with speed 0 does not stop the shaft")
@@ -251,20 +251,20 @@ def _over_others(dialect: Dialect) -> Iterator[Case]:
     """Yield the motions of drives without a law of ramps; those with one are crossed (`claims.crossed.newer`)."""
     if dialect.ramp is not None:
         return
-    every = dialect.motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE) if motion.can_move(dialect) else ()
+    every = dialect.motions(MotionKind.RUN, *MOVES, MotionKind.TORQUE) if declared.can_move(dialect) else ()
     risks = frozenset[Risk]().union(*(c.all_risks for c in every))
     for command in every:
         # MKS promises it of moves to a place by the encoder, and of runs.
-        open_ = takes_counts(command) and command.verb is not _UPDATED if motion.of(command).distance else False
+        open_ = takes_counts(command) and command.verb is not _UPDATED if declared.of(command).distance else False
         certainty = Certainty.OPEN if open_ else Certainty.LIKELY
-        yield Case(dialect, command, facts={"risks": motion.risks(dialect, *risks), "at_best": certainty})
+        yield Case(dialect, command, facts={"risks": declared.risks(dialect, *risks), "at_best": certainty})
 
 
 def _begin_way(probe: Probe, command: Command, way: int, rpm: float = CALM, in_turn: int = _IN_TURN) -> Exchange:
     """Ask for a long motion in a direction, at rest or during another motion; `in_turn`: how far it goes within a turn."""
-    kind = motion.of(command).kind
+    kind = declared.of(command).kind
     degrees = way * (in_turn if kind is MotionKind.MOVE_IN_TURN else _FAR)
-    force = motion.values_of(probe.dialect, command) if kind is MotionKind.TORQUE else {}
+    force = declared.values_of(probe.dialect, command) if kind is MotionKind.TORQUE else {}
     more = dict.fromkeys(force, way * FORCE)
     rpm = way * rpm if kind is MotionKind.RUN else rpm
     return motion.ask(probe, command, degrees, rpm=rpm, acceleration=QUICK, more=more, quiet_ns=0)
@@ -301,7 +301,7 @@ def _turned_over(probe: Probe, older: Command, command: Command, way: int, sense
 @of_motion(each=_over_others, name="{command}/takes-over", refuted_by="a shaft that turns on as before, or a refusal")
 def _takes_over(probe: Probe, command: Command) -> None:
     """{command} takes over from each other motion, in either direction, and turns the shaft the other way."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     _begin_way(probe, command, 1)
     sense = _direction(probe)
     motion.stand_still(probe)

@@ -29,10 +29,10 @@ from conformance.claims.motion.motion_claim import (
     that_tell_their_end,
 )
 from conformance.claims.motion.refusals import expect_refused
-from conformance.motion import arriving, motion, ramp
-from conformance.motion.motion import MOVES, MS, QUICK, SECOND_NS
+from conformance.motion import arriving, declared, motion, ramp
+from conformance.motion.declared import MOVES, QUICK, RUNS_AND_MOVES
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 _TURNS = 2.0
 _BEHIND_RELEASE = "behind 3D, with the motor told as enabled"
@@ -198,7 +198,7 @@ def _releases(probe: Probe, command: Command) -> None:
     probe.expect(abs(moved), at_least=10, unit="degrees", refutes=text, exchange=exchange)
 
 
-@_of_protection("a motion, or an answer that says success", each=needing(Verb.SET_PROTECTION, motions(*motion.RUNS_AND_MOVES)))
+@_of_protection("a motion, or an answer that says success", each=needing(Verb.SET_PROTECTION, motions(*RUNS_AND_MOVES)))
 def _protected(probe: Probe, command: Command) -> None:
     """{command} is refused while the rotor protection holds."""
     protect(probe)
@@ -337,7 +337,7 @@ def _limp(probe: Probe, command: Command) -> None:
     if not _is_protected(probe):
         _expect_free(probe, exchange, went)
     _expect_left(probe, exchange)
-    for each in probe.dialect.motions(*motion.RUNS_AND_MOVES):
+    for each in probe.dialect.motions(*RUNS_AND_MOVES):
         expect_refused(probe, each, "while protected")
         _expect(probe, probe.traffic[-1], 1, f"{each.name} ends the protection")
     exchange = probe.ask(command)
@@ -351,8 +351,8 @@ def _limp(probe: Probe, command: Command) -> None:
     probe.wait(_LEAPS_NS)
     text = "3D takes the motion up again that the protection ended"
     expect_stays(before, motion.position(probe), exchange, text, _MISSING)
-    for move in sorted(probe.dialect.motions(MotionKind.MOVE_BY), key=motion.takes_pulses):
-        if motion.takes_pulses(move):
+    for move in sorted(probe.dialect.motions(MotionKind.MOVE_BY), key=declared.takes_pulses):
+        if declared.takes_pulses(move):
             motion.prepare(probe, move)
         expect_goes(probe, move, 45, _BEHIND_RELEASE)
 

@@ -22,11 +22,12 @@ from conformance.claim import Curve, Inconclusive, Theme
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.known_quirks import LATE, may_meet
 from conformance.claims.motion.motion_claim import of_motion
-from conformance.motion import arriving, motion, ramp
-from conformance.motion.motion import MS, QUICK, SECOND_NS, Sample
+from conformance.motion import arriving, declared, motion, ramp
+from conformance.motion.declared import QUICK, SUBDIVISION
+from conformance.motion.motion import Sample
 from conformance.motion.ramp import Fit, Judgement
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 _SLOW_RAMP = "ramp-4-percent-slow"
 #: A reply that leaves a time uncertain by more than this is late.
@@ -117,14 +118,14 @@ def _steady(probe: Probe, rpm: float) -> _Steady:
 def _change(probe: Probe, last: float, acceleration: int) -> Exchange:
     if last:  # its sign is the direction
         command = probe.command(Verb.RUN_SPEED)
-        return probe.ask(command, motion.values_of(probe.dialect, command, rpm=last, acceleration=acceleration), quiet_ns=0)
+        return probe.ask(command, declared.values_of(probe.dialect, command, rpm=last, acceleration=acceleration), quiet_ns=0)
     return probe.ask(Verb.STOP_SPEED, {"acceleration": acceleration}, quiet_ns=0)
 
 
 def _ramps_through(probe: Probe, speeds: tuple[int, ...], acceleration: int) -> tuple[_Ramp, ...]:
     """Run through some speeds, one after the other, and return the ramp to each but the first."""
-    mode = motion.bus_modes(probe.dialect)[-1] if max(map(abs, speeds)) > 400 else ""
-    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
+    mode = declared.bus_modes(probe.dialect)[-1] if max(map(abs, speeds)) > 400 else ""
+    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
     if first := speeds[0]:
         motion.run_at(probe, first, QUICK)
         probe.wait(int(ramp.ramp_ns(0, first, QUICK)) + 100 * MS)
@@ -143,7 +144,7 @@ def _ramps_through(probe: Probe, speeds: tuple[int, ...], acceleration: int) -> 
 
 def _ramp(probe: Probe, command: Command, speeds: tuple[int, ...], acceleration: int) -> _Ramp:
     """Return the ramp of a command among those through some speeds: of a run the first one, of its stop the last one."""
-    stops = motion.of(command).kind is MotionKind.STOP
+    stops = declared.of(command).kind is MotionKind.STOP
     return probe.recorded(_ramps_through, speeds, acceleration)[-1 if stops else 0]
 
 

@@ -21,10 +21,10 @@ from conformance.claims import bench
 from conformance.claims.declare import Case, claim, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import of_motion, risks_by
-from conformance.motion import arriving, motion
-from conformance.motion.motion import MS, QUICK, SECOND_NS, SUBDIVISION
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import QUICK, SUBDIVISION
 from conformance.talk import settings
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 from conformance.talk.restarts import restart
 
 _RPM = 120
@@ -136,7 +136,7 @@ def _shows_switch(probe: Probe, command: Command) -> None:
     risks=risks_by(Verb.RUN_SPEED, Verb.SET_ZERO),
 )
 def _wide(probe: Probe) -> None:
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     before = motion.position(probe)
     # Downwards: a shaft that begins near zero passes it, and the end of 24 bits with a sign.
     exchange = motion.run_at(probe, -3000, 255)
@@ -173,12 +173,12 @@ def _counts_moves(probe: Probe, command: Command) -> None:
 def _wide_pulses(probe: Probe, command: Command) -> None:
     """The count of pulses goes on beyond 16 bits, above and below zero."""
     move, finest = probe.command(Verb.MOVE_RELATIVE_PULSES), 256
-    motion.ready_to_move(probe, subdivision=motion.finest(probe))
+    motion.ready_to_move(probe, subdivision=declared.finest(probe.dialect))
     for turns in (2, -4):
         before = probe.read(command, "pulses")
         arriving.follow(probe, move, turns * 360, rpm=180, acceleration=QUICK, subdivision=finest)
         change = abs(probe.read(command, "pulses") - before)
-        wanted = abs(turns) * motion.units_per_turn(probe.dialect, move, finest)
+        wanted = abs(turns) * declared.units_per_turn(probe.dialect, move, finest)
         probe.expect(change, near=wanted, within=1, refutes="the count of pulses does not change by those of a long move")
 
 
@@ -360,7 +360,7 @@ def _give_ports_back(probe: Probe) -> None:
 def _in_position_at_rest(probe: Probe, command: Command) -> None:
     """PEND is 1 when the shaft has come to its target, and ALM is 1 without an alarm."""
     _give_ports_back(probe)
-    arriving.follow(probe, motion.any_move(probe.dialect), 90)
+    arriving.follow(probe, declared.any_move(probe.dialect), 90)
     for port, text in (("pend", "the shaft is in place, and PEND says that it is not"), ("alm", "ALM tells an alarm at rest")):
         probe.expect(probe.read(command, port), equal=1, refutes=text, exchange=probe.traffic[-1])
 
@@ -369,7 +369,7 @@ def _in_position_at_rest(probe: Probe, command: Command) -> None:
 def _not_in_position_while_moving(probe: Probe, command: Command) -> None:
     """PEND is 0 while the shaft is on its way."""
     _give_ports_back(probe)
-    motion.begin(probe, motion.any_move(probe.dialect), 720)
+    motion.begin(probe, declared.any_move(probe.dialect), 720)
     probe.wait(500 * MS)
     seen, exchange = probe.read(command, "pend"), probe.traffic[-1]
     turning = motion.turning(probe)
@@ -402,7 +402,7 @@ _of_enable_port = partial(of_motion, each=_enable_ports, refuted_by="the other l
 
 def _not_remapped(probe: Probe) -> None:
     """Take the limit switches off the ports of the pulse interface; they are remapped in a bus mode alone."""
-    motion.set_mode(probe, motion.bus_modes(probe.dialect)[-1])
+    motion.set_mode(probe, declared.bus_modes(probe.dialect)[-1])
     settings.to_defaults(probe, "limit_remap")
 
 
@@ -419,8 +419,8 @@ def _shows_enable_pin(probe: Probe, command: Command) -> None:
 def _is_enable_pin(probe: Probe, command: Command) -> None:
     """In a pulse mode in_2 of a 42E is the level at which the motor is enabled."""
     _not_remapped(probe)
-    names = motion.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
-    motion.set_mode(probe, next(name for name in names if name not in motion.bus_modes(probe.dialect)))
+    names = declared.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
+    motion.set_mode(probe, next(name for name in names if name not in declared.bus_modes(probe.dialect)))
     for level in (0, 1):
         exchange = probe.do(Verb.SET_ENABLE_LEVEL, {"enable_level": level})
         enabled = probe.read(Verb.READ_ENABLED)
@@ -463,7 +463,7 @@ def _divided(probe: Probe) -> tuple[tuple[_Look, ...], ...]:
                 restart(probe)
                 motion.ready_to_move(probe, subdivision=subdivision % _FINEST)
                 probe.do(Verb.SET_ZERO)
-            degrees = way * _PART * period * 360 / motion.units_per_turn(probe.dialect, move, subdivision)
+            degrees = way * _PART * period * 360 / declared.units_per_turn(probe.dialect, move, subdivision)
             rpm = min(_QUICK_RPM, _FINE_RPM)
             arriving.follow(probe, move, degrees, rpm=rpm, acceleration=QUICK, subdivision=subdivision)
             pulses = abs(probe.read(Verb.READ_PULSES, "pulses"))

@@ -16,12 +16,12 @@ from conformance.claim import Inconclusive
 from conformance.claims.control_reads import judge_next
 from conformance.claims.declare import Case, motions
 from conformance.claims.motion.motion_claim import command_of, expect_not_turned, expect_stays, of_motion, risks_by
-from conformance.motion import motion
+from conformance.motion import declared, motion
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import CALM, MOVES, MS, QUICK
+from conformance.motion.declared import CALM, MOVES, QUICK, SUBDIVISION
 from conformance.talk.acceptance import need_reliable_replies
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 from conformance.talk.samples import sample
 
 #: Kinds of motion that the manual lets no pulse mode do; of the others it is less sure.
@@ -36,14 +36,14 @@ def _can_refuse(command: Command) -> bool:
 
 def _turning(command: Command, way: int) -> dict[str, Any]:
     """Return the way of a quarter turn, up or down, as motions are asked for."""
-    signed = motion.of(command).kind in (MotionKind.RUN, MotionKind.TORQUE)
+    signed = declared.of(command).kind in (MotionKind.RUN, MotionKind.TORQUE)
     return {"degrees": 90.0 * way, "rpm": float(CALM * way if signed else CALM)}
 
 
 def _request(dialect: Dialect, command: Command, start: int = 0, way: int = 1) -> dict[str, int]:
     """Return values of a request that would move the shaft a way, or do what the command does."""
     if command.motion is not None and command.motion.kind in _SURE:
-        return motion.values_of(dialect, command, **_turning(command, way), acceleration=QUICK, start=start)
+        return declared.values_of(dialect, command, **_turning(command, way), acceleration=QUICK, start=start)
     return sample(dialect, command)
 
 
@@ -94,8 +94,8 @@ def _disabled(probe: Probe, command: Command) -> None:
 def _behind_refusals(probe: Probe, command: Command) -> None:
     """What comes behind a refused motion is answered and carried out: a read, enabling, and a move."""
     # Without a look whether it has a bus mode: that may be refused, and what is behind it would not be looked at.
-    motion.set_mode(probe, motion.bus_modes(probe.dialect)[-1])
-    probe.ask(Verb.SET_SUBDIVISION, {"subdivision": motion.SUBDIVISION})
+    motion.set_mode(probe, declared.bus_modes(probe.dialect)[-1])
+    probe.ask(Verb.SET_SUBDIVISION, {"subdivision": SUBDIVISION})
     motion.switch(probe, False)
     values = _request(probe.dialect, command)
     judge_next(probe, "a refused motion", lambda: probe.ask(command, values, quiet_ns=0))
@@ -120,7 +120,7 @@ def _enabled_behind(probe: Probe, command: Command, values: dict[str, int]) -> t
     """Ask a motor that is off for a motion, and switch it on at once."""
     motion.switch(probe, False)
     refusal = probe.ask(command, values, quiet_ns=0)
-    return refusal, probe.ask(*motion.switching(probe.dialect, True), quiet_ns=0)
+    return refusal, probe.ask(*declared.switching(probe.dialect, True), quiet_ns=0)
 
 
 #: How often enabling is asked for behind a refusal: a reply may be lost.
@@ -154,8 +154,8 @@ def _risks_of_request(case: Case) -> frozenset[Risk]:
 )
 def _in_pulse_modes(probe: Probe, command: Command) -> None:
     """{command} is refused in the work modes in which pulses move the motor."""
-    modes = motion.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
-    by_pulses = [mode for mode in modes if mode not in motion.bus_modes(probe.dialect)]
+    modes = declared.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
+    by_pulses = [mode for mode in modes if mode not in declared.bus_modes(probe.dialect)]
     for number, mode in enumerate(by_pulses):
         motion.set_mode(probe, mode)
         expect_refused(probe, command, f"in mode {mode}", ways=((-1) ** number,))

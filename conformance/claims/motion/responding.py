@@ -23,10 +23,10 @@ from conformance.claims.motion import homing
 from conformance.claims.motion.motion_claim import of_motion, risks_by, risks_of
 from conformance.motion import arriving, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import MS, QUICK, SECOND_NS
+from conformance.motion.declared import QUICK, RUNS_AND_MOVES, SUBDIVISION
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import TOLD_LATE_NS
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 from conformance.talk.restarts import restart
 
 #: What is no motion and no setting, and answered all the same.
@@ -52,7 +52,7 @@ def _motions(*kinds: MotionKind) -> Cases:
 
 
 _moves = _motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO)
-_runs_and_moves = _motions(*motion.RUNS_AND_MOVES)
+_runs_and_moves = _motions(*RUNS_AND_MOVES)
 
 
 def _of_respond(refuted_by: str, *, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -208,7 +208,7 @@ def _stopped(probe: Probe, respond: int, run: Command, stop: Command) -> _Shown:
 def _silent_refusals(probe: Probe) -> None:
     """A motion that is refused, since the motor is off, is answered with active 0, and not with respond 0."""
     motion.ready_to_move(probe)
-    every = [*probe.dialect.motions(*motion.RUNS_AND_MOVES)]
+    every = [*probe.dialect.motions(*RUNS_AND_MOVES)]
     begins = {command.name: motion.place(probe, command) for command in every}
     motion.switch(probe, False)
     found: list[list[Exchange]] = []
@@ -248,13 +248,13 @@ def _silent_refusals(probe: Probe) -> None:
 @_of_respond("silence", each=_settings, name="{command}/0-leaves-reads", risks=risks_by(*_LOUD))
 def _others_answered(probe: Probe) -> None:
     """With respond 0 reads, settings, enabling, the release and the emergency stop are answered as before."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     loud = [*plain_reads(probe.dialect), *map(probe.command, _LOUD)]
     if any(probe.ask(command).silent for command in loud):
         raise Inconclusive("not all of them are answered with respond 1 either")
     _set(probe, 0, 0)
     asked = [probe.ask(command) for command in loud]
-    asked.append(probe.ask(Verb.SET_SUBDIVISION, {"subdivision": motion.SUBDIVISION}))
+    asked.append(probe.ask(Verb.SET_SUBDIVISION, {"subdivision": SUBDIVISION}))
     asked.append(probe.ask(Verb.ENABLE, {"enabled": 1}))
     asked.append(probe.ask(Verb.SET_RESPOND, {"respond": 1, "active": 1}))
     for exchange in asked:
@@ -266,7 +266,7 @@ def _others_answered(probe: Probe) -> None:
 @_of_respond("another status", each=_settings, name="{command}/0-status-follows", risks=risks_by(Verb.RUN_SPEED))
 def _status_follows(probe: Probe) -> None:
     """With respond 0 the status still tells whether the motor turns or stands."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     run = probe.command(Verb.RUN_SPEED)
     _set(probe, 0, 0)
     seen = []
@@ -331,7 +331,7 @@ def _inactive_stop(probe: Probe, run: Command, stop: Command) -> None:
 )
 def _inactive_home(probe: Probe) -> None:
     """With active 0 homing is answered when it begins and not when it is done."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     homing.set_home(probe)
     home = probe.command(Verb.HOME)
     _set(probe, 1, 0)

@@ -16,10 +16,10 @@ from conformance.claims.declare import Case, commands, motions
 from conformance.claims.known_quirks import LATE, may_meet
 from conformance.claims.motion.motion_claim import expect_speed, has_direction, has_sign, of_motion, risks_by, risks_of
 from conformance.claims.motion.ramps import TOO_LATE_NS
-from conformance.motion import arriving, motion
-from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, SUBDIVISION
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import CALM, QUICK, SUBDIVISION
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 from conformance.talk.restarts import restart
 
 #: A speed is measured over so many times the way by which places may be off.
@@ -56,7 +56,7 @@ def _turns_at(probe: Probe, rpm: float) -> None:
     speed, spread = motion.mean_speed(probe, max(clear_ns, 1500 * MS if abs(rpm) < 10 else 600 * MS))
     looked = probe.latencies[-2:]
     motion.stand_still(probe)
-    wanted, text = motion.rpm_as_asked(exchange), "the shaft does not turn at the speed that was asked for"
+    wanted, text = declared.rpm_as_asked(exchange), "the shaft does not turn at the speed that was asked for"
     probe.expect(abs(speed), near=wanted, within=wanted * CLOCK_SHARE + spread, unit="rpm", refutes=text, exchange=exchange)
     if spread > wanted / 10:
         if LATE not in probe.claim.quirks or max(ns for _, ns in looked) <= 2 * TOO_LATE_NS:
@@ -77,7 +77,7 @@ def _slow(probe: Probe, command: Command) -> None:
             speed, spread = motion.mean_speed(probe, _SLOW_NS)
             seen = motion.speed(probe)
             motion.stand_still(probe)
-            wanted = motion.rpm_as_asked(exchange)
+            wanted = declared.rpm_as_asked(exchange)
             within = wanted * _SLOW_SHARE + spread
             text = f"a run at {wanted:.3g} rpm turns the shaft at another speed"
             probe.expect(abs(speed), near=wanted, within=within, unit="rpm", refutes=text, exchange=exchange)
@@ -181,7 +181,7 @@ def _direction_risks(case: Case) -> frozenset[Risk]:
 @of_motion(each=_direction_settings, refuted_by="", risks=_direction_risks, settings=("motor_direction",))
 def _and_the_bus(probe: Probe, command: Command, turns: bool) -> None:
     """What the direction setting does to motion by the bus it does in each mode, and after a restart."""
-    modes = [m for m in reversed(motion.bus_modes(probe.dialect)) if "no_encoder" not in m]
+    modes = [m for m in reversed(declared.bus_modes(probe.dialect)) if "no_encoder" not in m]
     motion.ready_to_move(probe, modes[0])
     text = "the setting of the motor's direction and motion by the bus"
     probe.do(command, {"motor_direction": 0})
@@ -223,7 +223,7 @@ def _directions_of_moves(dialect: Dialect) -> Iterator[Case]:
     }
     for case in commands(Verb.SET_DIRECTION)(dialect):
         for move in dialect.motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO):
-            if motion.takes_pulses(move) or not turns:
+            if declared.takes_pulses(move) or not turns:
                 yield Case(dialect, case.command, {"move": move, "turns": turns}, facts)
 
 

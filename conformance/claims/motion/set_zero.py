@@ -13,10 +13,10 @@ from collections.abc import Iterator
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claims.declare import Case, commands, needing
 from conformance.claims.motion.motion_claim import expect_stays, of_motion, risks_by
-from conformance.motion import arriving, motion
-from conformance.motion.motion import CALM, QUICK, SECOND_NS
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import CALM, QUICK
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import SECOND_NS, Probe
 
 #: What reads 0 after 92: the quantity in words, the read, and its fields.
 _ZEROED = {
@@ -108,7 +108,7 @@ def _while_turning(probe: Probe, command: Command) -> None:
 def _places(dialect: Dialect) -> Iterator[Case]:
     for move in reversed(dialect.motions(MotionKind.MOVE_TO)):
         for case in _zeros(dialect):
-            yield Case(dialect, case.command, {"move": move}, _surety(motion.takes_pulses(move)))
+            yield Case(dialect, case.command, {"move": move}, _surety(declared.takes_pulses(move)))
 
 
 @of_motion(each=_places, name="{command}/and-{move}", refuted_by="another place")
@@ -121,11 +121,11 @@ def _is_target(probe: Probe, command: Command, move: Command) -> None:
     shift = zero - motion.position(probe).value
     sense = 1
     for number, degrees in enumerate((-144, -288, -72)):
-        values = motion.values_of(probe.dialect, move, degrees, rpm=120, acceleration=QUICK)
+        values = declared.values_of(probe.dialect, move, degrees, rpm=120, acceleration=QUICK)
         exchange = probe.do(move, values)
         went = motion.wait_standing(probe).value + shift - zero
         # The sense of pulses is not told.
-        sense = sense if number else (-1 if went > 0 and motion.takes_pulses(move) else 1)
+        sense = sense if number else (-1 if went > 0 and declared.takes_pulses(move) else 1)
         text = f"{move.name} to {degrees} degrees goes elsewhere after 92"
         within = 2 * probe.noise.step("degrees")
         probe.expect(went * sense, near=degrees, within=within, unit="degrees", refutes=text, exchange=exchange)

@@ -21,12 +21,13 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import expect_between, expect_row_taken, of_motion
 from conformance.gate.gate import Refused
 from conformance.model import covering
-from conformance.motion import arriving, motion, ramp
+from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import CALM, MS, QUICK, SECOND_NS, Sample
+from conformance.motion.declared import CALM, QUICK, SUBDIVISION
+from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 #: The ramp by which the older motion slows down, 1.8 ms for one rpm, and what of it is over when the newer command comes.
 _RAMP, _DONE = 220, 0.3
@@ -90,7 +91,7 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
 
 def slowed(probe: Probe) -> tuple[Tried, ...]:
     """Carry out all rows and return what was seen."""
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     rest = motion.stand_still(probe)
     found: list[Tried] = []
     refused: Refused | None = None
@@ -108,7 +109,7 @@ def slowed(probe: Probe) -> tuple[Tried, ...]:
 
 def _try(probe: Probe, row: Row, start: Sample) -> Tried:
     command = probe.command(row.older)
-    runs = motion.of(command).kind is MotionKind.RUN
+    runs = declared.of(command).kind is MotionKind.RUN
     place = motion.place(probe, command)
     if runs:
         begun = motion.begin(probe, command, rpm=row.way * CALM, acceleration=QUICK, quiet_ns=0)
@@ -155,14 +156,14 @@ def _newer_way(command: Command, comes: str) -> int:
     """Return how far a newer move goes that way, in degrees: one to a place is told it from where the older one began."""
     if comes == _ROUND:
         return -_NEWER
-    return _NEWER + (_WAY if motion.of(command).kind is MotionKind.MOVE_TO else 0)
+    return _NEWER + (_WAY if declared.of(command).kind is MotionKind.MOVE_TO else 0)
 
 
 def _comes(probe: Probe, command: Command, row: Row) -> tuple[Command, dict[str, int]]:
     if row.comes == _STOP:
         return probe.dialect.stops_of(command)[0], {"acceleration": 0}
     if row.comes == _OFF:
-        return motion.switching(probe.dialect, False)
+        return declared.switching(probe.dialect, False)
     return (probe.command(Verb.EMERGENCY_STOP), {}) if row.comes == _EMERGENCY else (command, {})
 
 
@@ -174,7 +175,7 @@ def _cases(dialect: Dialect) -> Iterator[Case]:
     stops = [dialect.stops_of(command)[0] for command in every]
     at_once = _stops_at_once(dialect)
     risks = frozenset().union(*(c.all_risks for c in (*every, *stops, *at_once.values())))
-    facts = {"risks": motion.risks(dialect, *risks), "parameters": {}, "at_best": Certainty.LIKELY}
+    facts = {"risks": declared.risks(dialect, *risks), "parameters": {}, "at_best": Certainty.LIKELY}
     for command in every:
         yield Case(dialect, command, {"older": command.name, "comes": (_ON, _ROUND)}, facts)
         yield Case(dialect, dialect.stops_of(command)[0], {"older": command.name, "comes": (_STOP,)}, facts)
@@ -210,7 +211,7 @@ def _ends(probe: Probe, tried: Tried) -> tuple[float, float]:
     """Return between which places a newer move ends, in degrees."""
     command = probe.command(tried.row.older)
     way = tried.sense * (1 if tried.row.comes == _ON else -1)
-    if motion.of(command).kind is MotionKind.MOVE_TO:
+    if declared.of(command).kind is MotionKind.MOVE_TO:
         place = tried.start.value + tried.sense * _newer_way(command, tried.row.comes)
         return place, place
     low, high = sorted((tried.before.value, tried.start.value + tried.sense * _WAY))

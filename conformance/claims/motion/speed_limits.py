@@ -16,11 +16,12 @@ from conformance.claims.declare import Case
 from conformance.claims.known_quirks import LATE, may_meet
 from conformance.claims.motion.motion_claim import command_of, expect_speed, expect_taken, of_motion, risks_by
 from conformance.claims.motion.moves import with_max_speed
-from conformance.motion import motion
+from conformance.motion import declared, motion
 from conformance.motion.attempts import anew
-from conformance.motion.motion import MOVES, MS, SUBDIVISION, Sample
+from conformance.motion.declared import CALM, MOVES, SUBDIVISION
+from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: The highest speed of any MKS drive, and that of a drive whose manual has no table of modes.
 _HIGHEST = 3000
@@ -46,7 +47,7 @@ class Spun(NamedTuple):
 def _way(probe: Probe, speed: int, mode: str) -> int:
     """Return which way a speed is tried in a mode: the highest of it one way, those beyond the other way."""
     beyond = speed > probe.dialect.mode_speeds.get(mode, _HIGHEST)
-    return 1 if (motion.bus_modes(probe.dialect).index(mode) + beyond) % 2 == 0 else -1
+    return 1 if (declared.bus_modes(probe.dialect).index(mode) + beyond) % 2 == 0 else -1
 
 
 @anew
@@ -55,10 +56,10 @@ def spun(probe: Probe, command: Command, speed: int, mode: str, turns: bool = Fa
     way = _way(probe, speed, mode)
     motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
     if turns:
-        motion.run_at(probe, way * motion.CALM)
+        motion.run_at(probe, way * CALM)
         probe.wait(_GOING_NS)
     exchange = motion.ask(
-        probe, command, way * _TURNS * 360, rpm=way, acceleration=255, quiet_ns=0, more={motion.of(command).speed: speed}
+        probe, command, way * _TURNS * 360, rpm=way, acceleration=255, quiet_ns=0, more={declared.of(command).speed: speed}
     )
     # At 50 us for one rpm the shaft has 3000 rpm after 150 ms. A move of so many turns keeps that speed for 250 ms.
     probe.wait(exchange.sent_ns + 180 * MS - probe.gate.now_ns())

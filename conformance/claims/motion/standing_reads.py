@@ -19,8 +19,8 @@ from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claims.declare import Case, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.model import covering
-from conformance.motion import motion
-from conformance.motion.motion import QUICK, SUBDIVISION
+from conformance.motion import declared, motion
+from conformance.motion.declared import QUICK, SUBDIVISION
 from conformance.talk.probe import Probe
 
 #: Places in turns, the last ones beyond 16 bits of counts; the speed between them, which an open mode has too.
@@ -71,16 +71,17 @@ class _Stand(NamedTuple):
 
 def _modes(dialect: Dialect) -> tuple[str, ...]:
     """Return the bus modes that have an encoder, and one pulse mode."""
-    field = motion.field_of(dialect.by_verb[Verb.SET_WORK_MODE], "work_mode")
+    field = declared.field_of(dialect.by_verb[Verb.SET_WORK_MODE], "work_mode")
     modes = [mode for mode in field.choice_names.values() if "no_encoder" not in mode]
-    return (*(m for m in modes if m in motion.bus_modes(dialect)), next(m for m in modes if m not in motion.bus_modes(dialect)))
+    by_bus = declared.bus_modes(dialect)
+    return (*(m for m in modes if m in by_bus), next(m for m in modes if m not in by_bus))
 
 
 def _walk(probe: Probe) -> list[_Stand]:
     """Stand at each place in each mode, on and off, and read everything."""
     dialect = probe.dialect
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
-    best = motion.bus_modes(dialect)[-1]
+    best = declared.bus_modes(dialect)[-1]
     motion.ready_to_move(probe, best, subdivision=SUBDIVISION)
     probe.do(Verb.SET_ZERO)
     found, at = [], 0.0
@@ -93,7 +94,7 @@ def _walk(probe: Probe) -> list[_Stand]:
             motion.wait_standing(probe)
             at = place
         motion.set_mode(probe, mode)
-        if mode in motion.bus_modes(dialect):
+        if mode in declared.bus_modes(dialect):
             motion.switch(probe, on)
         found.append(_Stand(place, mode, on, _told(probe), place))
     motion.ready_to_move(probe, best)
@@ -123,7 +124,7 @@ def _walk_by_angles(probe: Probe) -> list[_Stand]:
         motion.switch(probe, row["on"])
         found.append(_Stand(row["place"], "", row["on"], _told(probe), row["place"]))
     for place in _FAR:
-        probe.do(call, {"position": motion.field_of(call, "position").wire(round(place * 360))})
+        probe.do(call, {"position": declared.field_of(call, "position").wire(round(place * 360))})
         for on in (True, False):
             motion.switch(probe, on)
             found.append(_Stand(place, "", on, _told(probe), _PLACES[-1]))
@@ -136,7 +137,7 @@ def _walk_by_angles(probe: Probe) -> list[_Stand]:
 
 def _cases(dialect: Dialect) -> Iterator[Case]:
     if (
-        motion.can_move(dialect)
+        declared.can_move(dialect)
         and Verb.MOVE_RELATIVE_AXIS in dialect.by_verb
         and (_tells_carry(dialect) or _by_angles(dialect))
     ):
@@ -159,7 +160,7 @@ def _counts(stand: _Stand) -> int:
 def _expected(probe: Probe, verb: Verb, stand: _Stand, first: _Stand) -> tuple[Any, Any, float]:
     """Return what a read tells, what it must tell, and by how much it may differ; the same twice where nothing is promised."""
     turn, told = probe.dialect.counts_per_turn, stand.told[verb]
-    in_bus_mode = stand.mode in motion.bus_modes(probe.dialect)
+    in_bus_mode = stand.mode in declared.bus_modes(probe.dialect)
     value = next(iter(told.values()), 0)
     if verb is Verb.READ_POSITION:
         return value * 360 / turn, stand.place * 360, motion.miss(probe) + _LAG
@@ -167,7 +168,7 @@ def _expected(probe: Probe, verb: Verb, stand: _Stand, first: _Stand) -> tuple[A
         return told["carry"] * turn + told["encoder"], _counts(stand), probe.within("counts")
     if verb is Verb.READ_PULSES:
         # The sense of pulses is not told.
-        per_turn = motion.units_per_turn(probe.dialect, probe.command(Verb.MOVE_RELATIVE_PULSES), SUBDIVISION)
+        per_turn = declared.units_per_turn(probe.dialect, probe.command(Verb.MOVE_RELATIVE_PULSES), SUBDIVISION)
         sense = 1 if first.told[verb]["pulses"] * first.place > 0 else -1
         within = _PULSES + (motion.miss(probe) + _LAG) * per_turn / 360
         return value, stand.place * per_turn * sense, within

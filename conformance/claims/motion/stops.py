@@ -27,10 +27,11 @@ from conformance.claims.motion.motion_claim import (
     risks_of,
     that_tell_their_end,
 )
-from conformance.motion import arriving, motion, ramp
-from conformance.motion.motion import CALM, MOVES, MS, QUICK, SECOND_NS, Sample
+from conformance.motion import arriving, declared, motion, ramp
+from conformance.motion.declared import CALM, MOVES, QUICK, RUNS_AND_MOVES
+from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 
 #: 6 ms for each rpm: from 120 rpm the shaft needs 0.72 s.
 _SLOW_RAMP, _RPM, _RAMP_NS = 136, 120, 720 * MS
@@ -49,7 +50,7 @@ def set_going(probe: Probe, run: Command, rpm: int = CALM, turns: float = 5) -> 
     """Begin a run, or a move that is too long to end by itself, and let the shaft come to its speed."""
     motion.prepare(probe, run)
     # By the slow ramp 3.5 turns: at 120 rpm 1.75 s, of which a late reply may take 0.7 and the ramp down as much.
-    rpm = -rpm if turns < 0 and motion.of(run).kind is MotionKind.RUN else rpm
+    rpm = -rpm if turns < 0 and declared.of(run).kind is MotionKind.RUN else rpm
     exchange = motion.begin(probe, run, turns * 360, rpm=rpm, acceleration=QUICK)
     probe.wait(_SET_OFF_NS)
     return exchange
@@ -90,7 +91,7 @@ def _of_motions(dialect: Dialect) -> Iterator[Case]:
     """Yield the stops by a ramp, each with the motion that it ends."""
     for run in dialect.motions(MotionKind.RUN, *MOVES):
         stop = dialect.stops_of(run)[0]
-        if motion.of(stop).acceleration:
+        if declared.of(stop).acceleration:
             yield Case(dialect, stop, {"run": run})
 
 
@@ -224,7 +225,7 @@ def _told_when_standing(probe: Probe, command: Command, run: Command) -> None:
 
 def _emergencies(dialect: Dialect) -> Iterator[Case]:
     for case in _emergency(dialect):
-        for run in dialect.motions(*motion.RUNS_AND_MOVES):
+        for run in dialect.motions(*RUNS_AND_MOVES):
             yield Case(dialect, case.command, {"run": run})
 
 
@@ -285,13 +286,13 @@ def _when_fast(probe: Probe, command: Command, run: Command) -> None:
     motion.prepare(probe, run)
     since = len(probe.traffic)
     for way in (-1, 1):
-        rpm = way * _FAST_RPM if motion.of(run).kind is MotionKind.RUN else _FAST_RPM
+        rpm = way * _FAST_RPM if declared.of(run).kind is MotionKind.RUN else _FAST_RPM
         motion.begin(probe, run, way * _FAST_TURNS * 360, rpm=rpm, acceleration=QUICK)
         probe.wait(550 * MS)
         _expect_turning(motion.speed(probe), _FAST_RPM / 2)
         _expect_ended(probe, command, "is fast")
         probe.wait(int(ramp.move_ns(_FAST_TURNS, _FAST_RPM, QUICK)))
-    told = arriving.statuses(probe.traffic[since:], run) if motion.of(run).tells_end else []
+    told = arriving.statuses(probe.traffic[since:], run) if declared.of(run).tells_end else []
     text = f"{run.name} that the emergency stop ended is told as complete"
     probe.expect(told, holds=2 not in told, expected="no status 2", refutes=text, key="told as complete")
 
@@ -333,7 +334,7 @@ def _ends_a_move(probe: Probe, command: Command) -> None:
     """The stop ends a move before its target."""
     motion.ready_to_move(probe)
     before = motion.position(probe)
-    motion.begin(probe, motion.any_move(probe.dialect, at_speed=True), 360, rpm=30)
+    motion.begin(probe, declared.any_move(probe.dialect, at_speed=True), 360, rpm=30)
     probe.wait(500 * MS)
     exchange = probe.do(command)
     went = abs(motion.wait_standing(probe).value - before.value)
@@ -344,7 +345,7 @@ def _ends_a_move(probe: Probe, command: Command) -> None:
 def endless(probe: Probe, run: Command) -> Exchange:
     """Begin a motion that lasts for seconds, and let it get going: a run, a torque, or a long move."""
     motion.prepare(probe, run)
-    lasts = bool(motion.of(run).speed) or motion.of(run).kind is MotionKind.TORQUE
+    lasts = bool(declared.of(run).speed) or declared.of(run).kind is MotionKind.TORQUE
     exchange = motion.begin(probe, run, _way(run), rpm=15)
     probe.wait(_SET_OFF_NS if lasts else 100 * MS)
     return exchange
@@ -352,7 +353,7 @@ def endless(probe: Probe, run: Command) -> Exchange:
 
 def _way(run: Command) -> int:
     """Return how far an endless move goes (degrees): one without a speed is fast, and gets a long way unless within a turn."""
-    return 300 if motion.of(run).speed or motion.of(run).kind is MotionKind.MOVE_IN_TURN else 5 * 360
+    return 300 if declared.of(run).speed or declared.of(run).kind is MotionKind.MOVE_IN_TURN else 5 * 360
 
 
 @of_motion(

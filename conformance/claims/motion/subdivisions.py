@@ -26,12 +26,13 @@ from conformance.claims.crossed.course import motions_of
 from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import of_motion
 from conformance.gate.gate import Refused
-from conformance.motion import arriving, course, motion, ramp
+from conformance.motion import arriving, course, declared, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.motion import CALM, MS, QUICK, Sample
+from conformance.motion.declared import CALM, QUICK, SUBDIVISION
+from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 #: Subdivisions at which the rule of speeds and pulses is tried, as the number that they stand for.
 _TRIED = (2, 8, 16, 32, 64, 100, 128, 256)
@@ -64,7 +65,7 @@ class Tried:
     @property
     def midway(self) -> tuple[float, float]:
         """How far it is at the look on its way, least and most, in degrees."""
-        runs = not motion.of(self.command).distance
+        runs = not declared.of(self.command).distance
         law = course.run(0, self.rpm, _STEEP) if runs else course.move(_WAY / 360, self.rpm, _STEEP)
         reply = self.exchange.reply
         late_ns = reply.first_ns - self.exchange.sent_ns if reply is not None else 0
@@ -120,7 +121,7 @@ def turned(probe: Probe, subdivision: int) -> tuple[Tried, ...]:
 
 
 def _try(probe: Probe, subdivision: int, command: Command, way: int, start: Sample) -> Tried:
-    of, runs, law = motion.of(command), not motion.of(command).distance, probe.dialect.subdivision
+    of, runs, law = declared.of(command), not declared.of(command).distance, probe.dialect.subdivision
     assert law is not None  # it has subdivisions
     rpm = way * CALM if runs else CALM
     exchange = motion.ask(probe, command, way * _WAY, quiet_ns=0, rpm=rpm, acceleration=_STEEP, subdivision=subdivision)
@@ -159,8 +160,8 @@ def _expect(probe: Probe, tried: Tried, text: str, *, speed: bool = True, way: b
             refutes=text,
             exchange=exchange,
         )
-    if way and motion.of(command).distance:
-        went, signed = tried.end.value - tried.start.value, not motion.takes_pulses(command)
+    if way and declared.of(command).distance:
+        went, signed = tried.end.value - tried.start.value, not declared.takes_pulses(command)
         probe.expect(
             went if signed else abs(went),
             near=tried.way * _WAY if signed else _WAY,
@@ -187,8 +188,8 @@ def _subdivisions(dialect: Dialect) -> Iterator[Case]:
     command, _ = found
     for subdivision in _TRIED:
         if _sent(dialect, subdivision) is not None:
-            run = motion.field_of(dialect.by_verb[Verb.RUN_SPEED], "speed")
-            speed = motion.speed_as_sent(dialect, run, CALM, subdivision)
+            run = declared.field_of(dialect.by_verb[Verb.RUN_SPEED], "speed")
+            speed = declared.speed_as_sent(dialect, run, CALM, subdivision)
             rpm = speed if subdivision in law.plain else speed * law.counted_at / subdivision
             yield Case(
                 dialect,
@@ -199,7 +200,7 @@ def _subdivisions(dialect: Dialect) -> Iterator[Case]:
 
 
 def _facts(dialect: Dialect) -> dict[str, object]:
-    return {"risks": motion.risks(dialect, *frozenset().union(*(c.all_risks for c in motions_of(dialect))))}
+    return {"risks": declared.risks(dialect, *frozenset().union(*(c.all_risks for c in motions_of(dialect))))}
 
 
 def _settings_of_subdivisions(dialect: Dialect) -> Iterator[Case]:
@@ -255,14 +256,14 @@ def _at_each_subdivision(probe: Probe, command: Command) -> None:
 
 def _lowest(dialect: Dialect) -> Iterator[Case]:
     for command in motions_of(dialect):
-        yield Case(dialect, command, facts={"risks": motion.risks(dialect, *command.all_risks)})
+        yield Case(dialect, command, facts={"risks": declared.risks(dialect, *command.all_risks)})
 
 
 @of_motion(each=_lowest, refuted_by="a shaft that stays, another way, or a ramp that is none", at_best=Certainty.LIKELY)
 def _lowest_values(probe: Probe, command: Command) -> None:
     """{command} takes the lowest speed and the slowest ramp, 1 each, either way."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
-    runs = not motion.of(command).distance
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    runs = not declared.of(command).distance
     for way in (1, -1):
         for rpm, acceleration, degrees in ((1, QUICK, _SLOW), (_RAMPED, 1, 2 * _SHORT)):
             before, exchange, on = undamaged(probe, _slowest, command, way, rpm, acceleration, degrees)
@@ -293,7 +294,7 @@ def _slowest(
 ) -> tuple[Sample, Exchange, Sample]:
     """Begin a slow motion; return where the shaft stood, what was said, and where the shaft is a little later."""
     before = motion.wait_standing(probe)
-    speed = rpm if motion.of(command).distance else way * rpm
+    speed = rpm if declared.of(command).distance else way * rpm
     exchange = motion.ask(probe, command, way * degrees, quiet_ns=0, rpm=speed, acceleration=acceleration)
     probe.wait(exchange.sent_ns + _MIDWAY_NS - probe.gate.now_ns())
     return before, exchange, motion.position(probe)

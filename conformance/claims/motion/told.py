@@ -19,8 +19,8 @@ from conformance.claims.control_reads import is_answered, received_text
 from conformance.claims.declare import Case, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.motion import motion
-from conformance.motion.motion import MS, QUICK
-from conformance.talk.probe import Probe
+from conformance.motion.declared import QUICK
+from conformance.talk.probe import MS, Probe
 
 #: What reads the state of a motor, and in which field.
 _STATES = ((Verb.READ_ENABLED, "enabled"), (Verb.READ_PROTECTION, "status"), (Verb.READ_ZERO_STATUS, "status"))

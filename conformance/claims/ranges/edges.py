@@ -20,7 +20,7 @@ from conformance.claim import Aspect, NotRun, Theme
 from conformance.claims.declare import Case, claim
 from conformance.claims.requests import needs_motion
 from conformance.model import limits
-from conformance.motion import motion
+from conformance.motion import declared, motion
 from conformance.talk import samples
 from conformance.talk.acceptance import need_plain_replies
 from conformance.talk.probe import Probe
@@ -160,8 +160,8 @@ def needs(dialect: Dialect, command: Command, every: Iterable[Mapping[str, Any]]
         risks |= command.risks(values)
     names = [name for form in command.request_forms for name in form.layout.named] if Risk.SETTING in risks else []
     if needs_motion(command):
-        risks |= motion.risks(dialect)
-        names += motion.settings(dialect)
+        risks |= declared.risks(dialect)
+        names += declared.settings(dialect)
     return {
         "risks": frozenset(risks) - {Risk.READ},
         "settings": tuple(dict.fromkeys(n for n in names if n != "execute")),

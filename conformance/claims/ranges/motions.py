@@ -24,11 +24,11 @@ from conformance.claims.ranges import edges
 from conformance.claims.ranges.edges import of_ranges
 from conformance.claims.requests import with_reserved
 from conformance.model import limits
-from conformance.motion import motion
-from conformance.motion.motion import MS
+from conformance.motion import declared, motion
+from conformance.motion.declared import QUICK, RUNS_AND_MOVES, SUBDIVISION
 from conformance.talk.acceptance import can_refuse, expect_accepted, expect_refused
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, Probe, Until
 
 #: How slow a move is whose distance does not matter, and how steep the ramp of one that is to reach a high speed. (Not 250:
 #: that byte begins a frame, and what follows it would have to be allowed as one.)
@@ -42,7 +42,7 @@ _TWO_BYTE_RPM, _LEFT = 257, 60
 def turns(command: Command) -> bool:
     """Say whether a command is a run, a move or the stop of one by a ramp, and can be refused."""
     moving = command.motion
-    kinds = (*motion.RUNS_AND_MOVES, MotionKind.STOP)
+    kinds = (*RUNS_AND_MOVES, MotionKind.STOP)
     return can_refuse(command) and moving is not None and moving.kind in kinds and bool(moving.acceleration)
 
 
@@ -51,13 +51,13 @@ def _commands(dialect: Dialect) -> Iterator[Command]:
 
 
 def _runs(dialect: Dialect) -> Iterator[Command]:
-    return (command for command in _commands(dialect) if motion.of(command).kind in motion.RUNS_AND_MOVES)
+    return (command for command in _commands(dialect) if declared.of(command).kind in RUNS_AND_MOVES)
 
 
 def _needs(dialect: Dialect, command: Command, *, stands: bool = False) -> dict[str, Any]:
     """Return what a claim must declare that begins a motion; `stands`: only at speed 0."""
-    more = {Risk.UNBOUNDED} if motion.of(command).kind is MotionKind.RUN and not stands else set()
-    return {"risks": motion.risks(dialect, *more), "settings": motion.settings(dialect)}
+    more = {Risk.UNBOUNDED} if declared.of(command).kind is MotionKind.RUN and not stands else set()
+    return {"risks": declared.risks(dialect, *more), "settings": declared.settings(dialect)}
 
 
 # --- moving -----------------------------------------------------------------------------------------------------------
@@ -65,12 +65,12 @@ def _needs(dialect: Dialect, command: Command, *, stands: bool = False) -> dict[
 
 def _values(probe: Probe, command: Command, **changed: int) -> dict[str, int]:
     """Return a slow move of a tenth of a turn (a run, a stop) with some values changed."""
-    moving = motion.of(command)
-    values: dict[str, int] = dict.fromkeys(command.request_forms[0].layout.named, 0) | {"acceleration": motion.QUICK}
+    moving = declared.of(command)
+    values: dict[str, int] = dict.fromkeys(command.request_forms[0].layout.named, 0) | {"acceleration": QUICK}
     if moving.kind is not MotionKind.STOP:
         values["speed"] = SLOW
     if moving.distance:
-        tenth = motion.units_per_turn(probe.dialect, command) // 10
+        tenth = declared.units_per_turn(probe.dialect, command) // 10
         values[moving.distance] = tenth if moving.direction else motion.place(probe, command) + tenth
     return values | changed
 
@@ -80,13 +80,13 @@ def _end(probe: Probe, command: Command) -> None:
     stops = probe.dialect.stops_of(command)
     if stops:
         # The end of a stop is told unasked: a request that is sent meanwhile would collide with it.
-        probe.ask(stops[0], {"acceleration": motion.QUICK}, until=Until.DONE)
+        probe.ask(stops[0], {"acceleration": QUICK}, until=Until.DONE)
     motion.wait_standing(probe)
 
 
 def _ready(probe: Probe, mode: str = "") -> None:
     """Make the drive ready, at a subdivision at which the shaft turns at the speed as sent."""
-    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
 
 
 # --- accepted and refused ---------------------------------------------------------------------------------------------
@@ -196,7 +196,7 @@ def _too_fast(dialect: Dialect) -> Iterator[Case]:
     quirks=may_meet(LATE),
 )
 def _clipped(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
-    mode = motion.bus_modes(probe.dialect)[-1]
+    mode = declared.bus_modes(probe.dialect)[-1]
     for value in values:
         expect_spun(probe, command, value, mode, probe.dialect.mode_speeds.get(mode, field.high))
 
@@ -209,7 +209,7 @@ def _speeds(dialect: Dialect) -> Iterator[Case]:
 @of_ranges(each=_speeds, refuted_by="the speed of its low byte alone", quirks=may_meet(LATE))
 def _speed_width(probe: Probe, command: Command) -> None:
     """All bits of a speed count."""
-    expect_spun(probe, command, _TWO_BYTE_RPM, motion.bus_modes(probe.dialect)[-1], _TWO_BYTE_RPM)
+    expect_spun(probe, command, _TWO_BYTE_RPM, declared.bus_modes(probe.dialect)[-1], _TWO_BYTE_RPM)
 
 
 # --- distances --------------------------------------------------------------------------------------------------------
@@ -218,10 +218,10 @@ def _speed_width(probe: Probe, command: Command) -> None:
 def _distances(dialect: Dialect) -> Iterator[Case]:
     """Yield distances of 256^n and a little: without the high bytes, a little is left; and one that read signed is below 0."""
     for command in _runs(dialect):
-        if motion.of(command).distance:
-            field = motion.field_of(command, motion.of(command).distance)
+        if declared.of(command).distance:
+            field = declared.field_of(command, declared.of(command).distance)
             signs = (1, -1) if field.kind is FieldKind.INT else (1,)
-            little = motion.units_per_turn(dialect, command) // 64
+            little = declared.units_per_turn(dialect, command) // 64
             shifts = range(8, field.bit_width - (len(signs) - 1), 8)
             values = tuple(s * ((1 << shift) + little) for s in signs for shift in shifts)
             if len(signs) == 1:
@@ -232,7 +232,7 @@ def _distances(dialect: Dialect) -> Iterator[Case]:
 @of_ranges(each=_distances, refuted_by="a move by what its low bytes say")
 def _distance_width(probe: Probe, command: Command, field: Field, values: tuple[int, ...]) -> None:
     """All bytes of {field} count, and its sign."""
-    units = motion.units_per_turn(probe.dialect, command)
+    units = declared.units_per_turn(probe.dialect, command)
     _ready(probe)
     ways: set[bool] = set()
     for distance in values:

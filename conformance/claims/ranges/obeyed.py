@@ -27,11 +27,10 @@ from conformance.claims.ranges.edges import of_ranges
 from conformance.claims.requests import with_reserved
 from conformance.model import limits
 from conformance.model.lk_parameters import need_room
-from conformance.motion import motion
-from conformance.motion.motion import MS
+from conformance.motion import declared, motion
 from conformance.talk.acceptance import can_refuse
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 ZERO_SPEED = "lk-zero-speed-moves"
 _TURN = 36_000
@@ -55,12 +54,12 @@ def _motions(dialect: Dialect, *kinds: MotionKind) -> Iterator[Command]:
 
 def _speed_limits(dialect: Dialect) -> Iterator[tuple[Command, Field]]:
     for command in _motions(dialect, *_MOVES, MotionKind.MOVE_IN_TURN):
-        if motion.of(command).speed:
-            yield command, motion.field_of(command, motion.of(command).speed)
+        if declared.of(command).speed:
+            yield command, declared.field_of(command, declared.of(command).speed)
 
 
 def _needs(dialect: Dialect, command: Command) -> dict[str, Any]:
-    return {"risks": motion.risks(dialect, *command.all_risks)}
+    return {"risks": declared.risks(dialect, *command.all_risks)}
 
 
 # --- what is seen of a motion -----------------------------------------------------------------------------------------
@@ -68,7 +67,7 @@ def _needs(dialect: Dialect, command: Command) -> dict[str, Any]:
 
 def _values(command: Command, **values: int) -> dict[str, int]:
     """Return values of a motion, with a moderate speed where it has a speed limit."""
-    moving = motion.of(command)
+    moving = declared.of(command)
     limit = moving.speed if moving.kind is not MotionKind.RUN else ""
     return ({limit: _MODERATE} if limit else {}) | values
 
@@ -135,7 +134,7 @@ def _signed(dialect: Dialect) -> Iterator[tuple[Command, Field]]:
     for command in _motions(dialect, MotionKind.RUN):
         yield command, command.request_forms[0].layout.named["speed"]
     for command in _motions(dialect, *_MOVES):
-        yield command, motion.field_of(command, motion.of(command).distance)
+        yield command, declared.field_of(command, declared.of(command).distance)
 
 
 def _within(dialect: Dialect) -> Iterator[Case]:
@@ -179,10 +178,10 @@ def _ignored(probe: Probe, command: Command, field: Field, values: tuple[int, ..
 def _far(dialect: Dialect) -> Iterator[Case]:
     """Yield distances of 256^n: without a high byte nothing is left."""
     for command in _motions(dialect, *_MOVES):
-        field = motion.field_of(command, motion.of(command).distance)
+        field = declared.field_of(command, declared.of(command).distance)
         shifts = range(16, field.bit_width - 1, 8)
         values = tuple(s * (1 << n) for n in shifts for s in (1, -1) if (1 << n) <= field.high)
-        facts = {"risks": motion.risks(dialect, Risk.SETTING), "settings": ("position",)}
+        facts = {"risks": declared.risks(dialect, Risk.SETTING), "settings": ("position",)}
         yield edges.case(dialect, command, field, "width", values, **facts)
 
 
@@ -222,7 +221,7 @@ def _at_limit(where: str, value: int | None = None) -> Any:
     def cases(dialect: Dialect) -> Iterator[Case]:
         for command, field in _speed_limits(dialect):
             more = (Risk.SETTING,) if command.verb is Verb.MOVE_ABSOLUTE_AXIS else ()
-            facts = {"risks": motion.risks(dialect, *more), "settings": ("position",) if more else ()}
+            facts = {"risks": declared.risks(dialect, *more), "settings": ("position",) if more else ()}
             yield edges.case(dialect, command, field, where, (field.high if value is None else value,), **facts)
 
     return cases
@@ -230,7 +229,7 @@ def _at_limit(where: str, value: int | None = None) -> Any:
 
 def _move(probe: Probe, command: Command, field: Field, limit: int) -> dict[str, int]:
     """Return a move of two turns by a speed limit; within a turn, of nearly one."""
-    moving = motion.of(command)
+    moving = declared.of(command)
     if moving.kind is MotionKind.MOVE_IN_TURN:
         now = probe.read(moving.counted_by)
         return {moving.direction: 0, moving.distance: (now - 2000) % _TURN, field.name: limit}
@@ -314,7 +313,7 @@ def _in_turn(name: str, *where: str) -> Any:
                 known = edges.allowed(field) | edges.forbidden(dialect, command, field, far=False)
                 for each in (kind for kind in where if kind in known):
                     values = known[each] or edges.inner(dialect, command, field)
-                    yield edges.case(dialect, command, field, each, values, risks=motion.risks(dialect))
+                    yield edges.case(dialect, command, field, each, values, risks=declared.risks(dialect))
 
     return cases
 
@@ -361,7 +360,7 @@ def _with_reserved_bytes(dialect: Dialect) -> Iterator[Case]:
     for command in _motions(dialect, MotionKind.MOVE_IN_TURN):
         if "direction" in command.request_forms[0].layout.named:
             mask = sum(limits.reserved_masks(command.request_forms[0].layout))
-            yield Case(dialect, command, {"mask": mask}, {"risks": motion.risks(dialect)})
+            yield Case(dialect, command, {"mask": mask}, {"risks": declared.risks(dialect)})
 
 
 @of_ranges(each=_with_reserved_bytes, refuted_by="a shaft that stays", at_best=Certainty.OPEN, aspect=Aspect.RANGE)
@@ -410,7 +409,7 @@ def _models(dialect: Dialect) -> Iterator[Case]:
         torque, power = known[Verb.RUN_TORQUE], known[Verb.RUN_OPEN_LOOP]
         facts = {
             "section": f"{power.section}, {torque.section}",
-            "risks": motion.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE),
+            "risks": declared.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE),
             "commands": (torque.name, power.name),
             "parameters": {},
         }

@@ -19,7 +19,7 @@ from conformance.claims.ranges.edges import of_ranges
 from conformance.claims.requests import with_reserved
 from conformance.model import limits
 from conformance.model.lk_parameters import OTHER_FIRMWARE, listed, number_of, read_parameter
-from conformance.motion import motion
+from conformance.motion import declared, motion
 from conformance.talk.probe import Probe
 
 #: Numbers that no parameter has in the manual; most are next to a listed one.
@@ -126,7 +126,7 @@ def _positions(dialect: Dialect) -> Iterator[Case]:
     if command is not None and Verb.MOTOR_ON in dialect.by_verb:
         field = command.request_forms[0].layout.named["position"]
         inner = (0x01020304, -0x01020304, 1, -1, 0)
-        facts = {"risks": motion.risks(dialect, Risk.SETTING), "settings": ("position",)}
+        facts = {"risks": declared.risks(dialect, Risk.SETTING), "settings": ("position",)}
         for where, values in (("lowest", (field.low,)), ("highest", (field.high,)), ("inside", inner)):
             yield edges.case(dialect, command, field, where, values, **facts)
 

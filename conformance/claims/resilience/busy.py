@@ -14,7 +14,8 @@ from analyzer.catalogue import Certainty, Dialect, Risk, Verb
 from conformance.claim import Inconclusive, Theme
 from conformance.claims.control_reads import PAUSE_NS, garblers
 from conformance.claims.declare import Case, Cases, claim
-from conformance.motion import motion
+from conformance.motion import declared, motion
+from conformance.motion.declared import QUICK
 from conformance.talk.probe import Probe
 
 _SECOND_NS = 1_000_000_000
@@ -24,15 +25,15 @@ _NEAR = 6.0
 
 
 def _moving(dialect: Dialect) -> Iterator[Case]:
-    if motion.can_move(dialect):
+    if declared.can_move(dialect):
         yield Case(dialect)
 
 
 def _of_busy(refuted_by: str, *, each: Cases = _moving, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
     every: dict[str, Any] = {
         "section": lambda case: case.dialect.by_verb[Verb.RUN_SPEED].section,
-        "risks": lambda case: motion.risks(case.dialect, Risk.UNBOUNDED),
-        "settings": lambda case: motion.settings(case.dialect),
+        "risks": lambda case: declared.risks(case.dialect, Risk.UNBOUNDED),
+        "settings": lambda case: declared.settings(case.dialect),
         "parameters": {},
     }
     return claim(Theme.RESILIENCE, each=each, refuted_by=refuted_by, **every | facts)
@@ -96,11 +97,11 @@ def _moves_that_add(dialect: Dialect) -> Iterator[Case]:
 @_of_busy("a move that is refused or not carried out", each=_moves_that_add, name="moves/in-a-row", at_best=Certainty.LIKELY)
 def _in_a_row(probe: Probe) -> None:
     """The last of many short moves is taken as the first one was, and all of them are carried out."""
-    move = motion.any_move(probe.dialect)
+    move = declared.any_move(probe.dialect)
     motion.prepare(probe, move)
     before = motion.wait_standing(probe)
     for number in range(_SHORT_MOVES):
-        exchange = motion.ask(probe, move, _SHORT_DEGREES, rpm=180, acceleration=motion.QUICK, quiet_ns=0)
+        exchange = motion.ask(probe, move, _SHORT_DEGREES, rpm=180, acceleration=QUICK, quiet_ns=0)
         if not exchange.silent:
             text = f"the last of {number + 1} moves in a row is refused"
             taken = not motion.refused(probe, exchange)

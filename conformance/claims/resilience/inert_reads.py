@@ -22,11 +22,10 @@ from conformance.claims.declare import Case, claim
 from conformance.claims.known_reads import every_read, is_stored
 from conformance.claims.modbus.frames import request
 from conformance.claims.motion.motion_claim import expect_speed
-from conformance.motion import motion
-from conformance.motion.motion import MS
+from conformance.motion import declared, motion
 from conformance.talk.garbling import harmless
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, Probe, Until
 
 #: How far from zero the shaft is (degrees), how long what began shows, and how fast the shaft turns (rpm).
 _AWAY, _BEGINS_NS, _RPM = 75, 60 * MS, 90
@@ -61,12 +60,12 @@ def _is_harmless(probe: Probe, item: bytes | CanFrame) -> bool:
     judged = partial(harmless, address=probe.address, beside=probe.claim.risks, dialect=probe.dialect)
     if isinstance(item, CanFrame):
         return judged(item)
-    around = [probe.build(read(probe.dialect)).frame for read in (motion.reads_position, motion.reads_speed)]
+    around = [probe.build(read(probe.dialect)).frame for read in (declared.reads_position, declared.reads_speed)]
     return all(judged(each + item, behind=each) for each in around)
 
 
 def _cases(dialect: Dialect) -> Iterator[Case]:
-    found = _unreadable(dialect) if motion.can_move(dialect) else None
+    found = _unreadable(dialect) if declared.can_move(dialect) else None
     if found is not None:
         make, codes = found
         yield Case(dialect, given={"make": make, "codes": codes})
@@ -78,14 +77,14 @@ def _cases(dialect: Dialect) -> Iterator[Case]:
     name="reads/of-what-is-done",
     refuted_by="a shaft that moves or stops, another position, or another setting",
     section=lambda case: (case.dialect.by_verb.get(Verb.READ_PARAMETER) or plain_read(case.dialect)).section,
-    risks=lambda case: motion.risks(case.dialect, *case.dialect.by_verb[Verb.RUN_SPEED].all_risks),
-    settings=lambda case: motion.settings(case.dialect),
+    risks=lambda case: declared.risks(case.dialect, *case.dialect.by_verb[Verb.RUN_SPEED].all_risks),
+    settings=lambda case: declared.settings(case.dialect),
     parameters={},
 )
 def _do_nothing(probe: Probe, make: _Make, codes: list[int]) -> None:
     """A read of what can only be done or written does nothing: the shaft stays as it is, and what is stored too."""
     codes = [code for code in codes if _is_harmless(probe, make(probe, code))]
-    move = motion.any_move(probe.dialect)
+    move = declared.any_move(probe.dialect)
     motion.prepare(probe, move)
     motion.begin(probe, move, _AWAY)
     motion.stand_still(probe)

@@ -21,10 +21,10 @@ from conformance.claims.declare import Case, claim
 from conformance.claims.known_reads import every_read, is_stored
 from conformance.claims.motion.motion_claim import expect_speed
 from conformance.motion import motion
-from conformance.motion.motion import MS, QUICK
+from conformance.motion.declared import QUICK, SUBDIVISION
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 
 _ROUNDS = 2
 #: The run behind a condition, which is none of those in it, and how long it has until it is looked at.
@@ -51,7 +51,7 @@ def _conditions(dialect: Dialect) -> Iterator[Case]:
 def _reads(probe: Probe, state: Condition) -> None:
     """Every read is answered by its own reply {when}, what is stored reads as before, and the run behind it is as asked for."""
     # Some conditions set the subdivision of the suite: what is stored is looked at behind that.
-    motion.ready_to_move(probe, state.mode, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, state.mode, subdivision=SUBDIVISION)
     at_rest = [(c, values, probe.ask(c, values, quiet_ns=0)) for c, values in every_read(probe.dialect)]
     readable = [(c, values, e) for c, values, e in at_rest if _tells(probe, e) and c.verb not in state.without]
     if not readable:
@@ -71,7 +71,7 @@ def _reads(probe: Probe, state: Condition) -> None:
 def _expect_run(probe: Probe, state: Condition) -> None:
     """Refute unless the next run turns the shaft as fast as it is told: that the drive was so leaves no trace."""
     motion.stand_still(probe)
-    motion.ready_to_move(probe, state.mode, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, state.mode, subdivision=SUBDIVISION)
     exchange = motion.run_at(probe, _RPM)
     probe.wait(_GOING_NS)
     seen = motion.turning(probe)

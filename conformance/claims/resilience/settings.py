@@ -29,12 +29,12 @@ from conformance.claims.settings import setting_effects
 from conformance.claims.settings.known_settings import ReadableSetting, Setting, every_setting, needs
 from conformance.claims.settings.setting_effects import STEEP, by_action
 from conformance.model import covering, lk_parameters
-from conformance.motion import arriving, motion, ramp
+from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import anew
-from conformance.motion.motion import MS, SUBDIVISION
+from conformance.motion.declared import MOVES, RUNS_AND_MOVES, SUBDIVISION
 from conformance.talk.acceptance import Acceptance, can_refuse, without_repeats
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, Probe, Until
 
 #: What is sent: either of two sets of values, or from the third on those that the manual forbids; and to whom.
 _ONE, _OTHER = 0, 1
@@ -70,7 +70,7 @@ class _Row:
 
 def _conditions(dialect: Dialect) -> list[Condition]:
     """Return the conditions that a drive of a dialect can be in, but for those that change it for good."""
-    return [AT_REST, *(each for each in conditions.every(dialect) if not each.by_name)] if motion.can_move(dialect) else []
+    return [AT_REST, *(each for each in conditions.every(dialect) if not each.by_name)] if declared.can_move(dialect) else []
 
 
 def _rows(dialect: Dialect) -> Iterator[tuple[Condition, list[_Row]]]:
@@ -263,15 +263,15 @@ _NEARLY, _STEEPEST, _KEPT_NS, _MOVED_TURNS, _MOVED_RPM, _SHORTLY = 2900, 255, 10
 
 
 def _of_no_motion(dialect: Dialect) -> Iterator[Case]:
-    if dialect.ramp is not None and motion.can_move(dialect):
+    if dialect.ramp is not None and declared.can_move(dialect):
         every = every_setting(dialect)
         chosen = [each for each in every if each.command.verb not in _OF_MOTION and not each.command.modes]
         risks, names = needs(chosen)
-        for each in dialect.motions(*motion.RUNS_AND_MOVES):
+        for each in dialect.motions(*RUNS_AND_MOVES):
             risks |= each.all_risks
         facts = {
-            "risks": motion.risks(dialect, *risks),
-            "settings": tuple(dict.fromkeys(motion.settings(dialect, *names))),
+            "risks": declared.risks(dialect, *risks),
+            "settings": tuple(dict.fromkeys(declared.settings(dialect, *names))),
             "commands": tuple(dict.fromkeys(each.command.name for each in chosen)),
         }
         if chosen:
@@ -283,7 +283,7 @@ def _leave_motion(probe: Probe, chosen: list[Setting]) -> None:
     """Settings that say nothing of motion change no run and no move, at any of their values."""
     move = probe.command(Verb.MOVE_RELATIVE_AXIS)
     for which, way in ((_ONE, 1), (_OTHER, -1)):
-        motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
+        motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
         for each in chosen:
             probe.do(each.command, each.values[which])
         exchange = motion.run_at(probe, way * _NEARLY, _STEEPEST)
@@ -297,7 +297,7 @@ def _leave_motion(probe: Probe, chosen: list[Setting]) -> None:
         moved = arriving.follow(probe, move, -way * _MOVED_TURNS * 360, rpm=_MOVED_RPM, acceleration=_STEEPEST)
         text = "a move goes elsewhere with other settings that say nothing of it"
         probe.expect(moved.degrees, near=moved.asked, unit="degrees", refutes=text, exchange=moved.exchange)
-        for other in (each for each in probe.dialect.motions(*motion.MOVES) if each is not move):
+        for other in (each for each in probe.dialect.motions(*MOVES) if each is not move):
             expect_goes(
                 probe,
                 other,
@@ -327,7 +327,7 @@ def expect_effects(
         _expect_shown(
             probe, effect.see(probe), effect.expected(probe.dialect, shown[Verb.SET_WORK_MODE]), "the work mode", when
         )
-        motion.set_mode(probe, motion.bus_modes(probe.dialect)[-1])
+        motion.set_mode(probe, declared.bus_modes(probe.dialect)[-1])
     motion.ready_to_move(probe)
     if Verb.SET_SUBDIVISION in shown or Verb.SET_RESPOND in shown:
         _expect_move(probe, shown, when)
@@ -355,9 +355,9 @@ def _expect_run(probe: Probe, subdivision: int, when: str) -> None:
     """Refute a run whose shaft has another speed than the sent one at this subdivision."""
     law, run = probe.dialect.subdivision, probe.command(Verb.RUN_SPEED)
     assert law is not None  # there is a subdivision to set
-    values = motion.values_of(probe.dialect, run, rpm=_RUN_RPM, acceleration=STEEP, subdivision=subdivision)
+    values = declared.values_of(probe.dialect, run, rpm=_RUN_RPM, acceleration=STEEP, subdivision=subdivision)
     exchange, seen = _ran(probe, run, values)
-    sent = values[motion.of(run).speed]
+    sent = values[declared.of(run).speed]
     wanted = sent if subdivision in law.plain else sent * law.counted_at / subdivision
     text = f"a run has another speed than its subdivision says, which was set {when}"
     probe.expect(abs(seen.value), near=wanted, within=_SPEED_SHARE * wanted + 2, unit="rpm", refutes=text, exchange=exchange)
@@ -380,10 +380,10 @@ def _expect_move(probe: Probe, shown: Mapping[Verb, Mapping[str, int]], when: st
     values = {"direction": 0, "speed": 18, "acceleration": STEEP, "pulses": pulses}
     respond = shown.get(Verb.SET_RESPOND, {"respond": 1, "active": 1})
     # Where its end is told, no more is waited for.
-    told = respond["respond"] and respond["active"] and motion.of(command).tells_end
+    told = respond["respond"] and respond["active"] and declared.of(command).tells_end
     exchange, went = _moved(probe, command, values, Until.DONE if told else Until.TIMEOUT)
     subdivision = shown.get(Verb.SET_SUBDIVISION, {"subdivision": SUBDIVISION})["subdivision"]
-    wanted = motion.counts_of(probe.dialect, command, pulses, subdivision)
+    wanted = declared.counts_of(probe.dialect, command, pulses, subdivision)
     text = f"{pulses} pulses go another way after settings {when}"
     probe.expect(went, near=wanted, within=max(3, wanted // 8), unit="counts", refutes=text, exchange=exchange)
     if Verb.SET_RESPOND in shown:
@@ -527,7 +527,7 @@ def _switches_cases(dialect: Dialect) -> Iterator[Case]:
 def _switches(probe: Probe, condition: Condition, deeds: list[_Deed]) -> None:
     """What switches a drive, sets its zero or writes its ports does so {when}."""
     motion.ready_to_move(probe, condition.mode)
-    arriving.follow(probe, motion.any_move(probe.dialect, at_speed=True), 100, rpm=120)
+    arriving.follow(probe, declared.any_move(probe.dialect, at_speed=True), 100, rpm=120)
     condition.enter(probe)
     for deed in deeds:
         command = probe.command(deed.name)

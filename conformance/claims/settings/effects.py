@@ -32,10 +32,10 @@ from conformance.claims.settings.link_changes import NEW_ADDRESS_ANSWERS, anothe
 from conformance.claims.settings.read_back import fields_of, of_read_back
 from conformance.claims.settings.setting_effects import SettingEffect
 from conformance.model import limits
-from conformance.motion import arriving, motion
-from conformance.motion.motion import MOVES, MS
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import MOVES, QUICK, SUBDIVISION
 from conformance.talk import samples
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 from conformance.talk.settings import LINK_EFFECTS
 
 
@@ -106,7 +106,7 @@ def _group_stays(probe: Probe, command: Command, effect: SettingEffect, others: 
 def _fields_with_hands(dialect: Dialect) -> Iterator[Case]:
     for command, row in kept_effects.rows(dialect):
         if row.hands:
-            facts = row.effect.needed(dialect, edges.needs(dialect, command, [row.values]), *motion.risks(dialect))
+            facts = row.effect.needed(dialect, edges.needs(dialect, command, [row.values]), *declared.risks(dialect))
             facts |= {"parameters": {"field": row.name}, "emulated": True}
             yield Case(dialect, command, {"row": row}, facts)
 
@@ -142,8 +142,8 @@ def _home_trigger(dialect: Dialect) -> Iterator[Case]:
     if command is not None:
         facts = {
             "fields": ("home_trigger",),
-            "risks": motion.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE, *sent),
-            "settings": motion.settings(dialect, *fields_of_homing(dialect)),
+            "risks": declared.risks(dialect, Risk.UNBOUNDED, Risk.TORQUE, *sent),
+            "settings": declared.settings(dialect, *fields_of_homing(dialect)),
         }
         yield Case(dialect, command, {}, facts)
 
@@ -155,7 +155,7 @@ _LONG_BACK = 0x8000
 @of_read_back(each=_home_trigger, name="{command}/home_trigger", refuted_by="the same way", at_best=Certainty.LIKELY)
 def _other_trigger(probe: Probe) -> None:
     """With the other level the end stop counts as closed, and homing first leaves it."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     seen = []
     for level in (0, 1):
         exchange = set_home(probe, return_angle=_LONG_BACK, home_speed=90, home_trigger=level)
@@ -177,7 +177,7 @@ def _other_trigger(probe: Probe) -> None:
 def _pulse_mode(dialect: Dialect) -> int:
     """Return a work mode in which pulses move the motor, closed loop."""
     field = dialect.by_verb[Verb.SET_WORK_MODE].request_forms[0].layout.named["work_mode"]
-    names = {v: n for v, n in field.choice_names.items() if n not in motion.bus_modes(dialect)}
+    names = {v: n for v, n in field.choice_names.items() if n not in declared.bus_modes(dialect)}
     return next((v for v, n in names.items() if "clos" in n), next(iter(names)))
 
 
@@ -250,7 +250,7 @@ def _axis_lock(probe: Probe, command: Command) -> None:
     for value in (0, 1):
         exchange = probe.do(command, {"axis_lock": value})
         probe.do(Verb.SET_WORK_MODE, {"work_mode": _pulse_mode(probe.dialect)})
-        motion.set_mode(probe, motion.bus_modes(probe.dialect)[-1])
+        motion.set_mode(probe, declared.bus_modes(probe.dialect)[-1])
         seen = probe.read(Verb.READ_ENABLED)
         text = f"with axis_lock {value} a bus mode begins with enabled {seen}"
         probe.expect(seen, equal=value, refutes=text, exchange=exchange, key="axis_lock effect")
@@ -320,14 +320,14 @@ def _each_port(probe: Probe, command: Command) -> None:
 
 
 def _stays_written(dialect: Dialect) -> Iterator[Case]:
-    for case in commands(Verb.WRITE_IO)(dialect) if motion.can_move(dialect) else ():
+    for case in commands(Verb.WRITE_IO)(dialect) if declared.can_move(dialect) else ():
         assert case.command is not None  # cases of commands
         deeds = [dialect.by_verb[verb] for verb in _ALTERING if verb in dialect.by_verb]
         every = (case.command, *deeds, *dialect.motions(MotionKind.RUN, *MOVES))
         risks = frozenset[Risk]().union(*(command.all_risks for command in every))
         facts = {
-            "risks": motion.risks(dialect, *risks - {Risk.UNKNOWN}),
-            "settings": motion.settings(dialect, "stall_tolerance"),
+            "risks": declared.risks(dialect, *risks - {Risk.UNKNOWN}),
+            "settings": declared.settings(dialect, "stall_tolerance"),
         }
         yield Case(dialect, case.command, {"deeds": deeds}, facts)
 
@@ -341,20 +341,20 @@ _ALTERING = (Verb.EMERGENCY_STOP, Verb.SET_ZERO, Verb.ENABLE, Verb.SET_STALL_TOL
 )
 def _stays(probe: Probe, command: Command, deeds: list[Command]) -> None:
     """A written port stays as it was written while a motor moves, stops, is switched, or is set."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     moves = probe.dialect.motions(MotionKind.RUN, *MOVES)
     for level in (0, 1):
         wanted = {"alm": level, "pend": level}
         probe.do(command, {"alm_mask": 1, "pend_mask": 1, **wanted})
         for each in (*moves, *deeds):
             if each in moves:
-                if motion.of(each).kind is MotionKind.RUN:
+                if declared.of(each).kind is MotionKind.RUN:
                     motion.run_at(probe, 60)
                     _expect_levels(probe, wanted, each, "while the shaft turns")
                     motion.stop(probe)
                     motion.wait_standing(probe)
                 else:
-                    arriving.follow(probe, each, 10, acceleration=motion.QUICK)
+                    arriving.follow(probe, each, 10, acceleration=QUICK)
             elif each.verb is Verb.ENABLE:
                 motion.switch(probe, False)
                 _expect_levels(probe, wanted, each, "while the motor is off")
@@ -382,8 +382,8 @@ def _of_one_port(dialect: Dialect) -> Iterator[Case]:
         models = tuple(m for m in (command.models or dialect.models) if not m.startswith("57"))
         facts = {
             "models": models,
-            "risks": command.all_risks | motion.risks(dialect),
-            "settings": motion.settings(dialect, "limit_remap"),
+            "risks": command.all_risks | declared.risks(dialect),
+            "settings": declared.settings(dialect, "limit_remap"),
         }
         yield Case(dialect, command, {}, facts)
 

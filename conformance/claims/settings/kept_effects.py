@@ -17,9 +17,9 @@ from conformance.claim import Inconclusive, NotRun
 from conformance.claims import bench
 from conformance.claims.motion import homing
 from conformance.claims.settings.setting_effects import BY_VERB, GROUP, SettingEffect, by_action
-from conformance.motion import motion
-from conformance.motion.motion import MS, QUICK, SECOND_NS
-from conformance.talk.probe import Probe
+from conformance.motion import declared, motion
+from conformance.motion.declared import QUICK, SUBDIVISION
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 #: Where end stops and walls are put (counts, turns), and how far a motion goes that is to meet one.
 _NEAR, _FAR_TURNS, _LONG_TURNS = 3000, 2, 4
@@ -76,7 +76,7 @@ def _went(probe: Probe, turns: float) -> int:
 
 def _home(probe: Probe) -> None:
     """Find an end stop clockwise of the shaft; another one stands counter-clockwise."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     bench.left_switch(probe, -_NEAR)
     bench.right_switch(probe, _FAR_TURNS * probe.dialect.counts_per_turn - _NEAR)
     homing.find_home(probe)
@@ -99,7 +99,7 @@ def _beyond_right(probe: Probe) -> int:
 
 def _at_a_wall(probe: Probe) -> int:
     """Return where homing leaves the shaft that meets a wall before the end stop; where it does not end, 0."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     start = bench.shaft(probe)
     bench.left_switch(probe, -2 * _NEAR)
     bench.wall(probe, -_NEAR)
@@ -114,8 +114,8 @@ def _at_a_wall(probe: Probe) -> int:
 
 def _held_by_setting(probe: Probe) -> int:
     """Return whether the motor is enabled in a pulse mode with the En pin at its upper level."""
-    modes = motion.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
-    motion.set_mode(probe, next(mode for mode in modes if mode not in motion.bus_modes(probe.dialect)))
+    modes = declared.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
+    motion.set_mode(probe, next(mode for mode in modes if mode not in declared.bus_modes(probe.dialect)))
     bench.enable_pin(probe, 1)
     seen = probe.read(Verb.READ_ENABLED)
     bench.enable_pin(probe, 0)

@@ -14,10 +14,10 @@ from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Refuted
 from conformance.claims.declare import Case
 from conformance.claims.settings.read_back import of_read_back
-from conformance.motion import motion
-from conformance.motion.motion import MS
+from conformance.motion import declared, motion
+from conformance.motion.declared import SUBDIVISION
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 from conformance.talk.restarts import need_axis_lock, power_cycle, restart
 
 #: What makes a drive begin again: its name in ids, in words, and what does it. Power is cut of emulated drives alone.
@@ -40,17 +40,17 @@ _DAMAGED_NS = 60 * MS
 def _saved_runs(dialect: Dialect) -> Iterator[Case]:
     command = dialect.by_verb.get(Verb.SAVE_SPEED)
     if command is not None:
-        risks = command.risks(_KEEP) | command.risks(_FORGET) | motion.risks(dialect, Risk.UNBOUNDED)
+        risks = command.risks(_KEEP) | command.risks(_FORGET) | declared.risks(dialect, Risk.UNBOUNDED)
         facts = {
             "fields": ("save_state",),
             "risks": risks | dialect.by_verb[Verb.RESTART].all_risks,
-            "settings": motion.settings(dialect),
+            "settings": declared.settings(dialect),
         }
         yield Case(dialect, command, {}, facts)
 
 
 def _turning(probe: Probe, rpm: int, mode: str = "") -> float:
-    motion.ready_to_move(probe, mode, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
     motion.run_at(probe, rpm)
     probe.wait(200 * MS)
     return motion.speed(probe).value
@@ -75,7 +75,7 @@ def _forget(probe: Probe, command: Command) -> None:
 def _saved_in_a_mode(dialect: Dialect) -> Iterator[Case]:
     """Yield it for the mode between: in the others a run is kept by other claims."""
     for case in _saved_runs(dialect):
-        mode = [each for each in motion.bus_modes(dialect) if "no_encoder" not in each][-2]
+        mode = [each for each in declared.bus_modes(dialect) if "no_encoder" not in each][-2]
         for end, how, begin_again in ENDS:
             given = {"mode": mode, "end": end, "how": how, "begin_again": begin_again}
             facts = {"parameters": {"mode": mode}, "emulated": end == "power"}
@@ -113,11 +113,11 @@ def _saved_as_set(dialect: Dialect) -> Iterator[Case]:
 def _saved_as_it_was(probe: Probe, command: Command) -> None:
     """In an open mode, at 8 subdivisions, a kept run has its speed, its way and its ramp after each of two restarts."""
     need_axis_lock(probe)
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[0], subdivision=8)
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[0], subdivision=8)
     probe.do(Verb.SET_DIRECTION, {"motor_direction": 1})
     run = probe.command(Verb.RUN_SPEED)
     # A ramp that is still under way when the speed is first looked at, and a speed of two bytes.
-    values = motion.values_of(probe.dialect, run, rpm=_FAST_RPM, acceleration=_LONG_RAMP, subdivision=8)
+    values = declared.values_of(probe.dialect, run, rpm=_FAST_RPM, acceleration=_LONG_RAMP, subdivision=8)
     probe.do(run, values)
     probe.do(command, _KEEP)
     probe.wait(_SHOWS_NS)

@@ -26,10 +26,10 @@ from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.claims.settings import setting_effects
 from conformance.claims.settings.read_back import of_read_back
 from conformance.claims.settings.setting_effects import STEEP
-from conformance.motion import arriving, motion
-from conformance.motion.motion import MS, SECOND_NS
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import SUBDIVISION
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, SECOND_NS, Probe
 from conformance.talk.restarts import restart
 
 #: Speeds that are one, as a share; counts within which a shaft is where it should be.
@@ -50,11 +50,11 @@ def _zero_modes(dialect: Dialect) -> Iterator[Case]:
     command = dialect.by_verb.get(Verb.SET_ZERO_MODE)
     if command is not None:
         fields = tuple(command.request_forms[0].layout.named)
-        risks = command.risks({"zero_mode": _NEAR}) | command.risks({"zero_mode": _OFF}) | motion.risks(dialect)
+        risks = command.risks({"zero_mode": _NEAR}) | command.risks({"zero_mode": _OFF}) | declared.risks(dialect)
         facts = {
             "fields": fields,
             "risks": risks | dialect.by_verb[Verb.RESTART].all_risks,
-            "settings": motion.settings(dialect, *fields),
+            "settings": declared.settings(dialect, *fields),
         }
         yield Case(dialect, command, {}, facts)
 
@@ -102,7 +102,7 @@ _ON_WAY_NS, _TURNS_RPM = 25 * MS, 10
 )
 def _returns_to_zero(probe: Probe, command: Command) -> None:
     """With a zero kept, the shaft goes back to it after a restart: the way that was set, and faster by a higher speed."""
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     clockwise = arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_PULSES), -18)
     sense = 1 if clockwise.degrees > 0 else -1
     try:
@@ -181,7 +181,7 @@ def _returns_to_none(probe: Probe, command: Command, how: str, before: dict[str,
     # A zero that was set by a command or kept before is forgotten: the angle counts from where that of after does.
     probe.do(command, _CLEANED)
     restart(probe)
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     probe.do(command, before)
     setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 120, "acceleration": STEEP, "position": turn // 4})
     if after is not None:

@@ -14,10 +14,9 @@ from analyzer.catalogue import Command, Dialect
 from analyzer.errors import UsageError
 from analyzer.layout import Effect
 from conformance.claim import Inconclusive, NotRun
-from conformance.motion.motion import MS
 from conformance.talk.acceptance import Acceptance, acceptance, answers, plain_read
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe, Until
+from conformance.talk.probe import MS, Probe, Until
 
 #: How a setting is sent to a drive.
 Ask = Callable[[Probe, Command, dict[str, int]], Exchange]

@@ -45,11 +45,11 @@ from conformance.claims.settings.read_back import expect_values, fields_of, of_r
 from conformance.claims.settings.setting_effects import SettingEffect
 from conformance.model import lk_parameters
 from conformance.model.lk_parameters import number_of, read_parameter
-from conformance.motion import arriving, motion
-from conformance.motion.motion import MS, QUICK
+from conformance.motion import arriving, declared, motion
+from conformance.motion.declared import QUICK, RUNS_AND_MOVES
 from conformance.talk import settings
 from conformance.talk.acceptance import answers, need_reliable_replies
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 from conformance.talk.restarts import DEAF_NS, power_cycle, restart, wait_for_answer
 
 #: How long a drive that cannot be asked meanwhile may take to come back.
@@ -121,7 +121,7 @@ def _kept_fields(dialect: Dialect) -> Iterator[Case]:
                 dialect,
                 edges.needs(dialect, command, [row.values]),
                 *dialect.by_verb[Verb.RESTART].all_risks,
-                *motion.risks(dialect),
+                *declared.risks(dialect),
             )
             # They take long, and the whole command is looked at by a claim that every run makes.
             facts |= {"parameters": {"field": row.name}, "emulated": row.hands, "by_name": not row.hands}
@@ -244,8 +244,8 @@ def _dialect_of_the_line(probe: Probe, command: Command, field: str) -> None:
 
 
 def _risks_of_all_motions(case: Case) -> frozenset[Risk]:
-    every = (*case.dialect.motions(*motion.RUNS_AND_MOVES), case.dialect.by_verb[Verb.SET_DIRECTION])
-    return motion.risks(case.dialect, *_restart_risks(case).union(*(c.all_risks for c in every)))
+    every = (*case.dialect.motions(*RUNS_AND_MOVES), case.dialect.by_verb[Verb.SET_DIRECTION])
+    return declared.risks(case.dialect, *_restart_risks(case).union(*(c.all_risks for c in every)))
 
 
 @of_read_back(
@@ -253,12 +253,12 @@ def _risks_of_all_motions(case: Case) -> frozenset[Risk]:
     name="{command}/motion-as-before",
     refuted_by="another distance or speed, or the other way",
     risks=_risks_of_all_motions,
-    settings=lambda case: motion.settings(case.dialect, "motor_direction"),
+    settings=lambda case: declared.settings(case.dialect, "motor_direction"),
     at_best=Certainty.LIKELY,
 )
 def _motion_as_before(probe: Probe, command: Command) -> None:
     """After a restart each motion is as far, as fast and the same way as before, by the stored mode, subdivision, direction."""
-    motion.ready_to_move(probe, motion.bus_modes(probe.dialect)[0], subdivision=8)
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[0], subdivision=8)
     probe.do(Verb.SET_DIRECTION, {"motor_direction": 1})
     before = _each_motion(probe)
     motion.run_at(probe, _RPM, QUICK)
@@ -278,7 +278,7 @@ def _motion_as_before(probe: Probe, command: Command) -> None:
 def _each_motion(probe: Probe) -> dict[str, float]:
     """Return what each motion does: the degrees of a move, and the rpm of a run beyond what its mode can."""
     found = {}
-    for command in probe.dialect.motions(*motion.RUNS_AND_MOVES):
+    for command in probe.dialect.motions(*RUNS_AND_MOVES):
         how = {"subdivision": 8, "acceleration": QUICK}
         if command.motion is not None and command.motion.kind is MotionKind.RUN:
             # Beyond 400 rpm as sent, so that the limit of the mode shows too.
@@ -310,11 +310,11 @@ def _locked(probe: Probe, command: Command, value: int) -> None:
     probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text)
     bench.expect_hold(probe, bool(value), f"with axis_lock {value} at power-on")
     modes = probe.command(Verb.SET_WORK_MODE)
-    buses = motion.bus_modes(probe.dialect)
-    by_pulses = next(m for m in motion.field_of(modes, "work_mode").choice_names.values() if m not in buses)
+    buses = declared.bus_modes(probe.dialect)
+    by_pulses = next(m for m in declared.field_of(modes, "work_mode").choice_names.values() if m not in buses)
     for mode in buses:
         motion.set_mode(probe, by_pulses)
-        exchange = probe.do(modes, {"work_mode": motion.choice(modes, "work_mode", mode)})
+        exchange = probe.do(modes, {"work_mode": declared.choice(modes, "work_mode", mode)})
         probe.wait(_START_NS)
         text = f"with axis_lock {value} the motor is in the other state when {mode} is set"
         probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text, exchange=exchange)
@@ -324,7 +324,7 @@ def _restarts(dialect: Dialect) -> Iterator[Case]:
     """Yield the restart in the work mode of the suite, which is the last one by the bus, and in each of the others."""
     for case in commands(Verb.RESTART)(dialect):
         yield Case(dialect, case.command, {"mode": "", "where": "", "in_mode": ""})
-        for mode in motion.bus_modes(dialect)[:-1]:
+        for mode in declared.bus_modes(dialect)[:-1]:
             yield Case(dialect, case.command, {"mode": mode, "where": f"-{mode}", "in_mode": f" in {mode}"})
 
 

@@ -27,14 +27,15 @@ from conformance.claims.settings import kept_effects
 from conformance.claims.settings.kept_effects import Kept
 from conformance.claims.settings.known_settings import ReadableSetting, Setting, every_setting, needs
 from conformance.claims.settings.read_back import fields_of, of_read_back
-from conformance.motion import motion
+from conformance.motion import declared, motion
+from conformance.motion.declared import SUBDIVISION
 from conformance.motion.effects import Change
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import Probe
+from conformance.talk.probe import MS, Probe
 from conformance.talk.restarts import need_axis_lock, restart, wait_for_answer
 
 #: How long a setting that is not answered is given.
-_SILENT_NS = 60 * motion.MS
+_SILENT_NS = 60 * MS
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ _WAYS = (
 
 
 def _all_together(dialect: Dialect) -> Iterator[Case]:
-    if Verb.RESTART not in dialect.by_verb or not motion.can_move(dialect):
+    if Verb.RESTART not in dialect.by_verb or not declared.can_move(dialect):
         return
     for way in _WAYS:
         if not way.heard(dialect):
@@ -108,8 +109,8 @@ def _all_together(dialect: Dialect) -> Iterator[Case]:
         joining = way.risks(dialect)
         facts = {
             "section": dialect.by_verb[Verb.RESTART].section,
-            "risks": motion.risks(dialect, Risk.UNBOUNDED, *risks, *dialect.by_verb[Verb.RESTART].all_risks, *joining),
-            "settings": tuple(dict.fromkeys((*motion.settings(dialect, *names), *way.settings))),
+            "risks": declared.risks(dialect, Risk.UNBOUNDED, *risks, *dialect.by_verb[Verb.RESTART].all_risks, *joining),
+            "settings": tuple(dict.fromkeys((*declared.settings(dialect, *names), *way.settings))),
             "commands": tuple(each.command.name for each in chosen),
             "alone": way is not _WAYS[0],
             "parameters": {},
@@ -143,7 +144,7 @@ def _fields_with_hands(dialect: Dialect) -> Iterator[Case]:
     for way in _WAYS[1:] if Verb.RESTART in dialect.by_verb else ():
         for command, row in kept_effects.rows(dialect) if way.heard(dialect) else ():
             if row.hands:
-                risks = (*dialect.by_verb[Verb.RESTART].all_risks, *way.risks(dialect), *motion.risks(dialect))
+                risks = (*dialect.by_verb[Verb.RESTART].all_risks, *way.risks(dialect), *declared.risks(dialect))
                 facts = row.effect.needed(dialect, edges.needs(dialect, command, [row.values]), *risks)
                 facts |= {"parameters": {"field": row.name}, "emulated": True, "alone": True}
                 facts["settings"] = (*facts["settings"], *way.settings)
@@ -176,21 +177,21 @@ def _kept_field(probe: Probe, command: Command, row: Kept, way: _Way) -> None:
 
 
 #: The speed of a run that is kept, the other way of another one; how long a shaft has to get there.
-_RPM, _SETS_OFF_NS = 30, 150 * motion.MS
+_RPM, _SETS_OFF_NS = 30, 150 * MS
 _KEEP, _FORGET = {"save_state": 0xC8}, {"save_state": 0xCA}
 
 
 def _saved(dialect: Dialect) -> Iterator[Case]:
     command = dialect.by_verb.get(Verb.SAVE_SPEED)
-    if command is None or not motion.can_move(dialect):
+    if command is None or not declared.can_move(dialect):
         return
     for way in _WAYS[1:]:
         if way.heard(dialect):
             risks = command.all_risks | dialect.by_verb[Verb.RESTART].all_risks | way.risks(dialect)
             facts = {
                 "fields": ("save_state",),
-                "risks": motion.risks(dialect, Risk.UNBOUNDED, *risks - {Risk.UNKNOWN}),
-                "settings": (*motion.settings(dialect), *way.settings),
+                "risks": declared.risks(dialect, Risk.UNBOUNDED, *risks - {Risk.UNKNOWN}),
+                "settings": (*declared.settings(dialect), *way.settings),
                 "alone": True,
                 "parameters": {},
             }
@@ -202,7 +203,7 @@ def _saved(dialect: Dialect) -> Iterator[Case]:
 def _kept_run(probe: Probe, command: Command, way: _Way) -> None:
     """A run that is kept, sent {how}, goes on after a restart, sent so, in place of a newer one; forgotten so, it does not."""
     need_axis_lock(probe)
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     way.ready(probe)
     motion.run_at(probe, _RPM)
     way.send(probe, command, _KEEP)

@@ -38,7 +38,8 @@ from conformance.claims.settings.link_changes import (
 from conformance.claims.settings.read_back import of_read_back
 from conformance.claims.settings.restart import RESTORED_NS, move_away, stored_effect
 from conformance.claims.settings.setting_effects import SettingEffect, differing
-from conformance.motion import arriving, effects, motion
+from conformance.motion import arriving, declared, effects, motion
+from conformance.motion.declared import SUBDIVISION
 from conformance.motion.effects import Observable
 from conformance.talk import settings
 from conformance.talk.acceptance import answers
@@ -73,7 +74,7 @@ def _restores(dialect: Dialect) -> Iterator[Case]:
         for each, effect in _settings(dialect):
             one, _ = effect.pair(each.request_forms[0])
             seen = each.readable or effect.expected is not None
-            risks |= edges.needs(dialect, each, [one])["risks"] | (effect.risks(dialect) if seen else motion.risks(dialect))
+            risks |= edges.needs(dialect, each, [one])["risks"] | (effect.risks(dialect) if seen else declared.risks(dialect))
         yield Case(dialect, command, {}, {"risks": risks})
 
 
@@ -196,7 +197,7 @@ def _restored_fields(dialect: Dialect) -> Iterator[Case]:
     if command is not None:
         for setter, row in kept_effects.rows(dialect):
             needs = edges.needs(dialect, setter, [row.values])
-            facts = row.effect.needed(dialect, needs, *command.all_risks, *motion.risks(dialect))
+            facts = row.effect.needed(dialect, needs, *command.all_risks, *declared.risks(dialect))
             facts |= {"parameters": {"field": row.name}, "emulated": row.hands, "by_name": True, "alone": True}
             yield Case(dialect, command, {"setter": setter, "row": row}, facts)
 
@@ -229,7 +230,7 @@ def _kept_for_power_on(dialect: Dialect) -> Iterator[Case]:
     for verb, values in ((Verb.SAVE_SPEED, _KEEP_RUN), (Verb.SET_ZERO_MODE, _KEEP_ZERO)):
         keeper = dialect.by_verb.get(verb)
         if command is not None and keeper is not None:
-            risks = motion.risks(dialect, Risk.UNBOUNDED, *command.all_risks, *keeper.risks(values))
+            risks = declared.risks(dialect, Risk.UNBOUNDED, *command.all_risks, *keeper.risks(values))
             yield Case(dialect, command, {"keeper": keeper, "values": values}, {"risks": risks, "parameters": {}})
 
 
@@ -244,12 +245,12 @@ def _restored_power_on(probe: Probe, command: Command, keeper: Command, values: 
     _restore(probe, command)
     known = Verb.READ_ZERO_STATUS in probe.dialect.by_verb
     status = probe.read(Verb.READ_ZERO_STATUS, "status") if known else 0
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
     if keeper.verb is Verb.SAVE_SPEED:
         motion.run_at(probe, -60)
     probe.do(keeper, values)
     motion.stand_still(probe)
-    arriving.follow(probe, motion.any_move(probe.dialect), 75)
+    arriving.follow(probe, declared.any_move(probe.dialect), 75)
     before = motion.position(probe)
     exchange = _restore(probe, command)
     for when in ("after a restore", "after a restart behind a restore"):
@@ -276,13 +277,13 @@ def _restored_power_on(probe: Probe, command: Command, keeper: Command, values: 
 def _restored_on_the_way(dialect: Dialect) -> Iterator[Case]:
     command = dialect.by_verb.get(Verb.RESTORE)
     if command is not None:
-        yield Case(dialect, command, {}, {"parameters": {}, "risks": motion.risks(dialect, *command.all_risks)})
+        yield Case(dialect, command, {}, {"parameters": {}, "risks": declared.risks(dialect, *command.all_risks)})
 
 
 @of_read_back(each=_restored_on_the_way, refuted_by="a shaft that turns on", by_name=True, alone=True, at_best=Certainty.LIKELY)
 def _reboots(probe: Probe, command: Command) -> None:
     """A restored drive starts again, and that ends a motion."""
-    move = motion.any_move(probe.dialect)
+    move = declared.any_move(probe.dialect)
     motion.prepare(probe, move)
     motion.begin(probe, move, _LONG_TURNS * 360)
     probe.wait(SETTLE_NS)

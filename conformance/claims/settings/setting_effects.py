@@ -27,14 +27,14 @@ from analyzer.catalogue import Command, Dialect, Form, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Inconclusive
 from conformance.model import limits
-from conformance.motion import arriving, motion
+from conformance.motion import arriving, declared, motion
 from conformance.motion.attempts import anew
-from conformance.motion.motion import MS
+from conformance.motion.declared import SUBDIVISION
 from conformance.talk import settings
 from conformance.talk.acceptance import Acceptance, acceptance, answers, need_reliable_replies, without_repeats
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import Until
+from conformance.talk.probe import MS, Until
 
 if TYPE_CHECKING:
     from conformance.talk.probe import Probe
@@ -101,14 +101,14 @@ class SettingEffect:
 
     def risks(self, dialect: Dialect) -> frozenset[Risk]:
         """Return the risks of what `ready` and `see` send, beside reads."""
-        found: set[Risk] = set(motion.risks(dialect)) if self.moves else set()
+        found: set[Risk] = set(declared.risks(dialect)) if self.moves else set()
         for verb, values in self.sends:
             found |= dialect.by_verb[verb].risks(values)
         return frozenset(found) - {Risk.READ}
 
     def needed(self, dialect: Dialect, needs: Mapping[str, Any], *more: Risk) -> dict[str, Any]:
         """Return what a claim must declare that uses this effect beside what `needs` says, with the risks `more`."""
-        changed = motion.settings(dialect) if self.moves else ()
+        changed = declared.settings(dialect) if self.moves else ()
         return {
             **needs,
             "risks": needs["risks"] | self.risks(dialect) | set(more),
@@ -121,25 +121,25 @@ def differing(form: Form) -> tuple[dict[str, int], dict[str, int]]:
     """Return two sets of allowed values of a form that differ in every field, from each other and from the defaults."""
     one: dict[str, int] = {}
     two: dict[str, int] = {}
-    for name, declared in form.layout.named.items():
-        if declared.fixed is not None:
-            one[name] = two[name] = declared.fixed
+    for name, field in form.layout.named.items():
+        if field.fixed is not None:
+            one[name] = two[name] = field.fixed
             continue
-        others = [v for v in _distinct(declared) if v != declared.default]
+        others = [v for v in _distinct(field) if v != field.default]
         one[name] = others[0]
-        two[name] = others[1] if len(others) > 1 else int(declared.default if declared.default is not None else others[0])
+        two[name] = others[1] if len(others) > 1 else int(field.default if field.default is not None else others[0])
     return one, two
 
 
-def _distinct(declared: Field) -> list[int]:
+def _distinct(field: Field) -> list[int]:
     """Return allowed values that show a mistake: no two bytes alike, none 0; of choices the last first."""
-    choices = limits.listed(declared)
+    choices = limits.listed(field)
     if choices is not None:
         return list(reversed(choices))
-    marks = (0x0102_0304_0506_0708 >> (64 - declared.bit_width), 0x0A0B_0C0D_0E0F_1011 >> (64 - declared.bit_width))
-    spans = declared.high - declared.low
-    inner = [declared.low + spans * n // 7 for n in (2, 5)]
-    return [v for v in (*marks, *inner, declared.high, declared.low) if declared.allows(v)]
+    marks = (0x0102_0304_0506_0708 >> (64 - field.bit_width), 0x0A0B_0C0D_0E0F_1011 >> (64 - field.bit_width))
+    spans = field.high - field.low
+    inner = [field.low + spans * n // 7 for n in (2, 5)]
+    return [v for v in (*marks, *inner, field.high, field.low) if field.allows(v)]
 
 
 def of(dialect: Dialect, command: Command) -> SettingEffect | None:
@@ -154,7 +154,7 @@ def of(dialect: Dialect, command: Command) -> SettingEffect | None:
 def by_action(dialect: Dialect, command: Command) -> SettingEffect | None:
     """Return how a setting shows by what the drive does, None where it does not or the dialect lacks what it takes."""
     effect = BY_VERB.get(command.verb)
-    if effect is None or not motion.can_move(dialect) or any(verb not in dialect.by_verb for verb, _ in effect.sends):
+    if effect is None or not declared.can_move(dialect) or any(verb not in dialect.by_verb for verb, _ in effect.sends):
         return None
     return effect
 
@@ -200,7 +200,7 @@ def _can_be_enabled(probe: Probe) -> str:
 
 def _controller(dialect: Dialect, values: Mapping[str, int]) -> str:
     names = dialect.by_verb[Verb.SET_WORK_MODE].request_forms[0].layout.named["work_mode"].choice_names
-    return "bus" if names[values["work_mode"]] in motion.bus_modes(dialect) else "pulses"
+    return "bus" if names[values["work_mode"]] in declared.bus_modes(dialect) else "pulses"
 
 
 def _enabled(probe: Probe) -> int:
@@ -257,7 +257,7 @@ def _distance(probe: Probe) -> int:
 
 
 def _expected_counts(dialect: Dialect, values: Mapping[str, int]) -> int:
-    return motion.counts_of(dialect, dialect.by_verb[Verb.MOVE_RELATIVE_PULSES], PULSES, values["subdivision"])
+    return declared.counts_of(dialect, dialect.by_verb[Verb.MOVE_RELATIVE_PULSES], PULSES, values["subdivision"])
 
 
 def near(probe: Probe, one: int, other: int) -> bool:
@@ -290,7 +290,7 @@ def _expected_statuses(dialect: Dialect, values: Mapping[str, int]) -> str:
 
 
 def _ready(probe: Probe) -> None:
-    motion.ready_to_move(probe, subdivision=motion.SUBDIVISION)
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,13 @@ from conformance.cli import emulate
 from conformance.drives import make, realism
 from conformance.drives.drive import Fault
 from conformance.motion import motion, resting
+from conformance.motion.declared import QUICK
 from conformance.safety.stopping import MAY_MOVE
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.talk.dialogue import Until
 from conformance.talk.noise import QUIET, Noise
+from conformance.talk.probe import MS
 from tests.conformance.quirk_runs import run
 
 DRIVES = ("mks-rs485@1", "mks-modbus@1", "mks-can@1", "lk-rs485@1")
@@ -332,8 +334,8 @@ def test_a_fast_clock_makes_a_fast_shaft_that_reads_as_it_should(drive):
     each = rig(f"{drive},clock=+2%")
     probe = each.probe(next(c for c in registry.every(each.dialect) if resting.can_turn(each.dialect, c)))
     motion.ready_to_move(probe)
-    motion.run_at(probe, 60, motion.QUICK)
-    probe.wait(300 * motion.MS)
+    motion.run_at(probe, 60, QUICK)
+    probe.wait(300 * MS)
     assert motion.mean_speed(probe)[0] == pytest.approx(61.2, abs=0.05)
     assert motion.speed(probe).value == 60
 

@@ -12,6 +12,7 @@ from conformance.drives import make
 from conformance.motion import motion
 from conformance.motion.attempts import anew, undamaged
 from conformance.suite.rig_emulated import EmulatedRig
+from conformance.talk.probe import SECOND_NS
 
 
 @pytest.fixture
@@ -35,7 +36,7 @@ def test_what_the_last_attempt_shows_is_returned(probe, attempts, made):
 
     def attempt(probe, turns, rest):
         motion.run_at(probe, 60)
-        probe.wait(motion.SECOND_NS // 2)
+        probe.wait(SECOND_NS // 2)
         rests.append(rest.value)
         damages, fails = attempts[len(rests) - 1]
         probe.traffic += [SimpleNamespace(damaged=True, command=None, unanswered=False)] * damages

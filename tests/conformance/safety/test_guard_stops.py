@@ -25,6 +25,7 @@ from conformance.drives.serial_bus import SerialBus
 from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import READS, Allowance, parse_allow
 from conformance.motion import motion
+from conformance.motion.declared import GENTLE
 from conformance.pytest_plugin import plugin
 from conformance.safety import messages as say
 from conformance.safety.guard import Guard
@@ -134,7 +135,7 @@ def test_a_suite_that_asks_nothing_while_the_motor_turns_is_taken_for_gone(tmp_p
             gate = Gate(line, Allowance(MOVING))
             gate.send(build(dialect, "enable", 1, {"enabled": 1}))
             gate.send(build(dialect, "run_speed", 1, {"speed": 60, "acceleration": 200}))
-            assert wait_for(lambda: build(dialect, "stop_speed", 1, {"acceleration": motion.GENTLE}) in port.heard, 20)
+            assert wait_for(lambda: build(dialect, "stop_speed", 1, {"acceleration": GENTLE}) in port.heard, 20)
             with pytest.raises(Inconclusive, match=r"asked nothing for 0\.3 s while a motor may turn"):
                 gate.receive(0)
             assert motion.speed(plain_probe(dialect, 1, gate)).value == 0

@@ -18,12 +18,13 @@ from conformance.claim import Inconclusive, NotStopped
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion, resting
+from conformance.motion.declared import GENTLE
 from conformance.safety import stopping
 from conformance.suite import target
 from conformance.suite.plan import Plan
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.suite.rig_stand_in import StandInRig
-from conformance.talk.probe import Probe
+from conformance.talk.probe import SECOND_NS, Probe
 
 _DRIVE = "mks-rs485@1,work_mode=sr_vfoc"
 #: In rpm: below what three looks tell.
@@ -38,7 +39,7 @@ def _turning(drive: str = _DRIVE) -> tuple[EmulatedRig, Probe, float]:
     motion.ready_to_move(probe)
     stood = motion.position(probe).value
     motion.run_at(probe, 60)
-    probe.wait(motion.SECOND_NS)
+    probe.wait(SECOND_NS)
     return rig, probe, stood
 
 
@@ -46,7 +47,7 @@ def test_where_a_shaft_was_seen_standing_one_look_is_the_last_of_three():
     _, probe, _ = _turning()
     place = motion.stand_still(probe).value
     before = len(probe.traffic)
-    assert stopping.prove_standing(probe, motion.SECOND_NS, place) == ""
+    assert stopping.prove_standing(probe, SECOND_NS, place) == ""
     assert len(probe.traffic) == before + 2, "its speed and its position"
 
 
@@ -73,10 +74,10 @@ def test_a_shaft_that_creeps_does_not_stand(noise, rpm, at_once, thoroughly):
     assert probe.drive is not None
     probe.drive.motor.run(probe.gate.now_ns(), Fraction(rpm).limit_denominator(100), 0)
     assert motion.speed(probe).value == 0, "whole rpm do not tell it"
-    seen = stopping.prove_standing(probe, 4 * motion.SECOND_NS, thoroughly=True)
+    seen = stopping.prove_standing(probe, 4 * SECOND_NS, thoroughly=True)
     assert (seen == "") is thoroughly
     if at_once is not None:
-        assert (stopping.prove_standing(probe, 4 * motion.SECOND_NS) == "") is at_once
+        assert (stopping.prove_standing(probe, 4 * SECOND_NS) == "") is at_once
 
 
 def test_a_run_ends_as_not_stopped_where_the_shaft_creeps(monkeypatch):
@@ -157,7 +158,7 @@ def test_stops_and_replies_that_are_lost_are_sent_once_more(monkeypatch):
     sent = _lossy(probe, monkeypatch, heard=lambda number, item: number > 12, answered=lambda number: number % 3 == 0)
     assert stopping.stop(probe.gate, rig.dialect, 1).failure == ""
     assert drive.motor.speed(drive.now_ns) == 0
-    assert sent.count(build(rig.dialect, "stop_speed", 1, {"acceleration": motion.GENTLE})) > 1
+    assert sent.count(build(rig.dialect, "stop_speed", 1, {"acceleration": GENTLE})) > 1
 
 
 def test_a_shaft_that_turns_on_is_told_to_stop_each_second(monkeypatch):
@@ -266,7 +267,7 @@ def test_a_guard_that_was_faster_is_no_failed_stop(monkeypatch):
 
     def once(item):
         if left:
-            write(build(rig.dialect, "stop_speed", 1, {"acceleration": motion.GENTLE}))
+            write(build(rig.dialect, "stop_speed", 1, {"acceleration": GENTLE}))
             raise left.pop()
         return write(item)
 

@@ -16,11 +16,13 @@ from conformance.claim import Outcome
 from conformance.drives import make
 from conformance.drives.can_bus import CanBus
 from conformance.motion import motion, resting
+from conformance.motion.declared import QUICK
 from conformance.safety import stopping
 from conformance.suite import engine, set_otherwise
 from conformance.suite.plan import Plan, every_claim, open_rig
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.suite.target import parse
+from conformance.talk.probe import MS, SECOND_NS
 from tests.conformance.drives.served import Bridge, drives, on_can, on_pty
 from tests.conformance.safety.test_keeper import EmulatedPort
 from tests.conformance.suite.test_confirming import KNOWN
@@ -37,9 +39,9 @@ def test_a_shaft_that_trembles_stands_and_one_that_creeps_along_does_not(drive, 
     probe = each.probe(next(c for c in registry.every(each.dialect) if resting.can_turn(each.dialect, c)))
     motion.ready_to_move(probe)
     if rpm:
-        motion.run_at(probe, rpm, motion.QUICK)
-        probe.wait(motion.SECOND_NS)
-    assert (stopping.prove_standing(probe, 800 * motion.MS) == "") is stands
+        motion.run_at(probe, rpm, QUICK)
+        probe.wait(SECOND_NS)
+    assert (stopping.prove_standing(probe, 800 * MS) == "") is stands
 
 
 @contextmanager
@@ -560,7 +562,7 @@ def test_drawn_drives_with_drawn_settings_are_not_accused(number):
 # Behind a way back to zero the run has just begun when that is first seen to be over.
 @pytest.mark.parametrize(
     ("zero", "powered_ns"),
-    [("zero_mode=0", motion.SECOND_NS), ("zero_mode=2,zero_kept=1,zero_point=5000", 100 * motion.MS)],
+    [("zero_mode=0", SECOND_NS), ("zero_mode=2,zero_kept=1,zero_point=5000", 100 * MS)],
     ids=["at-once", "behind-the-way-back"],
 )
 def test_a_run_that_was_kept_for_power_on_is_stopped_and_forgotten_before_the_first_motion(zero, powered_ns, tmp_path, capsys):
