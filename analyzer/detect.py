@@ -17,7 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from analyzer.catalogue import Dialect, Role
-from analyzer.pipeline import Entry, Options, Pipeline
+from analyzer.entries import Entry
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
 
 #: A further dialect must explain this share of the sample, in this many frames at least.

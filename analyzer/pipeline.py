@@ -13,20 +13,20 @@ decoded again give the same.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
-import msgspec
 from msgspec.structs import replace
 
 from analyzer import events
 from analyzer.catalogue import Dialect, Role
 from analyzer.columns.block import ByteBlock, CanBlock, FrameBlock
 from analyzer.context import Request
+from analyzer.entries import Entry, EventSink, PlainSink, RunSink, Sink, plain_entry
 from analyzer.errors import UsageError
 from analyzer.findings import Issue, finding, of_junk, of_message
 from analyzer.foreign import is_unlisted
 from analyzer.framer import Framer
-from analyzer.port import Options, Port, PortSetup, topic_name, usual_setup
+from analyzer.port import Options, Port, PortSetup, usual_setup
 from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Frame, Junk, JunkReason, Lane, Message, Severity, Silence
 from analyzer.transactions import Late
 from analyzer.values import CAN_ID_LIMIT, counted
@@ -35,12 +35,6 @@ if TYPE_CHECKING:
     from analyzer.columns.codec import Integers
     from analyzer.columns.framing import Framing, Row
     from analyzer.columns.pairs import Pairing
-    from analyzer.columns.plain import Plain
-
-__all__ = [
-    "CAN_OVERHEAD_BITS", "Entry", "EventSink", "Item", "Options", "Pipeline", "PlainSink", "Port",
-    "PortSetup", "RunSink", "Sink", "topic_name",
-]  # fmt: skip
 
 #: What can be fed.
 Item = Chunk | CanFrame | CanBlock | ByteBlock | Comment | Silence | Event
@@ -49,66 +43,6 @@ Item = Chunk | CanFrame | CanBlock | ByteBlock | Comment | Silence | Event
 CAN_OVERHEAD_BITS = 47
 #: The rule that waits until it is known whether a drive was meant.
 _UNLISTED = "unknown_command"
-
-
-class Entry(msgspec.Struct, frozen=True, gc=False):
-    """A message with its place in the log and in its exchange."""
-
-    message: Message
-    sequence: int
-    topic: str
-    findings: tuple[Finding, ...] = ()
-    latency_ns: int | None = None
-    request_sequence: int | None = None
-    first_reply: bool = False
-
-
-def plain_entry(lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> Entry:
-    """Return the entry of a frame that is in order, as `PlainSink.plain` takes it. A reply is then the first one."""
-    return Entry(lane.message(frame), sequence, lane.topic, (), latency_ns, request_sequence, not lane.is_request)
-
-
-class Sink(Protocol):
-    """Takes what comes out of the pipeline, in order."""
-
-    def entry(self, entry: Entry) -> None:
-        """Take a decoded frame; its findings follow through `finding`."""
-
-    def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Take bytes that are no frame; a finding follows."""
-
-    def finding(self, found: Finding) -> None:
-        """Take a finding."""
-
-    def comment(self, comment: Comment) -> None:
-        """Take a comment of the capture."""
-
-
-@runtime_checkable
-class PlainSink(Protocol):
-    """A sink that takes the usual case in fewer steps: a frame of a lane, with no finding."""
-
-    def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
-        """Take a frame; a reply is its request's first and has that request's sequence."""
-
-
-@runtime_checkable
-class RunSink(Protocol):
-    """A sink that takes many plain frames at once."""
-
-    def begin(self, plain: Plain) -> None:
-        """Take the next block; of its frames, only those of a run count."""
-
-    def run(self, start: int, stop: int, sequence: int) -> None:
-        """Take the plain exchanges in some rows of the block, whose first frame has the number `sequence`."""
-
-
-@runtime_checkable
-class EventSink(Protocol):
-    """A sink that takes events, too; a finding about one follows."""
-
-    def happened(self, event: Event, sequence: int) -> None:
-        """Take an event."""
 
 
 class Pipeline:

@@ -25,7 +25,8 @@ from analyzer.catalogue import Dialect, Role, Verb
 from analyzer.diagnosis.diagnose import diagnosis
 from analyzer.diagnosis.watch import Watch
 from analyzer.encoder import assemble
-from analyzer.pipeline import Entry, Pipeline
+from analyzer.entries import Entry
+from analyzer.pipeline import Pipeline
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Lane
 
 VERBS = (Verb.READ_POSITION, Verb.READ_SPEED, Verb.READ_STATE_1, Verb.READ_STATE_2)

@@ -41,9 +41,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from analyzer import dialects
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.codec import codec
+from analyzer.entries import Entry
 from analyzer.layout import Field, FieldKind, Layout
 from analyzer.link import READS, WRITE_ONE
-from analyzer.pipeline import Entry, Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import Chunk, Comment, Finding, Junk
 
 #: One byte at 115200 baud, ten bits.

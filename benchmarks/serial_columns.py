@@ -33,7 +33,8 @@ from analyzer.columns.block import ByteBlock
 from analyzer.columns.framing import Framing, Row
 from analyzer.context import Context
 from analyzer.framer import Framer
-from analyzer.pipeline import Item, Options, Pipeline
+from analyzer.pipeline import Item, Pipeline
+from analyzer.port import Options
 from analyzer.records import Chunk, Frame
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sources.source import JOINED

@@ -21,7 +21,8 @@ from analyzer import dialects  # noqa: E402
 from analyzer.cli import main  # noqa: E402
 from analyzer.cli.reading import add_reading_arguments, open_reading  # noqa: E402
 from analyzer.encoder import build  # noqa: E402
-from analyzer.pipeline import Options, Pipeline  # noqa: E402
+from analyzer.pipeline import Pipeline  # noqa: E402
+from analyzer.port import Options  # noqa: E402
 from analyzer.records import Chunk  # noqa: E402
 from analyzer.sinks.mcap_log import McapLog  # noqa: E402
 from analyzer.view.app import ViewApp  # noqa: E402

@@ -23,8 +23,8 @@ from analyzer.catalogue import Role
 from analyzer.cli.export_table import keep_rows
 from analyzer.cli.reading import OpenCapture, add_reading_arguments, open_reading
 from analyzer.decoder import physical, units_of
+from analyzer.entries import Entry
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.pipeline import Entry
 from analyzer.records import Comment, Finding, Junk
 from analyzer.sources.times import Clock, is_dated, parse_time
 from analyzer.table.extras import needed

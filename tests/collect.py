@@ -7,7 +7,9 @@ from collections.abc import Iterable, Sequence
 from analyzer import dialects
 from analyzer.catalogue import Dialect, Role
 from analyzer.decoder import physical
-from analyzer.pipeline import Entry, Options, Pipeline
+from analyzer.entries import Entry
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk
 
 MS = 1_000_000

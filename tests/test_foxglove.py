@@ -14,7 +14,8 @@ from mcap.reader import make_reader
 
 from analyzer import dialects
 from analyzer.errors import UsageError
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import Chunk
 from analyzer.sinks import foxglove_live
 from analyzer.sinks.foxglove_live import FoxgloveServer, Place, read_place, require_foxglove

@@ -13,7 +13,8 @@ from analyzer.diagnosis.diagnose import of_traffic
 from analyzer.encoder import build
 from analyzer.errors import PluginError
 from analyzer.link import MORE, TIE, CanLink, HeadLink, guarded
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, JunkReason
 from analyzer.sinks.summary import Summary
 from tests.collect import MS, Collect, sum8

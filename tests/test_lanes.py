@@ -10,7 +10,8 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.decoder import Decoder, physical
 from analyzer.encoder import assemble
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk
 from tests.collect import Collect, sum8
 

@@ -26,7 +26,7 @@ LAYERS = (
     ("analyzer.transactions", "analyzer.events"),
     ("analyzer.port",),
     ("analyzer.columns",),
-    ("analyzer.pipeline",),
+    ("analyzer.entries", "analyzer.pipeline"),
     ("analyzer.detect",),
     ("analyzer.logic",),
     ("analyzer.diagnosis",),

@@ -10,7 +10,8 @@ import pytest
 from mcap.reader import make_reader
 
 from analyzer import dialects
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sinks.mcap_log import McapLog
 from tests.collect import Collect, crc, sum8

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from analyzer import dialects
 from analyzer.errors import UsageError
 from analyzer.events import DIALECT, PORT
-from analyzer.pipeline import Pipeline, PortSetup
-from analyzer.port import Options, Port, Setups, topic_name
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options, Port, PortSetup, Setups, topic_name
 from analyzer.records import CanFrame, Chunk, Event, Silence
 from tests.collect import Collect, can, run, serial, sum8
 

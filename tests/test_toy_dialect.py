@@ -6,7 +6,8 @@ import pytest
 
 from analyzer.catalogue import Role
 from analyzer.encoder import assemble
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame
 from tests.collect import Collect
 from tests.toy.dialect import DIALECT

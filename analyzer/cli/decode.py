@@ -21,8 +21,9 @@ from analyzer.cli.output import Output, OutputFolder
 from analyzer.cli.reading import LONG_CAPTURE, OpenCapture, add_reading_arguments, now_text, open_reading, progress
 from analyzer.cli.signals import Interrupt
 from analyzer.diagnosis.watch import Watch
+from analyzer.entries import Sink
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.pipeline import Pipeline, Sink
+from analyzer.pipeline import Pipeline
 from analyzer.records import Severity
 from analyzer.sinks.forked import available
 from analyzer.sinks.mcap_file import McapFile

@@ -21,7 +21,7 @@ from analyzer.cli.log_copy import EVERYTHING, TAGGED, Copy, Log, Taken, write_ma
 from analyzer.cli.reading import showing_progress
 from analyzer.cli.signals import Interrupt
 from analyzer.errors import UsageError
-from analyzer.pipeline import topic_name
+from analyzer.port import topic_name
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.recording_parts import METADATA, look
 from analyzer.sources.times import Clock

@@ -28,11 +28,12 @@ from analyzer.cli.option_types import (
 from analyzer.cli.time_range import TimeRange, add_time_range_arguments
 from analyzer.detect import Choice, choose
 from analyzer.devices import load
+from analyzer.entries import Sink
 from analyzer.errors import UsageError
 from analyzer.events import SETUPS
 from analyzer.framer import SILENCE_NS
-from analyzer.pipeline import Item, Options, Pipeline, PortSetup, Sink
-from analyzer.port import Setups, listed_in
+from analyzer.pipeline import Item, Pipeline
+from analyzer.port import Options, PortSetup, Setups, listed_in
 from analyzer.records import CanFrame, Chunk, Event
 from analyzer.sources.times import ESTIMATED
 from analyzer.values import quote

@@ -21,9 +21,9 @@ from analyzer.cli.filter import Filter, bytes_text, vocabulary
 from analyzer.cli.option_types import whole
 from analyzer.cli.reading import LONG_CAPTURE, add_reading_arguments, open_reading, progress
 from analyzer.decoder import physical, units_of
+from analyzer.entries import Entry
 from analyzer.events import text_of
 from analyzer.live.lock import recorded
-from analyzer.pipeline import Entry
 from analyzer.records import Comment, Event, Finding, Junk, Message
 from analyzer.sources.tail import Follow
 from analyzer.sources.times import ShownTime

@@ -17,8 +17,8 @@ from analyzer.columns.codec import Integers, column
 from analyzer.columns.groups import groups, taken
 from analyzer.columns.plain import Plain
 from analyzer.columns.rows import physical_column
+from analyzer.entries import Entry
 from analyzer.layout import Field
-from analyzer.pipeline import Entry
 from analyzer.records import Lane
 
 _SECOND, _MS = 1e9, 1e6

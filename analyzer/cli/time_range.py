@@ -11,9 +11,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from analyzer.entries import Entry, EventSink, Sink
 from analyzer.errors import UsageError
 from analyzer.events import SETUPS
-from analyzer.pipeline import Entry, EventSink, Sink
 from analyzer.records import CanFrame, Chunk, Comment, Event, Finding, Junk
 from analyzer.sources.times import Anchor, ShownTime, TimeOption, iso, parse_time
 

@@ -13,7 +13,8 @@ from msgspec.structs import replace
 from analyzer.catalogue import Dialect
 from analyzer.columns.block import ByteBlock
 from analyzer.diagnosis.scene import SILENT, Piece, Read, Scene
-from analyzer.pipeline import Entry, Item
+from analyzer.entries import Entry
+from analyzer.pipeline import Item
 from analyzer.records import Chunk, Comment, Finding, Frame, Junk, Lane, Message
 
 if TYPE_CHECKING:

@@ -27,7 +27,8 @@ from can.io.generic import BinaryIOMessageReader, BinaryIOMessageWriter
 from analyzer import dialects
 from analyzer.catalogue import Dialect, Role
 from analyzer.errors import UsageError
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.summary import Summary

@@ -39,7 +39,8 @@ from analyzer.fleet.files import Destination, Files
 from analyzer.fleet.lake import RANGES
 from analyzer.fleet.place import Place, no_room
 from analyzer.fleet.rows import TAKEN, Capture, Content, Taken, Work, decoded, reason_of, take
-from analyzer.pipeline import Item, Pipeline, PortSetup
+from analyzer.pipeline import Item, Pipeline
+from analyzer.port import PortSetup
 from analyzer.records import Chunk, Event
 from analyzer.sinks.object_table import Table, TableUnpickler, dumped
 from analyzer.sinks.parquet import ParquetTables

@@ -23,10 +23,11 @@ from analyzer.cli.reading import LONG_CAPTURE, OpenCapture, open_reading
 from analyzer.columns.block import ByteBlock, CanBlock
 from analyzer.diagnosis.diagnose import diagnosis, lines
 from analyzer.diagnosis.watch import Watch
+from analyzer.entries import Sink
 from analyzer.errors import ServotapError, UnreadableError
 from analyzer.fleet.files import Added, Destination, Files, Owner
 from analyzer.fleet.place import Found, Place, no_room
-from analyzer.pipeline import Item, Pipeline, Sink
+from analyzer.pipeline import Item, Pipeline
 from analyzer.records import Severity
 from analyzer.sinks.parquet import ParquetTables
 from analyzer.sinks.summary import Summary

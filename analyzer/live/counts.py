@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from analyzer.pipeline import Entry
+from analyzer.entries import Entry
 from analyzer.records import Comment, Finding, Frame, Junk, Lane
 
 _NAMES = ("bytes", "frames", "frame_bytes", "junk_bytes", "marks")

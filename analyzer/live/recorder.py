@@ -24,6 +24,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from analyzer.diagnosis.running import Running
+from analyzer.entries import Sink
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import config as settings
 from analyzer.live.config import RecordingConfig
@@ -33,7 +34,6 @@ from analyzer.live.reader_port import LEASH, Stop
 from analyzer.live.recording import Recording
 from analyzer.live.snapshot_pipe import SnapshotWriter
 from analyzer.live.snapshot_sink import SnapshotSink
-from analyzer.pipeline import Sink
 from analyzer.records import Event
 from analyzer.sinks.mcap_sound import unreadable
 

@@ -24,6 +24,7 @@ from analyzer import events
 from analyzer.catalogue import Role
 from analyzer.detect import Choice
 from analyzer.devices import described
+from analyzer.entries import Sink
 from analyzer.errors import UnreadableError
 from analyzer.framer import SILENCE_NS
 from analyzer.live import checkpoint
@@ -34,8 +35,8 @@ from analyzer.live.counts import RecordingCounts
 from analyzer.live.log_parts import LogParts
 from analyzer.live.spool import CAN_HEAD, NEVER_NS, CanFlag, Record, RecordKind
 from analyzer.live.spool_merge import Merger, Spool
-from analyzer.pipeline import Options, Pipeline, PortSetup, Sink
-from analyzer.port import Setups
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options, PortSetup, Setups
 from analyzer.records import CanFrame, Chunk, Comment, Event
 from analyzer.sinks.object_table import Table
 from analyzer.sinks.recording_log import RecordingLog

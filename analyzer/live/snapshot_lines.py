@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from analyzer import events
 from analyzer.decoder import physical, state_of, units_of
+from analyzer.entries import Entry
 from analyzer.findings import JUNK_RULES, RULES
 from analyzer.live.snapshot import EVENT, JUNK, FindingLine, FrameLine
-from analyzer.pipeline import Entry
 from analyzer.records import Event, Finding, Junk, Severity
 
 #: Bytes of junk that are shown.

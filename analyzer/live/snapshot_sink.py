@@ -17,9 +17,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
+from analyzer.entries import Entry, plain_entry
 from analyzer.live.snapshot import EVENT, BusCounts, FrameLine, RowCounts, Snapshot
 from analyzer.live.snapshot_lines import event_line, finding_line, frame_line, junk_line
-from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, plain_entry
+from analyzer.pipeline import CAN_OVERHEAD_BITS
 from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane, Message, Severity
 from analyzer.values import SECOND_NS
 

@@ -20,10 +20,12 @@ from typing import NamedTuple
 from analyzer.catalogue import Dialect, Role
 from analyzer.context import Context, Request
 from analyzer.decoder import Decoder
+from analyzer.entries import Entry
 from analyzer.errors import UnreadableError
 from analyzer.findings import Issue, of_message
 from analyzer.link import Check, Head, Link
-from analyzer.pipeline import Entry, Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Frame, Junk, Message
 from analyzer.reference.hex_frame import CAN_DATA_LIMIT, LONGEST_TEXT, Given, read_frame, write_frame
 from analyzer.values import CAN_ID_LIMIT

@@ -21,8 +21,10 @@ from analyzer.catalogue import Role
 from analyzer.codec import codec
 from analyzer.columns.block import CanBlock, FrameBlock
 from analyzer.decoder import physical
+from analyzer.entries import Entry, plain_entry
 from analyzer.framer import JUMP_BACK_NS
-from analyzer.pipeline import CAN_OVERHEAD_BITS, Entry, plain_entry, topic_name
+from analyzer.pipeline import CAN_OVERHEAD_BITS
+from analyzer.port import topic_name
 from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lane, Message, Severity
 from analyzer.sinks import schemas
 from analyzer.sinks.mcap_file import LogFile, McapFile

@@ -28,8 +28,9 @@ from analyzer.columns.groups import taken
 from analyzer.columns.plain import Plain
 from analyzer.columns.rows import alike, of_lanes, physical_column, states
 from analyzer.decoder import physical, state_of
+from analyzer.entries import Entry, plain_entry
 from analyzer.layout import STATE_UNITS, Field, FieldKind
-from analyzer.pipeline import Entry, plain_entry, topic_name
+from analyzer.port import topic_name
 from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane
 from analyzer.sinks.schemas import forms_of
 from analyzer.sources.times import Clock

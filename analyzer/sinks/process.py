@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from analyzer.catalogue import Dialect, Role
-from analyzer.pipeline import Entry, EventSink, PlainSink, RunSink, Sink, plain_entry
+from analyzer.entries import Entry, EventSink, PlainSink, RunSink, Sink, plain_entry
 from analyzer.records import CanFrame, Comment, Event, Finding, Frame, Junk, Lane
 from analyzer.sinks.forked import Ends, Forked
 from analyzer.sinks.object_table import Table, TableUnpickler, dumped

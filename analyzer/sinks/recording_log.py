@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from analyzer.catalogue import Role
-from analyzer.pipeline import topic_name
+from analyzer.port import topic_name
 from analyzer.records import CanFrame, Chunk
 from analyzer.sinks import schemas
 from analyzer.sinks.mcap_file import LogFile, McapFile

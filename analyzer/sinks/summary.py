@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from analyzer import __version__
 from analyzer.catalogue import Dialect, Role
-from analyzer.pipeline import Entry, plain_entry
+from analyzer.entries import Entry, plain_entry
 from analyzer.records import Comment, Finding, Frame, Junk, Lane, Severity
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import msgspec
 
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.decoder import physical
-from analyzer.pipeline import Entry
+from analyzer.entries import Entry
 from analyzer.records import Comment, Finding, Junk
 from analyzer.sources.times import Clock, ShownTime, is_dated
 from analyzer.system import sized

@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from analyzer.diagnosis.running import Running
+from analyzer.entries import Entry, plain_entry
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.snapshot import EVENT, FindingLine, FrameLine, Snapshot
 from analyzer.live.snapshot_lines import event_line, finding_line, frame_line, junk_line
 from analyzer.live.snapshot_sink import SnapshotSink
-from analyzer.pipeline import Entry, plain_entry
 from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane
 from analyzer.view.condition import Condition
 from analyzer.view.kept import Wanted

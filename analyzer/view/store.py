@@ -22,9 +22,9 @@ import msgspec
 import zstandard
 
 from analyzer.catalogue import Dialect, Role
+from analyzer.entries import Entry
 from analyzer.live.snapshot import FrameLine
 from analyzer.live.snapshot_lines import frame_line
-from analyzer.pipeline import Entry
 from analyzer.records import CanFrame, Frame, Lane
 
 BLOCK = 256

@@ -21,9 +21,9 @@ from analyzer.cli.show import names_of
 from analyzer.decoder import physical
 from analyzer.dialects import find_command
 from analyzer.encoder import assemble
+from analyzer.entries import Entry
 from analyzer.errors import UsageError
 from analyzer.live import profile
-from analyzer.pipeline import Entry
 from analyzer.records import CanFrame
 from analyzer.reference.hex_frame import read_frame
 from analyzer.values import printable

@@ -18,7 +18,8 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.cli.output import whole
 from analyzer.errors import UsageError
-from analyzer.pipeline import Pipeline, PortSetup, topic_name
+from analyzer.pipeline import Pipeline
+from analyzer.port import PortSetup, topic_name
 from analyzer.records import CanFrame, Chunk
 from analyzer.sinks.mcap_file import McapFile
 from analyzer.sinks.mcap_log import LIBRARY, PROFILE, McapLog

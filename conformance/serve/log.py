@@ -15,7 +15,8 @@ from msgspec.structs import replace
 from analyzer.catalogue import Dialect
 from analyzer.errors import UsageError
 from analyzer.framer import SILENCE_NS
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.summary import Summary
 from conformance.drives.bus import Bus, Traffic

@@ -16,9 +16,10 @@ from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.encoder import Built
+from analyzer.entries import Entry
 from analyzer.errors import PluginError
-from analyzer.pipeline import Entry, Options, Pipeline
-from analyzer.port import usual_setup
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options, usual_setup
 from analyzer.records import CanFrame, Chunk, Comment, Finding, Junk, Message
 from conformance.gate.gate import Gate, Item
 from conformance.talk.exchange import Answer, Exchange, sent_record

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Role
 from analyzer.decoder import physical, units_of
-from analyzer.pipeline import Entry
+from analyzer.entries import Entry
 from analyzer.records import CanFrame, Chunk, Finding, Junk, Message
 from analyzer.transactions import meaning_of
 from analyzer.values import fields_text

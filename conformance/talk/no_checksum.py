@@ -18,7 +18,9 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect, Role, Trait
-from analyzer.pipeline import Entry, Options, Pipeline
+from analyzer.entries import Entry
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import Chunk, Comment, Finding, Junk, JunkReason
 from conformance.talk.exchange import Exchange
 

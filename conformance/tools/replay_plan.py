@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from analyzer.catalogue import Dialect, Role
-from analyzer.pipeline import Entry, Item, Pipeline, Sink
+from analyzer.entries import Entry, Sink
+from analyzer.pipeline import Item, Pipeline
 from analyzer.records import CanFrame, Comment, Finding, Junk, Message
 from conformance.gate import gate
 

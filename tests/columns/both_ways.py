@@ -21,7 +21,8 @@ from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.context import Request
 from analyzer.diagnosis.watch import Watch
 from analyzer.errors import ServotapError
-from analyzer.pipeline import Item, Options, Pipeline
+from analyzer.pipeline import Item, Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.summary import Summary

@@ -19,7 +19,8 @@ from analyzer import dialects, sources
 from analyzer.cli import decode, main
 from analyzer.cli.output import OutputFolder
 from analyzer.errors import UsageError
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.sinks import parquet as tables
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.parquet_file import files_in

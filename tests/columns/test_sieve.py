@@ -11,7 +11,8 @@ from analyzer import dialects
 from analyzer.cli import main, show
 from analyzer.cli.filter import Kind, Meaning, vocabulary
 from analyzer.columns.block import CanBlock
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sources import open_source
 from tests.columns.both_ways import short_runs

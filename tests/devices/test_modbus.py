@@ -15,7 +15,8 @@ from analyzer.devices import load
 from analyzer.dialects import every, get, of_no_drive
 from analyzer.errors import ServotapError
 from analyzer.link import read_bytes
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import Chunk
 from analyzer.sources import open_source
 from tests.bytestreams import SERIAL

@@ -21,7 +21,8 @@ from analyzer.diagnosis.ranking import ranked
 from analyzer.diagnosis.scene import Confidence, Suspicion, Trouble
 from analyzer.diagnosis.watch import Watch
 from analyzer.encoder import assemble, build
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk
 from conformance.drives.serial_bus import SerialBus
 from tests.columns.serial_traffic import POLLS, polls

@@ -38,7 +38,8 @@ from analyzer.devices.text import Text
 from analyzer.errors import ServotapError
 from analyzer.framer import Framer
 from analyzer.live import spool
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Frame
 from analyzer.sources import FORMATS, open_source
 from analyzer.transactions import Transactions

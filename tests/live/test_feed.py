@@ -18,7 +18,8 @@ from analyzer.live import snapshot_sink as feeds
 from analyzer.live.snapshot import BusCounts, Snapshot, decode, encode
 from analyzer.live.snapshot_pipe import SnapshotWriter
 from analyzer.live.snapshot_sink import SnapshotSink
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Comment, Event
 from tests.collect import Collect, sum8
 

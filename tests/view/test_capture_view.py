@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from analyzer import dialects
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import Chunk
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sources.tail import Follow

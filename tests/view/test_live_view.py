@@ -9,7 +9,8 @@ import pytest
 from analyzer import dialects
 from analyzer.errors import UsageError
 from analyzer.live.snapshot_sink import SnapshotSink
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import Chunk, Comment, Event
 from tests.collect import sum8
 from tests.view.screen import SMALL, Live, drive

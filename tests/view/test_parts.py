@@ -11,7 +11,8 @@ from analyzer.cli.filter import vocabulary
 from analyzer.errors import UsageError
 from analyzer.live.snapshot import FrameLine
 from analyzer.live.snapshot_lines import frame_line
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources.times import ShownTime
 from analyzer.view.braille import Canvas, chart

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect, Role
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk
 from conformance.claim import Claim, Inconclusive, NotRun, Outcome, Refuted, Theme, Verdict
 from conformance.claims.control_reads import section

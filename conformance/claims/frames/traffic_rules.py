@@ -21,8 +21,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from analyzer.catalogue import Certainty, Dialect, Role
+from analyzer.entries import Entry
 from analyzer.findings import RULES
-from analyzer.pipeline import Entry
 from analyzer.records import Comment, Finding, Junk, Message
 
 #: Findings of each claim that are kept to be shown.

@@ -10,11 +10,12 @@ import pytest
 from analyzer.catalogue import Command, Role
 from analyzer.codec import codec
 from analyzer.context import Context
+from analyzer.entries import Entry
 from analyzer.errors import UsageError
 from analyzer.framer import Framer
 from analyzer.layout import Field
 from analyzer.link import sum8
-from analyzer.pipeline import Entry, Pipeline
+from analyzer.pipeline import Pipeline
 from analyzer.protocols.lk_rs485 import DIALECT, ERROR_BITS
 from analyzer.protocols.mks_rs485 import DIALECT as MKS
 from analyzer.records import Frame

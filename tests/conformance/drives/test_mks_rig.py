@@ -9,7 +9,8 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.encoder import build
 from analyzer.link import CanLink
-from analyzer.pipeline import Options, Pipeline
+from analyzer.pipeline import Pipeline
+from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Frame
 from conformance.drives.drive import Outgoing
 from conformance.drives.mks.drive import MksDrive
