@@ -27,18 +27,17 @@ goes on.
 
 from __future__ import annotations
 
-import re
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from analyzer.catalogue import Command, Dialect, Role
-from analyzer.codec import Codec, codec
+from analyzer.catalogue import Dialect, Role
 from analyzer.context import Context
 from analyzer.junk import JUNK_PIECE, Reasons
 from analyzer.link import MORE, TIE, Slicer, places_in
 from analyzer.records import Chunk, Frame, Junk
+from analyzer.slicers import Slicers
 
 #: A pause that no adapter puts inside a frame: USB adapters hold bytes back for up to 16 ms.
 SILENCE_NS = 25_000_000
@@ -53,7 +52,6 @@ GLITCHES = frozenset((0x00, 0x80, 0xC0, 0xE0, 0xF0, 0xF8, 0xFC, 0xFE, 0xFF))
 #: What follows a frame: a boundary. No frame is so short that its length could be taken for it.
 BOUNDARY = 1
 
-_Look = Callable[[bytes, int, int, bool], int]
 #: What of a framer is not given by its dialects.
 _STATE = (
     "_buffer", "_base", "_at", "_junk_from", "_known", "_step", "_bursts", "_firm", "_marks", "_direction", "_last_ns",
@@ -108,22 +106,11 @@ class Framer:
     ) -> None:
         self.port = port
         self.dialects = tuple(dialects)
-        self._slicers = [d.link.slicer(d.commands, context.expects) for d in dialects]
-        self._judges = [_Judge(d) for d in dialects]
+        self._slicers = Slicers(dialects, context.expects)
         #: Where a frame may begin.
-        self.starts = re.compile(b"|".join(s.starts for s in self._slicers), re.DOTALL)
-        self._longest = max(s.longest for s in self._slicers)
-        # By first byte: the slicers that know it (as indexes), what looks there, and whose frame it is if that is sure.
-        self._by_head: list[tuple[int, ...]] = [()] * 256
-        self._looks: list[_Look] = [_nothing] * 256
-        self._owners: list[Dialect | None] = [None] * 256
-        for head in set().union(*(s.heads for s in self._slicers)):
-            known = self._by_head[head] = tuple(i for i, s in enumerate(self._slicers) if head in s.heads)
-            only = len(known) == 1
-            self._looks[head] = self._slicers[known[0]].look if only else self._look_at_several
-            self._owners[head] = self.dialects[known[0]] if only else None
+        self.starts = self._slicers.starts
         #: Why bytes are junk.
-        self.reasons = Reasons(self.dialects, self._slicers, self._by_head, self.starts)
+        self.reasons = Reasons(self._slicers)
         self._byte_ns = byte_ns
         self._silence_ns = silence_ns
         self._buffer = b""
@@ -210,7 +197,7 @@ class Framer:
     @property
     def slicer(self) -> Slicer | None:
         """What finds the frames, where they are of one dialect."""
-        return self._slicers[0] if len(self._slicers) == 1 else None
+        return self._slicers.each[0] if len(self.dialects) == 1 else None
 
     @property
     def standing(self) -> int:
@@ -271,7 +258,7 @@ class Framer:
 
     def _advance(self, closed: bool) -> Iterator[Frame | Junk]:
         buffer, base, end, at = self._buffer, self._base, len(self._buffer), self._at
-        looks, owners, bursts, marks = self._looks, self._owners, self._bursts, self._marks
+        looks, owners, bursts, marks = self._slicers.looks, self._slicers.owners, self._bursts, self._marks
         port, direction, byte_ns = self.port, self._direction, self._byte_ns
         length, self._known = self._known, 0
         while at < end:
@@ -320,7 +307,7 @@ class Framer:
                 last_ns = max(before_ns, last_ns - (mark_stop - base - stop) * byte_ns)
                 first_ns = max(before_ns, first_ns - (mark_stop - 1 - start) * byte_ns)
             data = buffer[at:stop]
-            dialect = owners[data[0]] or self.dialects[self._owner(data)]
+            dialect = owners[data[0]] or self.dialects[self._slicers.owner(data)]
             # The framer is ready for the next event before it gives this one away.
             self._at = self._junk_from = at = stop
             self._step = base + stop
@@ -329,16 +316,9 @@ class Framer:
             yield Frame(port, first_ns, last_ns, start, data, dialect, direction, check_ok)
             self._known = 0
 
-    def _look_at_several(self, buffer: bytes, at: int, end: int, closed: bool) -> int:
-        """Look where frames of several dialects may begin: the longest that checks, when all have answered."""
-        answers = [self._slicers[i].look(buffer, at, end, closed) for i in self._by_head[buffer[at]]]
-        if MORE in answers:
-            return MORE
-        return TIE if TIE in answers else max(answers)
-
     def _look_at(self, at: int, closed: bool) -> int:
         """Look for a frame anywhere in the buffer."""
-        return self._looks[self._buffer[at]](self._buffer, at, len(self._buffer), closed)
+        return self._slicers.looks[self._buffer[at]](self._buffer, at, len(self._buffer), closed)
 
     def _shortest(self, at: int, closed: bool) -> int:
         """Return the length of the shortest frame that checks here, 0 for none, or `MORE`."""
@@ -357,7 +337,7 @@ class Framer:
     def _lengths(self, at: int, closed: bool) -> list[int]:
         """Return all lengths at which a frame checks here, ascending, and `MORE` behind them if there may be others."""
         buffer, end = self._buffer, len(self._buffer)
-        found = {n for i in self._by_head[buffer[at]] for n in self._slicers[i].lengths(buffer, at, end)}
+        found = {n for slicer in self._slicers.knowing[buffer[at]] for n in slicer.lengths(buffer, at, end)}
         wanting = MORE in found and not closed
         found.discard(MORE)
         return [*sorted(found), MORE] if wanting else sorted(found)
@@ -413,8 +393,8 @@ class Framer:
         framed = [n for n, f in zip(tied, followers, strict=True) if f not in (0, BOUNDARY)]
         if len(framed) == 1:
             return framed[0]
-        for index in self._by_head[self._buffer[at]]:
-            preferred = self._slicers[index].preferred(self._buffer, at, tied)
+        for slicer in self._slicers.knowing[self._buffer[at]]:
+            preferred = slicer.preferred(self._buffer, at, tied)
             if preferred:
                 return preferred
         bounded = [n for n, f in zip(tied, followers, strict=True) if f]
@@ -436,8 +416,8 @@ class Framer:
                 follower = self._follower(at + longer, closed)
                 if follower:
                     return MORE if follower == MORE else longer
-        index = self._owner(self._buffer[at:stop])
-        strong = self._slicers[index].strong_check
+        index = self._slicers.owner(self._buffer[at:stop])
+        strong = self._slicers.each[index].strong_check
         for start in self._places_in(at + 1, stop):
             inner = self._shortest(start, closed)
             if inner == MORE:
@@ -451,7 +431,7 @@ class Framer:
                 return MORE if follower == MORE else 0
             if start + inner > stop and not strong:
                 inside = self._buffer[start : start + inner]
-                if self._judges[self._owner(inside)].plausible(inside):
+                if self._slicers.plausible(inside, self._slicers.owner(inside)):
                     return 0
         return length if strong else self._or_inserted(at, length, index, closed)
 
@@ -468,14 +448,14 @@ class Framer:
         follower = self._follower(stop, closed)
         if follower == MORE:
             return MORE
-        slicer, judge = self._slicers[index], self._judges[index]
+        slicer, plausible = self._slicers.each[index], self._slicers.plausible
         data = self._buffer[at:stop]
         glitch = data[-1] in GLITCHES or data[-1] == data[-2]
-        if not follower or (glitch and judge.plausible(data[:-1])):
+        if not follower or (glitch and plausible(data[:-1], index)):
             return length
         for place in range(1, length):
             mended = data[:place] + data[place + 1 :]
-            if slicer.look(mended, 0, length, True) == length and judge.plausible(mended):
+            if slicer.look(mended, 0, length, True) == length and plausible(mended, index):
                 return 0
         return length
 
@@ -498,17 +478,18 @@ class Framer:
         """Find a frame where none checks by its code: foreign, damaged, short. Return also whether its check counts."""
         buffer, end = self._buffer, len(self._buffer)
         offset = self._base + at
-        known = [self._slicers[i] for i in self._by_head[buffer[at]]]
+        known = self._slicers.knowing[buffer[at]]
         if known and self._bursts and self._bursts[0] == offset:
             ends = len(self._bursts) > 1
             burst = self._bursts[1] - offset if ends else end - at
-            if burst <= self._longest:
+            if burst <= self._slicers.longest:
                 if not ends and not closed:
                     return MORE, False
                 stop = at + burst
                 firm = self._is_firm(stop, closed)
                 fits = any(s.whole(buffer[at:stop]) and (firm or s.foreign(buffer, at)) for s in known)
-                if fits and not any(self._looks[buffer[n]](buffer, n, stop, True) for n in self._places_in(at + 1, stop)):
+                looks = self._slicers.looks
+                if fits and not any(looks[buffer[n]](buffer, n, stop, True) for n in self._places_in(at + 1, stop)):
                     return burst, True
         for slicer in known:
             if slicer.strong_head or offset == self._step:
@@ -540,19 +521,6 @@ class Framer:
 
     # --- what is given away ---------------------------------------------------------------------------------------
 
-    def _owner(self, data: bytes) -> int:
-        """Return which dialect's frame this is, as an index; the first wins where several could."""
-        size = len(data)
-        known = self._by_head[data[0]]
-        for index in known if len(known) > 1 else ():
-            if size in self._slicers[index].lengths(data, 0, size):
-                return index
-        for index in known if len(known) > 1 else ():
-            slicer = self._slicers[index]
-            if slicer.whole(data) or size in slicer.damaged(data, 0, size):
-                return index
-        return known[0]
-
     def _drop_junk(self) -> Iterator[Junk]:
         """Give the junk away, by its reasons."""
         start, stop = self._junk_from, self._at
@@ -576,53 +544,3 @@ class Framer:
         """Return the time of one byte: that of its chunk less the bytes behind it, not before the chunk before."""
         mark = next(m for m in self._marks if offset < m.stop)
         return max(mark.before_ns, mark.t_ns - (mark.stop - 1 - offset) * self._byte_ns)
-
-
-class _Judge:
-    """Says whether a frame is one that the manual allows: a known code, every value in its range."""
-
-    def __init__(self, dialect: Dialect) -> None:
-        self._link = dialect.link
-        self._forms: dict[tuple[int | None, int], list[tuple[Role, Codec]]] = {}
-        self._packages: dict[int, Command] = {}
-        for command in dialect.commands:
-            if command.slots is not None:
-                self._packages[command.code] = command
-                continue
-            for role, forms in ((Role.REQUEST, command.request_forms), (Role.REPLY, command.reply_forms)):
-                for form in forms:
-                    code = command.code if form.code is None else form.code
-                    self._forms.setdefault((command.function, code), []).append((role, codec(form.layout)))
-
-    def plausible(self, frame: bytes) -> bool:
-        """Say whether the manual allows a complete frame."""
-        head = self._link.parse(frame)
-        if head.code is None:
-            return True
-        data = frame[head.start : head.stop]
-        package = self._packages.get(head.code)
-        if package is None or package.slots is None:
-            return self._allowed(head.role, head.function, head.code, data)
-        size = package.slots.size
-        slots = [data[n : n + size] for n in range(0, len(data), size)]
-        return all(self._slot_allowed(slot) for slot in slots if any(slot))
-
-    def _allowed(self, role: Role, function: int | None, code: int, data: bytes) -> bool:
-        """Say whether some form of the code has these data."""
-        return any(
-            role in (Role.UNKNOWN, wanted) and coder.matches(data) and not coder.broken(data)
-            for wanted, coder in self._forms.get((function, code), ())
-        )
-
-    def _slot_allowed(self, slot: bytes) -> bool:
-        """Say whether a slot of a package holds a request and zeros behind it."""
-        for role, coder in self._forms.get((None, slot[1]), ()) if len(slot) > 1 else ():
-            stop = 2 + coder.layout.byte_length
-            data = slot[2:stop]
-            if role is Role.REQUEST and coder.matches(data) and not coder.broken(data) and not any(slot[stop:]):
-                return True
-        return False
-
-
-def _nothing(buffer: bytes, at: int, end: int, closed: bool) -> int:
-    return 0

@@ -7,31 +7,23 @@ It follows from the bytes alone. So the framer and the columns tell the same.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
-from analyzer.catalogue import Dialect
-from analyzer.link import MORE, Slicer, places_in
+from analyzer.link import MORE, places_in
 from analyzer.records import JunkReason
+from analyzer.slicers import Slicers
 
 #: Junk is passed on in pieces of at most this many bytes, so that noise without end does not pile up.
 JUNK_PIECE = 4096
 
 
 class Reasons:
-    """Says why bytes of a line are junk. `by_head`: by first byte, the slicers that know it, as indexes."""
+    """Says why bytes of a line are junk."""
 
-    def __init__(
-        self,
-        dialects: Sequence[Dialect],
-        slicers: Sequence[Slicer],
-        by_head: Sequence[Sequence[int]],
-        starts: re.Pattern[bytes],
-    ) -> None:
-        self._links = [dialect.link for dialect in dialects]
-        self._slicers, self._by_head, self._starts = slicers, by_head, starts
-        self._longest = max(slicer.longest for slicer in slicers)
-        self._strong = any(slicer.strong_head for slicer in slicers)
+    def __init__(self, slicers: Slicers) -> None:
+        self._links = [dialect.link for dialect in slicers.dialects]
+        self._slicers = slicers
+        self._strong = any(slicer.strong_head for slicer in slicers.each)
 
     def parts(self, data: bytes) -> Iterator[tuple[bytes, JunkReason]]:
         """Yield the parts of some junk, one behind the other, and why each is junk."""
@@ -46,9 +38,8 @@ class Reasons:
         size = len(data)
         if size >= JUNK_PIECE:
             return size
-        for at in self._begins(data, max(0, size - self._longest)):
-            for index in self._by_head[data[at]]:
-                slicer = self._slicers[index]
+        for at in self._begins(data, max(0, size - self._slicers.longest)):
+            for slicer in self._slicers.knowing[data[at]]:
                 if at and not (slicer.strong_head and size - at > 2):
                     continue
                 if slicer.look(data, at, size, False) == MORE:
@@ -62,12 +53,12 @@ class Reasons:
                 return JunkReason.LEFT_OUT
         size = len(data)
         heads = 0
-        if size <= 2 * self._longest:
+        if size <= 2 * self._slicers.longest:
             for at in self._begins(data, 0):
-                known = (self._slicers[i] for i in self._by_head[data[at]])
+                known = self._slicers.knowing[data[at]]
                 heads += size - at > 2 and any(s.strong_head and s.damaged(data, at, size) for s in known)
         return JunkReason.COLLISION if heads > 1 else JunkReason.NOISE
 
     def _begins(self, data: bytes, first: int) -> Iterator[int]:
         """Yield where frames may begin, from one place on. Where no head is rare, those behind the first byte say nothing."""
-        return places_in(self._starts, data, first, len(data) if self._strong else 1)
+        return places_in(self._slicers.starts, data, first, len(data) if self._strong else 1)

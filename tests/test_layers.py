@@ -20,7 +20,7 @@ LAYERS = (
     ("analyzer.catalogue",),
     ("analyzer.protocols",),
     ("analyzer.dialects", "analyzer.records"),
-    ("analyzer.context", "analyzer.foreign", "analyzer.junk"),
+    ("analyzer.context", "analyzer.foreign", "analyzer.junk", "analyzer.slicers"),
     ("analyzer.framer", "analyzer.decoder", "analyzer.encoder"),
     ("analyzer.findings",),
     ("analyzer.transactions", "analyzer.events"),
