@@ -1,4 +1,5 @@
-"""The buses of a recording: their ports, how far each has come, its dialects, and the records held until these are known.
+"""The buses of a recording: their ports and spools, how far each has come, its dialects, and the records held until
+these are known.
 
 At the first traffic of a bus of unknown dialect everything stops, for half a second of traffic at most (`Detection`). So the
 log stays in order, and its decoded frames bear their own times. A dialect that is found later waits for a pause on its bus:
@@ -7,6 +8,7 @@ within a frame it would cut it.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -15,11 +17,12 @@ from analyzer.detect import Choice
 from analyzer.live.checkpoint import BusState
 from analyzer.live.config import PortConfig, RecordingConfig
 from analyzer.live.detection import Detection
-from analyzer.live.spool import CanFlag, Record, RecordKind
+from analyzer.live.spool import CAN_HEAD, CanFlag, Record, RecordKind
 from analyzer.live.spool_merge import Spool
 from analyzer.records import CanFrame, Chunk
 from analyzer.sinks.mcap_log import Speed
 from analyzer.sources.marks import ReceivedMarks
+from analyzer.system.decoding import UNDECODABLE
 
 #: Notes of a bus that are kept.
 NOTES_LIMIT = 20
@@ -66,6 +69,21 @@ class Bus:
         if self.kind == "can":
             return Speed(0, 1_000_000_000 // self.speed if self.speed else 0)
         return Speed(self.byte_ns, 0)
+
+    def can_frame(self, record: Record, t_ns: int) -> CanFrame:
+        """Return the CAN frame that a record holds, as it came at a time of the log."""
+        can_id, flags, data = record.can
+        return CanFrame(
+            t_ns,
+            self.name,
+            can_id,
+            data,
+            self.heard(Role.REQUEST if flags & CanFlag.TX else Role.REPLY),
+            bool(flags & CanFlag.EXTENDED),
+            bool(flags & CanFlag.REMOTE),
+            bool(flags & CanFlag.ERROR),
+            bool(flags & CanFlag.FD),
+        )
 
     def note(self, text: str) -> None:
         """Keep something to be said of the bus; the same once."""
@@ -134,6 +152,31 @@ class Bus:
             "notes": "; ".join(self.notes),
         }
         return {prefix + name: value for name, value in values.items() if value}
+
+
+class Follow:
+    """What is known of a spool apart from its records."""
+
+    def __init__(self, bus: Bus | None, port: PortConfig | None) -> None:
+        self.bus = bus
+        self.role = Role(port.direction) if port is not None else Role.UNKNOWN
+        self.byte_ns = port.byte_ns if port is not None else 0
+        #: `before` of the next record.
+        self.expected: int | None = 0
+        #: Its reader has ended.
+        self.ended = False
+
+    def stores(self, record: Record) -> bool:
+        """Say whether a record is one that the reader of this spool stores; without a bus it is of the recording itself."""
+        if record.kind == RecordKind.DATA:
+            return self.bus is not None and self.bus.kind == "serial"
+        if record.kind == RecordKind.CAN:
+            return self.bus is not None and self.bus.kind == "can" and len(record.data) >= CAN_HEAD.size
+        if record.kind == RecordKind.EVENT:
+            with contextlib.suppress(*UNDECODABLE):
+                return bool(record.event)
+            return False
+        return True
 
 
 def buses_of(config: RecordingConfig, known: Mapping[str, Dialect], devices: Sequence[Dialect]) -> dict[str, Bus]:

@@ -5,7 +5,8 @@
     boot        CLOCK_BOOTTIME where there is one: goes on while the machine sleeps, so it tells a sleep from a set clock
 
 Rules: the anchor is one moment on both clocks, taken as tightly as the machine allows. A wall clock that is set or slewed
-afterwards changes no time in a log; it is reported (`WallClock`). No I/O, and no clock is read but by `now` and `anchor`.
+afterwards changes no time in a log; it is reported (`WallClock`). Times of a log never go back (`LogClock`). No I/O, and no
+clock is read but by `now`.
 """
 
 from __future__ import annotations
@@ -13,10 +14,14 @@ from __future__ import annotations
 import time
 from typing import NamedTuple
 
+from analyzer.values import counted
+
 #: A wall clock that has moved by more than this within one look, against the monotonic one, was set.
 STEP_NS = 10_000_000
 #: How often drift is told.
 DRIFT_EVERY_NS = 60_000_000_000
+#: A record that comes this much later than its place is counted as late.
+_LATE_NS = 1_000_000
 #: Pairs read for an anchor; the fastest reading counts.
 _TRIES = 16
 
@@ -79,3 +84,43 @@ class WallClock:
             offset = at.wall_ns - self._start.wall_ns - (at.monotonic_ns - self._start.monotonic_ns)
             changes.append(Change("clock_drift", {"offset_ns": offset}))
         return changes
+
+
+class LogClock:
+    """The log's time (UTC, ns) of records, which never goes back. The arguments are one moment on both clocks."""
+
+    def __init__(self, monotonic_ns: int, utc_ns: int) -> None:
+        self._shift_ns = utc_ns - monotonic_ns
+        #: The time of the last record.
+        self.now_ns = utc_ns
+        #: Records that came too late for their place, and by how much at most.
+        self.moved = self.moved_ns = 0
+
+    @property
+    def monotonic_ns(self) -> int:
+        """The time of the last record on the monotonic clock."""
+        return self.now_ns - self._shift_ns
+
+    def at(self, t_ns: int) -> int:
+        """Go on to a record of a monotonic time; return its time in the log."""
+        utc_ns = t_ns + self._shift_ns
+        if utc_ns < self.now_ns:
+            if utc_ns < self.now_ns - _LATE_NS:
+                self.moved += 1
+                self.moved_ns = max(self.moved_ns, self.now_ns - utc_ns)
+            return self.now_ns
+        self.now_ns = utc_ns
+        return utc_ns
+
+    def restore(self, now_ns: int, moved: tuple[int, int]) -> None:
+        """Go on where another process stood."""
+        self.now_ns = now_ns
+        self.moved, self.moved_ns = moved
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be said of the times."""
+        if not self.moved:
+            return []
+        late = f"{counted(self.moved, 'record')} arrived up to {self.moved_ns / 1e6:.0f} ms late"
+        return [f"{late}; their times were moved forward"]

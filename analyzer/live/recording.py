@@ -21,47 +21,29 @@ import msgspec
 
 from analyzer import dialects as registry
 from analyzer import events
-from analyzer.catalogue import Role
 from analyzer.detect import Choice
 from analyzer.devices import described
 from analyzer.entries import Sink
 from analyzer.errors import UnreadableError
 from analyzer.framer import SILENCE_NS
 from analyzer.live import checkpoint
-from analyzer.live.bus import Bus, HeldRecords, buses_of
+from analyzer.live.bus import Bus, Follow, HeldRecords, buses_of
 from analyzer.live.checkpoint import Checkpoint, CountsState, LogState, SpoolState
-from analyzer.live.config import CONTROL, PortConfig, RecordingConfig
+from analyzer.live.clock import LogClock
+from analyzer.live.config import CONTROL, RecordingConfig
 from analyzer.live.counts import RecordingCounts
 from analyzer.live.log_parts import LogParts
-from analyzer.live.spool import CAN_HEAD, NEVER_NS, CanFlag, Record, RecordKind
+from analyzer.live.noted import event_values
+from analyzer.live.spool import NEVER_NS, Record, RecordKind
 from analyzer.live.spool_merge import Merger, Spool
 from analyzer.pipeline import Pipeline
 from analyzer.port import Options, PortSetup, Setups
 from analyzer.records import CanFrame, Chunk, Comment, Event
 from analyzer.sinks.object_table import Table
 from analyzer.sinks.recording_log import RecordingLog
-from analyzer.sources.times import iso
-from analyzer.system.decoding import UNDECODABLE
-from analyzer.values import counted
 
 #: A part is rotated in the midst of a frame when there was no better place for this long.
 SEAM_NS = 1_000_000_000
-#: Monotonic times and durations: name in a spool -> name in the log.
-_TIMES = {"from_ns": "from", "to_ns": "to"}
-_DURATIONS = {"gap_ns": "gap", "step_ns": "step", "offset_ns": "drift"}
-
-
-class Follow:
-    """What is known of a spool apart from its records."""
-
-    def __init__(self, bus: Bus | None, port: PortConfig | None) -> None:
-        self.bus = bus
-        self.role = Role(port.direction) if port is not None else Role.UNKNOWN
-        self.byte_ns = port.byte_ns if port is not None else 0
-        #: `before` of the next record.
-        self.expected: int | None = 0
-        #: Its reader has ended.
-        self.ended = False
 
 
 class Recording:
@@ -94,10 +76,7 @@ class Recording:
         self.follows: dict[str, Follow] = {CONTROL: Follow(None, None)}
         for port in config.ports:
             self.follows[port.stem] = Follow(self.buses[port.bus], port)
-        self._shift_ns = config.anchor_utc_ns - config.anchor_monotonic_ns
-        self.clock_ns = config.anchor_utc_ns
-        #: Records that came too late for their place, and by how much at most.
-        self.moved = self.moved_ns = 0
+        self._clock = LogClock(config.anchor_monotonic_ns, config.anchor_utc_ns)
         #: Why the recording ended, empty until then.
         self.ended = ""
         self.drift_ns = 0
@@ -172,11 +151,7 @@ class Recording:
             values |= file.about
         notes = [f"{bus.name}: {note}" for bus in self.buses.values() for note in bus.notes]
         notes += list(self.config.notes)
-        if self.moved:
-            notes.append(
-                f"{counted(self.moved, 'record')} arrived up to {self.moved_ns / 1e6:.0f} ms late; "
-                "their times were moved forward"
-            )
+        notes += self._clock.notes
         if notes:
             values["notes"] = "; ".join(notes)
         return values
@@ -184,12 +159,12 @@ class Recording:
     @property
     def rotation_due(self) -> bool:
         """It is time for another part, and here no frame is cut in two (or that was waited for long enough)."""
-        if not self.parts.full(self.clock_ns) or not self.counts.part_bytes:
+        if not self.parts.full(self._clock.now_ns) or not self.counts.part_bytes:
             return False
         if self._due_ns is None:
-            self._due_ns = self.clock_ns
+            self._due_ns = self._clock.now_ns
         ports = self.pipeline.ports.values()
-        return self.clock_ns - self._due_ns > SEAM_NS or all(p.framer is None or p.framer.between for p in ports)
+        return self._clock.now_ns - self._due_ns > SEAM_NS or all(p.framer is None or p.framer.between for p in ports)
 
     def rotate(self, patiently: Callable[[Callable[[], None]], None]) -> None:
         """End this part and begin another. `patiently` runs a step again until it succeeds."""
@@ -224,7 +199,7 @@ class Recording:
 
     def flush(self) -> None:
         """Bring everything so far into the log and note where it stands. Raises OSError; then call it again."""
-        self.log.tick(self.clock_ns)
+        self.log.tick(self._clock.now_ns)
         self.log.flush()
         self._save()
         for stem, spool in self.spools.items():
@@ -286,13 +261,13 @@ class Recording:
             },
             buses=buses,
             counts=msgspec.convert(self.counts.state(), CountsState),
-            clock_ns=self.clock_ns,
+            clock_ns=self._clock.now_ns,
             sequence=self.pipeline.sequence,
             digest=self.table.digest,
             decoding=checkpoint.dump_state(self.pipeline.state(), self.table),
             ended=self.ended,
             drift_ns=self.drift_ns,
-            moved=(self.moved, self.moved_ns),
+            moved=(self._clock.moved, self._clock.moved_ns),
         ).save(self.folder)
         self._number += 1
 
@@ -311,9 +286,8 @@ class Recording:
                 self.follows[stem].expected = spool.expected
                 self.follows[stem].ended = spool.ended
         self.counts.restore(msgspec.to_builtins(start.counts))
-        self.clock_ns = start.clock_ns
+        self._clock.restore(start.clock_ns, start.moved)
         self.ended, self.drift_ns = start.ended, start.drift_ns
-        self.moved, self.moved_ns = start.moved
         self.declare()
         setups = self._port_setups()
         if start.digest == self.table.digest:
@@ -358,7 +332,7 @@ class Recording:
             return
         kind = record.kind
         follow = self.follows[spool.stem]
-        if not _belongs(record, follow.bus):
+        if not follow.stores(record):
             spool.reader.damaged += len(record.data)
             return
         if kind == RecordKind.DATA or kind == RecordKind.CAN:
@@ -375,7 +349,7 @@ class Recording:
         elif kind == RecordKind.CAN:
             self._can(follow, record)
         elif kind == RecordKind.IDLE:
-            self._idle(follow, self._now(record.t_ns))
+            self._idle(follow, self._clock.at(record.t_ns))
         else:
             self._event(follow, record)
         follow.expected = record.before + (len(record.data) if kind == RecordKind.DATA else kind == RecordKind.CAN)
@@ -395,21 +369,10 @@ class Recording:
         """Bytes of the spools that were no record and are passed."""
         return sum(spool.reader.damaged for spool in self.spools.values())
 
-    def _now(self, t_ns: int) -> int:
-        """Return the log's time of a record, which never goes back."""
-        utc_ns = t_ns + self._shift_ns
-        if utc_ns < self.clock_ns:
-            if utc_ns < self.clock_ns - 1_000_000:
-                self.moved += 1
-                self.moved_ns = max(self.moved_ns, self.clock_ns - utc_ns)
-            return self.clock_ns
-        self.clock_ns = utc_ns
-        return utc_ns
-
     def _data(self, follow: Follow, record: Record) -> None:
         bus = follow.bus
         assert bus is not None  # the spool of the recording itself has none
-        t_ns, data = self._now(record.t_ns), record.data
+        t_ns, data = self._clock.at(record.t_ns), record.data
         chunk = Chunk(t_ns, bus.name, data, follow.role)
         offset = bus.offset
         size = len(data)
@@ -426,23 +389,12 @@ class Recording:
     def _can(self, follow: Follow, record: Record) -> None:
         bus = follow.bus
         assert bus is not None  # as above
-        t_ns = self._now(record.t_ns)
-        can_id, flags, data = record.can
-        frame = CanFrame(
-            t_ns,
-            bus.name,
-            can_id,
-            data,
-            bus.heard(Role.REQUEST if flags & CanFlag.TX else Role.REPLY),
-            bool(flags & CanFlag.EXTENDED),
-            bool(flags & CanFlag.REMOTE),
-            bool(flags & CanFlag.ERROR),
-            bool(flags & CanFlag.FD),
-        )
+        t_ns = self._clock.at(record.t_ns)
+        frame = bus.can_frame(record, t_ns)
         offset = bus.offset
-        bus.offset = offset + len(data)
+        bus.offset = offset + len(frame.data)
         bus.last_ns = t_ns
-        self.counts.bytes += len(data)
+        self.counts.bytes += len(frame.data)
         if self.config.raw_only:
             self.log.raw_can(frame, offset)
             return
@@ -482,7 +434,7 @@ class Recording:
         unit = "frames" if bus.kind == "can" else "bytes"
         missing = record.before - (follow.expected or 0)
         bus.lose(unit, missing)
-        self._now(record.t_ns)
+        self._clock.at(record.t_ns)
         self._feed_event(bus.name, "missing", {unit: missing})
 
     # --- events ---------------------------------------------------------------------------------------------------
@@ -490,12 +442,12 @@ class Recording:
     def _event(self, follow: Follow, record: Record) -> None:
         noted = record.event
         name = str(noted.get("event", ""))
-        t_ns = self._now(record.t_ns)
+        t_ns = self._clock.at(record.t_ns)
         bus = follow.bus
         if bus is None and name == "mark":
             self.pipeline.feed(Comment(t_ns, "", str(noted.get("text", ""))))
             return
-        values = _event_values(noted, self.config.utc_ns)
+        values = event_values(noted, self.config.utc_ns)
         if bus is not None:
             follow.ended = name == "closed"
             for note in values.get("notes", ()):
@@ -532,7 +484,7 @@ class Recording:
         return {**bus.setup(), **values}
 
     def _feed_event(self, bus: str, name: str, values: Mapping[str, Any]) -> None:
-        self.pipeline.feed(Event(self.clock_ns, bus, name, dict(values)))
+        self.pipeline.feed(Event(self._clock.now_ns, bus, name, dict(values)))
 
     def happened(self, name: str, **noted: Any) -> None:
         """Note an event of this process itself, as a reader would; it goes into the log at the next `settle`."""
@@ -543,12 +495,12 @@ class Recording:
         self._release(horizon_ns)
         if not self._held.active:
             self._feed_own()
-            self._held.look_again(self.buses.values(), self.clock_ns - self._shift_ns)
+            self._held.look_again(self.buses.values(), self._clock.monotonic_ns)
 
     def _feed_own(self) -> None:
         own, self._own = self._own, []
         for bus, noted in own:
-            self._feed_event(bus, noted["event"], _event_values(noted, self.config.utc_ns))
+            self._feed_event(bus, noted["event"], event_values(noted, self.config.utc_ns))
 
     # --- dialects -------------------------------------------------------------------------------------------------
 
@@ -567,7 +519,7 @@ class Recording:
                 self._take(spool, record)
 
     def _change(self, bus: Bus, choice: Choice, t_ns: int) -> None:
-        self._now(t_ns)
+        self._clock.at(t_ns)
         bus.dialects, bus.reason = choice.dialects, choice.reason
         self._feed_event(bus.name, events.DIALECT, {**bus.setup(), "reason": choice.reason})
 
@@ -575,35 +527,3 @@ class Recording:
         bus = self.buses.get(port)
         if bus is not None and bus.detection is not None:
             bus.detection.junk(size)
-
-
-def _belongs(record: Record, bus: Bus | None) -> bool:
-    """Say whether a record is one that a reader of this bus stores; None: of the recording itself."""
-    if record.kind == RecordKind.DATA:
-        return bus is not None and bus.kind == "serial"
-    if record.kind == RecordKind.CAN:
-        return bus is not None and bus.kind == "can" and len(record.data) >= CAN_HEAD.size
-    if record.kind == RecordKind.EVENT:
-        with contextlib.suppress(*UNDECODABLE):
-            return bool(record.event)
-        return False
-    return True
-
-
-def _event_values(noted: Mapping[str, Any], utc_ns: Callable[[int], int]) -> dict[str, Any]:
-    """Return the values of an event from what was noted; `utc_ns` gives the log's time of a monotonic one."""
-    values: dict[str, Any] = {}
-    for name, value in noted.items():
-        if name == "event" or value is None:
-            continue
-        if name in _TIMES and isinstance(value, int):
-            values[_TIMES[name]] = iso(utc_ns(value))
-        elif name in _DURATIONS and isinstance(value, int):
-            values[_DURATIONS[name]] = value / 1e9
-        elif isinstance(value, (list, tuple)):
-            values[name] = [str(each) for each in value]
-        elif isinstance(value, (str, int, float)):
-            values[name] = value
-        else:
-            values[name] = str(value)
-    return values
