@@ -42,7 +42,8 @@ examples:
 what passes, and what cannot: speed, stop bits and odd parity are followed; a pseudo-terminal does not tell even parity,
 so that has to stand in the endpoint (parity=even). RTS, DTR, breaks and modem lines do not pass: --rts, --dtr, --rs485.
 
-exit status: 0 the log has all traffic, 1 traffic was lost (see the summary), 2 wrong use
+exit status: 0 the log has all traffic, 1 traffic was lost (see the summary), 2 wrong use, or its output could not be
+written (the log is kept)
 """
 
 
