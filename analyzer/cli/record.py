@@ -72,7 +72,8 @@ examples:
   servotap record serial:/dev/ttyUSB0,baud=38400 --view
   servotap record can:socketcan:can0 --ids 1,2,0x123-0x12F
 
-exit status: 0 the log has all traffic, 1 traffic was lost (see the summary), 2 wrong use
+exit status: 0 the log has all traffic, 1 traffic was lost (see the summary), 2 wrong use, or its output could not be
+written (the log is kept)
 """
 
 
@@ -157,7 +158,10 @@ def record(
     readers: ReaderMaker | None = None,
     replaces: Sequence[Path] = (),
 ) -> int:
-    """Record as configured; return the exit status. Signals end it in order. `readers`, `replaces`: see `Supervisor`."""
+    """Record as configured; return the exit status. Signals end it in order. `readers`, `replaces`: see `Supervisor`.
+
+    Raises the OSError of a line that could not be printed, once the log is whole.
+    """
     from analyzer.cli.record_report import summarize
     from analyzer.live.supervisor import Supervisor
 
@@ -176,6 +180,8 @@ def record(
             thread.join()
     summary = summarize(supervisor)
     display.end(summary)
+    if display.unprinted is not None:
+        raise display.unprinted
     return 1 if summary.lost else 0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import threading
 import time
@@ -25,12 +24,6 @@ _SECOND_S = 1.0
 _BEHIND_NS = 1_000_000_000
 #: How often the live table is drawn.
 _TABLE_S = 0.25
-
-
-def _out(text: str) -> None:
-    """Print a line in one write. A recording goes on though the reader of its output has gone, or its disk is full."""
-    with contextlib.suppress(OSError):
-        print(text + "\n", end="", flush=True)
 
 
 def make_display(*, json: bool = False, view: bool = False) -> Display:
@@ -92,11 +85,22 @@ def seconds_of(supervisor: Supervisor) -> float:
 class Display:
     """Shows a recording: a line a second on standard output, notes on standard error. Subclasses show it in other ways.
 
+    `unprinted`: why a line could not be printed, of several the first; None where all were.
     `note` and `snapshot` are called from the supervisor's thread, the others from the main one.
     """
 
     #: Causes that were told.
     _told: frozenset[str] = frozenset()
+    #: The line that was shown last.
+    _shown = ""
+    unprinted: OSError | None = None
+
+    def _out(self, text: str) -> None:
+        """Print a line in one write. A recording goes on though the reader of its output has gone, or its disk is full."""
+        try:
+            print(text + "\n", end="", flush=True)
+        except OSError as error:
+            self.unprinted = self.unprinted or error
 
     def note(self, bus: str, text: str) -> None:
         """Tell what happened, on one bus or on all."""
@@ -119,7 +123,7 @@ class Display:
 
     def begin(self, supervisor: Supervisor) -> None:
         buses = ", ".join(dict.fromkeys(p.bus for p in supervisor.tallies.values()))
-        _out(f"recording {printable(buses)} to {printable(supervisor.config.log)}; Ctrl-C ends it")
+        self._out(f"recording {printable(buses)} to {printable(supervisor.config.log)}; Ctrl-C ends it")
 
     def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
         due = time.monotonic() + _SECOND_S
@@ -147,19 +151,22 @@ class Display:
             parts.append(late)
         if supervisor.phase in ("ending", "finishing"):
             parts.append("finishing the log")
-        _out(printable("  ".join(parts)))
+        shown = printable("  ".join(parts))
+        # While the log is finished nothing may change for long.
+        if shown != self._shown:
+            self._shown = shown
+            self._out(shown)
 
     def end(self, summary: Summary) -> None:
-        print("\n".join(as_text(summary)), flush=True)
+        self._out("\n".join(as_text(summary)))
 
 
 class JsonDisplay(Display):
     """The same as lines of JSON, each with an "event": begin, counts, note, end."""
 
-    @staticmethod
-    def _print(event: str, **about: Any) -> None:
+    def _print(self, event: str, **about: Any) -> None:
         # In one write: two threads that say something at once must not share a line.
-        _out(msgspec.json.encode({"event": event, **about}).decode())
+        self._out(msgspec.json.encode({"event": event, **about}).decode())
 
     def note(self, bus: str, text: str) -> None:
         self._print("note", bus=bus, text=text)

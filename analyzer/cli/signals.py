@@ -36,6 +36,11 @@ def ended_status() -> int:
     return 128 + _last
 
 
+def ended_by() -> str:
+    """Return the name for users of the signal that has ended a command."""
+    return ENDING[_last]
+
+
 @contextlib.contextmanager
 def handled(handler: Any) -> Iterator[None]:
     """Let `handler` take the signals that end a program, as `signal.signal` does; not a SIGHUP that `nohup` has it ignore."""

@@ -6,7 +6,7 @@ behind another request than its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -196,16 +196,37 @@ def _place(chain: tuple[Exchange, ...]) -> Iterator[Placed]:
     stream = b"".join(exchange.data for exchange in chain)
     reads = [(turn, number) for number, exchange in enumerate(chain) for turn in exchange.received]
     wanted = [awaited(e.request.message) if e.request.message is not None else [] for e in chain]
+    heads = _Heads(stream)
     start = at = 0
     for turn, number in reads:
         stop = start + len(turn.data)
-        while at < stop:
-            size = back = 0
-            for back in range(min(number, _BACK) + 1):
-                size = next((a.size for a in wanted[number - back] if a.stands(stream, at)), 0)
-                if size:
-                    break
+        near = [wanted[number - back] for back in range(min(number, _BACK) + 1)]
+        known = {each.head for replies in near for each in replies}
+        while (place := heads.first(known, at)) < stop:
+            found = ((back, each.size) for back, replies in enumerate(near) for each in replies if each.stands(stream, place))
+            back, size = next(found, (0, 0))
             if size:
-                yield Placed(turn, at - start, back, at + size > stop)
-            at += size or 1
+                yield Placed(turn, place - start, back, place + size > stop)
+            at = place + (size or 1)
         start = stop
+        at = max(at, stop)
+
+
+class _Heads:
+    """Where replies can begin in a stream: junk is passed over from head to head, and each head is searched for once."""
+
+    def __init__(self, stream: bytes) -> None:
+        self._stream = stream
+        #: Where each head stands next.
+        self._next: dict[bytes, int] = {}
+
+    def first(self, heads: Collection[bytes], at: int) -> int:
+        """Return the first place from `at` on where one of them stands; the end of the stream if there is none."""
+        return min((self._place(head, at) for head in heads), default=len(self._stream))
+
+    def _place(self, head: bytes, at: int) -> int:
+        place = self._next.get(head, -1)
+        if place < at:
+            place = self._stream.find(head, at)
+            self._next[head] = place = len(self._stream) if place < 0 else place
+        return place

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from itertools import repeat
 from typing import TYPE_CHECKING, NamedTuple
@@ -27,6 +27,8 @@ _AT_ONCE = 64
 #: Frames with what stands near them, and findings, of which more would show nothing new.
 _MOST_KEPT = 20_000
 _MOST_FINDINGS = 5_000
+#: Bytes of junk that are kept of what came first, and again each time as much has come as before.
+_MUCH_JUNK = 32_768
 #: Comments that are kept, and how much of each.
 _MOST_SAID, _LONGEST_SAID = 200, 1000
 
@@ -48,6 +50,14 @@ class _Rows(NamedTuple):
     more: int
 
 
+class _KeptRead(NamedTuple):
+    """A read of a bus. `torn`: the reader of the capture lost bytes there."""
+
+    port: str
+    torn: bool
+    read: Read
+
+
 class Watch:
     """Keeps what stands near trouble. Feed it the items of the source by `take`, before the pipeline gets them."""
 
@@ -58,7 +68,8 @@ class Watch:
         self._reads_near: deque[tuple[Chunk, int]] = deque(maxlen=2 * _NEAR)
         #: Chunks that came since the last numbering.
         self._chunks: list[Chunk] = []
-        self._reads: list[tuple[Chunk, int]] = []
+        #: The reads that are kept, without their bytes.
+        self._reads: list[_KeptRead] = []
         #: The last block of bytes: where it begins on its bus, and how many of its chunks are among the reads that are near.
         self._block: ByteBlock | None = None
         self._block_offset = self._block_read = 0
@@ -67,6 +78,9 @@ class Watch:
         self._findings: list[Finding] = []
         self._said: list[str] = []
         self._plain: Plain
+        #: Bytes of junk that came on each bus since the last forgetting, and those of them that are kept.
+        self._junk: Counter[str] = Counter()
+        self._junk_kept: Counter[str] = Counter()
         #: Frames and findings that came by, kept or not.
         self.frames = self.found = 0
         self.timed = self._words = self._asks = False
@@ -155,7 +169,12 @@ class Watch:
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
         """Take bytes that are no frame."""
-        self._near.append((None, junk, sequence, None))
+        port, size = junk.port, len(junk.data)
+        # Junk without end is looked at in samples, one more as often as it doubles.
+        if self._junk_kept[port] < _MUCH_JUNK * (1 + (self._junk[port] // _MUCH_JUNK).bit_length()):
+            self._near.append((None, junk, sequence, None))
+            self._junk_kept[port] += size
+        self._junk[port] += size
 
     def finding(self, found: Finding) -> None:
         """Take a finding: what stands near it is kept."""
@@ -187,15 +206,23 @@ class Watch:
         self._kept.clear()
         self._reads.clear()
         self._findings.clear()
+        self._junk.clear()
+        self._junk_kept.clear()
 
     def _keep(self) -> None:
         self._number()
         if self._block is not None:
             self._read_block(self._block.taken)
+        if not self._near:
+            # What was found is junk that is passed over. The next frame may stand in what was read.
+            return
         if len(self._kept) < _MOST_KEPT:
             self._spread()
             self._kept.extend(each for each in self._near if not isinstance(each, _Rows))
-            self._reads.extend(self._reads_near)
+            self._reads.extend(
+                _KeptRead(c.port, c.torn, Read(offset, offset + len(c.data), c.t_ns, c.direction, c.burst))
+                for c, offset in self._reads_near
+            )
         self._near.clear()
         self._reads_near.clear()
 
@@ -226,8 +253,8 @@ class Watch:
 
     def _scene(self, bus: str, pieces: list[Piece], dialects: tuple[Dialect, ...]) -> Scene:
         """Return a bus without what rests on bytes that the reader of the capture could not read."""
-        reads = [(chunk, offset) for chunk, offset in self._reads if chunk.port == bus]
-        torn = [(offset, offset + len(chunk.data)) for chunk, offset in reads if chunk.torn]
+        reads = [each for each in self._reads if each.port == bus]
+        torn = [(each.read.offset, each.read.stop) for each in reads if each.torn]
         kept = [p for p in pieces if p.sound or not any(p.offset < stop and p.stop >= start for start, stop in torn)]
         # The reply to what was asked before may be among what is missing.
         asked = {max((p.sequence for p in kept if p.is_request and p.stop <= start), default=-1) for start, _ in torn}
@@ -236,6 +263,6 @@ class Watch:
         told = [f for f in findings if f.sequence not in lost or (f.sequence in asked and f.rule not in SILENT)]
         return Scene(
             bus, dialects, kept,
-            [Read(offset, offset + len(c.data), c.t_ns, c.direction, c.burst) for c, offset in reads],
+            [each.read for each in reads],
             told, self.frames, self.timed, self._words and not self._asks, tuple(self._said), len(findings) - len(told),
         )  # fmt: skip

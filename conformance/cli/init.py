@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from analyzer.cli.signals import ended_status
 from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live import profile
@@ -20,7 +21,8 @@ from conformance.cli.scan import add_looking_arguments, look, show, without_rate
 from conformance.talk.scan import Found
 
 EXAMPLES = """\
-exit status: 0 written, 1 no drive answered and nothing was written, 2 wrong use.
+exit status: 0 written, 1 no drive answered and nothing was written, 2 wrong use,
+130 Ctrl-C, 143 SIGTERM: the drives that were found by then are written.
 
 examples:
   servotap init serial:/dev/ttyUSB0                          drive1, drive2, ... by their addresses
@@ -72,9 +74,12 @@ def run(arguments: argparse.Namespace) -> int:
         report = look(endpoint, arguments)
         show(report, endpoint)
         seen.append(_Seen(endpoint, named, report.found))
+        if report.interrupted:
+            break
+    ended = ended_status() if report.interrupted else 0
     if not any(each.found for each in seen):
         print("nothing written: no drive answered", file=sys.stderr)
-        return 1
+        return ended or 1
     text, names, drive = _profile(seen)
     try:
         target.write_text(text, encoding="utf-8")
@@ -82,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"cannot write {target}: {error.strerror or error}") from None
     print(f"wrote {target}: {', '.join(names)}")
     print(f"to go on:\n  servotap record {names[0]} --view -o week.mcap\n  servotap test {drive} --short")
-    return 0
+    return ended
 
 
 def _profile(seen: Sequence[_Seen]) -> tuple[str, list[str], str]:

@@ -1,7 +1,7 @@
 """Search a bus for drives, with reads only: over rates, dialects and addresses. Report replies and other bytes.
 
 An endpoint with a rate is searched at that rate alone. Without a rate a serial line is tried at every rate of the manuals.
-Ctrl-C ends the search and shows what was found so far.
+Ctrl-C or SIGTERM ends the search and shows what was found so far.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
+from analyzer.cli.signals import ended_by, ended_status
 from analyzer.diagnosis.diagnose import lines
 from analyzer.errors import UsageError
 from analyzer.live import profile
@@ -24,10 +25,10 @@ from analyzer.values import addresses as addresses_of
 from analyzer.values import counted, printable, quote
 from conformance.cli.endpoint import gate_to, rate_text
 from conformance.gate.permissions import Allowance
-from conformance.talk.scan import BY_CTRL_C, PATIENCE_NS, Found, Progress, Report, Stray, scan
+from conformance.talk.scan import PATIENCE_NS, Found, Progress, Report, Stray, scan
 
 EXAMPLES = """\
-exit status: 0 a drive was found, 1 none was, 2 wrong use.
+exit status: 0 a drive was found, 1 none was, 2 wrong use, 130 Ctrl-C, 143 SIGTERM.
 
 examples:
   servotap scan serial:/dev/ttyUSB0
@@ -62,7 +63,7 @@ def add_looking_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Scan; return 0 if a drive was found."""
+    """Scan; return 0 if a drive was found, 1 if none was, and where a signal has ended the search what it stands for."""
     endpoint = profile.endpoint(arguments.endpoint)
     report = look(endpoint, arguments, quiet=arguments.json)
     if arguments.json:
@@ -71,11 +72,13 @@ def run(arguments: argparse.Namespace) -> int:
         show(report, endpoint)
         for line in _next_lines(report, endpoint):
             print(line)
+    if report.interrupted:
+        return ended_status()
     return 0 if report.found else 1
 
 
 def look(endpoint: Endpoint, arguments: argparse.Namespace, *, quiet: bool = False) -> Report:
-    """Return what answers on a bus; without `quiet`, drives are shown as they are found. Ctrl-C ends it early."""
+    """Return what answers on a bus; without `quiet`, drives are shown as they are found. A signal ends it early."""
     dialects = dialects_on(endpoint, arguments.dialects)
     addresses = addresses_of(arguments.addresses, "--addresses", min(d.addresses[0] for d in dialects))
     rates = rates_of(arguments.rates, endpoint, dialects)
@@ -97,7 +100,7 @@ def look(endpoint: Endpoint, arguments: argparse.Namespace, *, quiet: bool = Fal
                 busy=arguments.busy, enough=tell, progress=progress, report=report,
             )  # fmt: skip
         except KeyboardInterrupt:
-            report.stopped = BY_CTRL_C
+            report.stopped, report.interrupted = f"stopped by {ended_by()}", True
     return report
 
 

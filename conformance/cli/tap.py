@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import stat
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -21,6 +22,7 @@ from analyzer.cli.record import add_recording_arguments, asked_duration_ns, conf
 from analyzer.errors import UsageError
 from analyzer.live import profile
 from analyzer.live.endpoint import Endpoint
+from analyzer.live.reader_port import Unopened, find_adapter
 
 if TYPE_CHECKING:
     from analyzer.live.children import Child, MessageQueue
@@ -42,7 +44,8 @@ examples:
 what passes, and what cannot: speed, stop bits and odd parity are followed; a pseudo-terminal does not tell even parity,
 so that has to stand in the endpoint (parity=even). RTS, DTR, breaks and modem lines do not pass: --rts, --dtr, --rs485.
 
-exit status: 0 the log has all traffic, 1 traffic was lost (see the summary), 2 wrong use
+exit status: 0 the log has all traffic, 1 traffic was lost (see the summary), 2 wrong use, or its output could not be
+written (the log is kept)
 """
 
 
@@ -63,6 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Pass and record until the end is asked for; return 0, or 1 if something was lost."""
     display = display_of(arguments, "tap")
     endpoint = _endpoint(arguments.endpoint)
+    _refuse_own_port(arguments.link, endpoint)
     target = target_of(arguments)
     notes = [] if endpoint.speed else [f"{endpoint.name}: {endpoint.bits_per_second} baud until the program sets a speed"]
     directions = [replace(endpoint, direction=role) for role in (Role.REQUEST, Role.REPLY)]
@@ -93,6 +97,28 @@ def _endpoint(text: str) -> Endpoint:
         raise UsageError(f"{text}: a tap knows both directions; direction= is for servotap record")
     # The program sets the speed.
     return replace(endpoint, auto=False)
+
+
+def _refuse_own_port(link: str, endpoint: Endpoint) -> None:
+    """Raise UsageError where the link would take the adapter's place, whatever the two are called."""
+    port = endpoint.place if endpoint.kind == "serial" else ""
+    if endpoint.adapter:
+        # Where it is not plugged in, the tap waits for it.
+        with contextlib.suppress(Unopened):
+            port = find_adapter(endpoint.adapter)
+    if port and (os.path.realpath(port) == os.path.realpath(link) or _is_device(port, link)):
+        raise UsageError(
+            f"--link {link} is the adapter's port, {endpoint.text}: give the program another name, as in --link /tmp/ttyDRIVE"
+        )
+
+
+def _is_device(one: str, other: str) -> bool:
+    """Say whether two names are of one device."""
+    try:
+        found = [os.stat(name) for name in (one, other)]
+    except OSError:
+        return False
+    return all(stat.S_ISCHR(each.st_mode) for each in found) and found[0].st_rdev == found[1].st_rdev
 
 
 @contextlib.contextmanager

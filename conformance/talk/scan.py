@@ -54,8 +54,6 @@ class StrayKind(StrEnum):
 
 #: Records of a rate that are kept to be diagnosed.
 _KEPT = 4000
-#: Why a search ended before it was through: the user wished so.
-BY_CTRL_C = "stopped by Ctrl-C"
 
 
 @dataclass(frozen=True)
@@ -102,6 +100,8 @@ class Stray:
 class Report:
     """What a scan found. `rates`: those that it tried; `stopped`: why it did not look everywhere, or nothing.
 
+    `interrupted`: a signal is why.
+
     `refused`: drives that were not asked, for the question is more than a read in another dialect of the bus.
     """
 
@@ -113,6 +113,7 @@ class Report:
     dialects: tuple[str, ...] = ()
     echoes: bool = False
     stopped: str = ""
+    interrupted: bool = False
     kind: str = "serial"
     #: Frames of nodes that are no drives, by identifier.
     others: Counter[str] = field(default_factory=Counter)
@@ -138,7 +139,7 @@ class Report:
     @property
     def hints(self) -> list[str]:
         """What to check, the likeliest first; empty where drives answered and nothing is odd."""
-        if self.stopped == BY_CTRL_C:
+        if self.interrupted:
             return []
         if self.stopped:
             return ["end the other host, or read its traffic: servotap record ENDPOINT; --busy asks all the same"]

@@ -243,6 +243,21 @@ def test_a_duration_ends_it(tmp_path):
         assert 0.3 <= recorded.summary["seconds"] < 3
 
 
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no /dev/full on this machine")
+@pytest.mark.parametrize("words", [(), ("--json",)])
+def test_an_output_that_cannot_be_written_is_told_and_the_log_is_whole(tmp_path, words):
+    log = tmp_path / "out.mcap"
+    with pty_pair() as (_, path), open("/dev/full", "w") as full:
+        asked = ["record", f"left=serial:{path},baud=9600", "-o", str(log), "--duration", "0.3", *words]
+        done = subprocess.run(
+            [sys.executable, "-m", "analyzer", *asked],
+            cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    assert done.returncode == 2
+    assert "servotap: cannot write the output: No space left on device" in done.stderr
+    assert events(log)[-1]["event"] == "end"
+
+
 def test_the_second_ctrl_c_says_that_the_log_is_being_finished_and_the_third_leaves_it(tmp_path):
     with pty_pair() as (master, path), Recorded(tmp_path, f"left=serial:{path},baud=115200") as recorded:
         os.write(master, POLL)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import sys
 from types import SimpleNamespace
+
+import pytest
 
 from analyzer.cli.record_display import Display, JsonDisplay, behind
 from analyzer.live.port_status import PortStatus
@@ -44,6 +47,44 @@ def test_a_reader_of_the_output_that_has_gone_does_not_end_a_recording(monkeypat
     monkeypatch.setattr(sys, "stdout", Gone())
     JsonDisplay().note("left", "cannot store")
     Display().begin(SimpleNamespace(tallies={}, config=SimpleNamespace(log="x.mcap")))
+
+
+def finishing():
+    return SimpleNamespace(
+        snapshot=None, tallies={"1": PortStatus(bus="left", endpoint="", count=7)}, began_ns=1, ended_ns=3, phase="finishing",
+        config=SimpleNamespace(raw_only=False, log="x.mcap"),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("display", [Display(), JsonDisplay()])
+def test_the_first_line_that_could_not_be_printed_is_kept_for_the_end(monkeypatch, display):
+    class Full(io.StringIO):
+        def write(self, text):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    display.line(finishing())
+    assert display.unprinted is None
+    with monkeypatch.context() as full:
+        full.setattr(sys, "stdout", Full())
+        display.begin(SimpleNamespace(tallies={}, config=SimpleNamespace(log="x.mcap")))
+    first = display.unprinted
+    assert first.errno == errno.ENOSPC
+    display.line(finishing())
+    assert display.unprinted is first
+
+
+def test_a_line_in_which_nothing_has_changed_is_not_printed_again(monkeypatch):
+    out = Writes()
+    monkeypatch.setattr(sys, "stdout", out)
+    display, supervisor = Display(), finishing()
+    for _ in range(3):
+        display.line(supervisor)
+    assert len(out.each) == 1
+    supervisor.snapshot = Snapshot(0, 1, buses=[BusCounts("left", frames=1)])
+    display.line(supervisor)
+    display.line(supervisor)
+    assert len(out.each) == 2
+    assert "1 frame" in out.each[1]
 
 
 def test_it_says_by_how_much_decoding_is_behind(monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import tomllib
 
 import pytest
@@ -50,6 +51,24 @@ def test_a_profile_is_written_of_what_answers(port, tmp_path, capsys):
     assert "servotap.toml exists; --force replaces it" in capsys.readouterr().err
     assert run(init, f"arm=serial:{path},baud=38400", "--addresses", "2", "--force") == 0
     assert profile.look_up("arm").drives[0].target == "mks-rs485@2"
+
+
+def test_a_signal_ends_the_search_on_all_buses_and_what_was_found_is_written(port, tmp_path, capsys, monkeypatch):
+    path, _ = port
+    look = scan.scan
+
+    def until_second(*arguments, **options):
+        def stop(done, total, where):
+            if done == 2:
+                signal.raise_signal(signal.SIGTERM)
+
+        return look(*arguments, **options | {"progress": stop})
+
+    monkeypatch.setattr(scan, "scan", until_second)
+    words = [f"left=serial:{path},baud=38400", "right=serial:/dev/absent", "--dialects", "mks-rs485", "--addresses", "1-9"]
+    assert run(init, *words) == 128 + signal.SIGTERM
+    assert profile.look_up("left").drives[0].target == "mks-rs485@1"
+    assert "stopped by SIGTERM" in capsys.readouterr().out
 
 
 def test_nothing_is_written_where_nothing_answers(port, tmp_path, capsys):

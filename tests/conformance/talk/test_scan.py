@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from analyzer import cli as analyzer_cli
 from analyzer import dialects
 from analyzer.catalogue import Dialect, Risk, Role, always
+from analyzer.cli.signals import ENDING
 from analyzer.encoder import build
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import parse
@@ -287,19 +289,22 @@ def test_nothing_found_is_1(path: str, capsys: pytest.CaptureFixture[str]):
     assert "wiring" in out
 
 
-def test_ctrl_c_shows_what_was_found(path: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("number", ENDING)
+def test_a_signal_shows_what_was_found(
+    number: int, path: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
     def until_three(*arguments: Any, **options: Any) -> Report:
         def stop(done: int, total: int, where: str) -> None:
             if done == 2:
-                raise KeyboardInterrupt
+                signal.raise_signal(number)
 
         return scan(*arguments, **options | {"progress": stop})
 
     monkeypatch.setattr(command, "scan", until_three)
-    assert run(f"serial:{path},baud=19200", "--dialects", "mks-rs485", "--addresses", "1-9") == 0
+    assert run(f"serial:{path},baud=19200", "--dialects", "mks-rs485", "--addresses", "1-9") == 128 + number
     out = capsys.readouterr().out
     assert "mks-rs485@1" in out
-    assert "stopped by Ctrl-C" in out
+    assert f"stopped by {ENDING[number]}\n" in out
     assert "end the other host" not in out
 
 

@@ -19,6 +19,7 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.cli import main
 from analyzer.encoder import build
+from conformance.cli import tap as command
 from tests.conformance.drives.served import Emulated, on_pty, wait_for
 from tests.live.recorded import Recorded
 from tests.logs import messages
@@ -58,6 +59,48 @@ def ask(port: serial.Serial, count: int = 1) -> None:
     for _ in range(count):
         port.write(READ)
         assert port.read(len(REPLY)) == REPLY
+
+
+@pytest.fixture
+def names(tmp_path: Path) -> Iterator[tuple[str, dict[str, str]]]:
+    """Return a port and other names of it."""
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+    os.set_blocking(master, False)
+    by_id, by_link = tmp_path / "by-id", tmp_path / "by-link"
+    by_id.symlink_to(path)
+    by_link.symlink_to(by_id)
+    spelled = f"{os.path.dirname(path)}/../pts/./{os.path.basename(path)}"
+    yield path, {"itself": path, "spelled": spelled, "link": str(by_id), "two links": str(by_link)}
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.mark.parametrize("name", ["itself", "spelled", "link", "two links"])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_link_in_place_of_the_adapter_is_refused_before_anything_is_opened(
+    name: str, swapped: bool, names: tuple[str, dict[str, str]], tmp_path: Path,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    path, others = names
+    before = sorted(tmp_path.iterdir())
+    port, link = (others[name], path) if swapped else (path, others[name])
+    monkeypatch.setattr(os, "openpty", None)
+    assert main(["tap", f"serial:{port}", "--link", link, "-o", str(tmp_path / "x.mcap")]) == 2
+    assert f"--link {link} is the adapter's port, serial:{port}" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before
+    assert Path(others["link"]).readlink() == Path(path)
+
+
+def test_a_link_in_place_of_an_adapter_is_refused_by_its_number_and_before_it_is_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    absent = tmp_path / "absent"
+    for endpoint in (f"serial:{absent}", "serial:,serial=A1"):
+        monkeypatch.setattr(command, "find_adapter", lambda number: str(absent))
+        assert main(["tap", endpoint, "--link", f"{tmp_path}/./absent", "-o", str(tmp_path / "x.mcap")]) == 2
+        assert "is the adapter's port" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_modbus_program_and_its_drive_are_recorded_with_their_directions(tmp_path: Path) -> None:
