@@ -288,7 +288,8 @@ def refused(error: BaseException) -> str:
 def _output_is_closed() -> bool:
     """Say whether the output was closed from the start: then it is open for reading alone."""
     try:
-        os.write(sys.stdout.fileno(), b"")
+        with open(sys.stdout.fileno(), "wb", buffering=0, closefd=False) as output:
+            output.write(b"")
     except OSError as error:
         return error.errno == errno.EBADF
     return False

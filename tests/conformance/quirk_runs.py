@@ -17,8 +17,9 @@ from conformance.suite.rig_emulated import EmulatedRig
 from conformance.talk.probe import ALL_QUIRKS
 
 DIALECTS = ("mks-rs485", "mks-modbus", "mks-can", "lk-rs485")
-#: Of the drives with quirks: another one than those have by which the engine looks what a quirk explains.
-SEED = 24
+#: Of the drives with quirks: other ones than those have by which the engine looks what a quirk explains. The first tries
+#: each claim; a quirk whose delays are drawn may miss one there, so the others try what it left as it was.
+SEED, MORE_SEEDS = 24, (25, 26, 27)
 #: Quirks that a listener cannot tell from what the manual has, in these dialects: Modbus echoes a calibration anyway.
 UNSEEN = {("mks-modbus", "calibration-answers-1")}
 
@@ -59,7 +60,8 @@ def run(
 def changes(dialect: str, quirk: str, wanted: Iterable[Claim], before: dict[str, engine.Verdict]) -> Changes:
     """Run claims on a drive with a quirk, and compare with the verdicts on one without."""
     found = Changes()
-    for claim_id, verdict in run(f"{dialect}@1,quirk={quirk}", wanted, seed=SEED).items():
+    drive = f"{dialect}@1,quirk={quirk}"
+    for claim_id, verdict in run(drive, wanted, seed=SEED).items():
         was = before[claim_id].outcome
         # A claim that does not name it may meet it all the same: the engine says so, by an emulated drive with the quirk.
         named = quirk in verdict.claim.quirks
@@ -70,7 +72,9 @@ def changes(dialect: str, quirk: str, wanted: Iterable[Claim], before: dict[str,
         elif not named and quirk not in verdict.quirks and verdict.outcome is not was:
             found.unnamed.append(f"{claim_id}: {was} before, {verdict.outcome} now: {verdict.reason}")
         elif named and verdict.outcome is not Outcome.OBSERVED and was is not Outcome.NOT_RUN:
-            found.unmoved.append(f"{claim_id}: {verdict.outcome}")
+            more = (run(drive, [verdict.claim], seed=seed)[claim_id].outcome for seed in MORE_SEEDS)
+            if Outcome.OBSERVED not in more:
+                found.unmoved.append(f"{claim_id}: {verdict.outcome}")
         found.observed += named and verdict.outcome is Outcome.OBSERVED
     if (dialect, quirk) in UNSEEN:
         found.unmoved.clear()

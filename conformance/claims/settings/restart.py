@@ -37,6 +37,7 @@ from conformance.claims.settings.link_changes import (
     ask_in,
     at_rate,
     change_address,
+    expect_not_refused,
     is_reply,
     need_reply_or_silence,
     other_address,
@@ -204,6 +205,7 @@ def _speed_of_the_line(probe: Probe, command: Command) -> None:
     need_reliable_replies(probe)
     other = another_rate(probe)
     with at_rate(probe, other) as exchange:
+        expect_not_refused(probe, command, other, exchange)
         if not answers(probe, probe.address):
             raise Inconclusive(f"the drive does not answer at {other} bits per second")
         probe.ask(Verb.RESTART)
@@ -225,6 +227,7 @@ def _dialect_of_the_line(probe: Probe, command: Command, field: str) -> None:
     assert own.chosen_by is not None
     assert sibling.chosen_by is not None
     exchange = probe.ask(command, {field: sibling.chosen_by})
+    expect_not_refused(probe, command, sibling.chosen_by, exchange)
     probe.wait(SETTLE_NS)
     ask_in(probe, sibling, sibling.by_verb[Verb.RESTART].name)
     probe.wait(DEAF_NS)

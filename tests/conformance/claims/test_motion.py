@@ -336,7 +336,7 @@ def test_a_move_within_bounds_is_all_that_a_bounded_run_sends():
     chosen = {name(c): c for c in every(rig)}
     assert engine.run_claim(chosen["move_relative_axis/distance"], rig).outcome is Outcome.CONFIRMED
     assert engine.run_claim(chosen["move_relative_axis/crossed-ends"], rig).outcome is Outcome.CONFIRMED
-    beyond = engine.run_claim(chosen["move_relative_axis/mode-limit"], rig)
+    beyond = engine.run_claim(chosen["move_relative_axis/told-when-there"], rig)
     assert beyond.outcome is Outcome.NOT_RUN
     assert "rpm" in beyond.reason
     unbounded = engine.run_claim(chosen["run_speed/speed-60"], rig)
