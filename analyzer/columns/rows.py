@@ -24,6 +24,7 @@ from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import Bytes, Flags, Integers, column_codec
 from analyzer.columns.groups import groups, ranks, taken, words
 from analyzer.columns.plain import Plain
+from analyzer.framer import JUMP_BACK_NS
 from analyzer.layout import Field
 from analyzer.records import Lane
 
@@ -68,7 +69,7 @@ class Rows:
         np.cumsum(each, out=self._firsts[1:])
         rows = np.repeat(np.arange(count), each)
         carried: list[_Part] = []
-        parts = [*_tails(plain, sequences), *_heads(plain, carried)]
+        parts = [*_tails(plain, sequences, log_ns), *_heads(plain, carried)]
         sizes = np.zeros(count, dtype=np.int64)
         for own, pieces in parts:
             sizes[own] += text.width(pieces)
@@ -167,17 +168,22 @@ def _heads(plain: Plain, carried: list[_Part]) -> Iterator[_Part]:
             carried.append((rows, [*parts, b"}"]))
 
 
-def _tails(plain: Plain, sequences: Integers) -> Iterator[_Part]:
+def _tails(plain: Plain, sequences: Integers, log_ns: Integers) -> Iterator[_Part]:
     """Yield the ends of all messages, which are the log's own keys: those of requests, and those of replies.
 
-    `sequences`: of each row; replies tell the numbers of their requests.
+    `sequences`: of each row; replies tell the numbers of their requests. `log_ns`: where the clock was set back, later than
+    the row's own time.
     """
     block = plain.block
+    backward_ns = np.where(block.t_ns < log_ns - JUMP_BACK_NS, log_ns - block.t_ns, 0)
     asks = of_lanes(plain, [lane.is_request for lane in plain.lanes], False)
     for rows, is_request in ((np.flatnonzero(asks), True), (np.flatnonzero((plain.lane >= 0) & ~asks), False)):
         if not len(rows):
             continue
         pieces: list[text.Piece] = [b'","_checksum_ok":true,"_offset":', text.integers(plain.offsets.take(rows))]
+        own_ns = backward_ns.take(rows)
+        if own_ns.any():
+            pieces += [text.only(own_ns > 0, piece) for piece in (b',"_backward_ns":', text.integers(own_ns))]
         if not is_request:
             pieces += _reply(plain, rows, sequences)
         if isinstance(block, CanBlock):

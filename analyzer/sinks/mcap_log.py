@@ -182,15 +182,6 @@ class McapLog:
         """Write plain exchanges, and the state that they carry."""
         assert isinstance(self._file, McapFile)  # only a capture that is read whole comes in blocks
         plain, block = self._plain, self._plain.block
-        if block.t_ns[start] < self._last_ns - JUMP_BACK_NS:
-            # Its clock was set back: each message says how far.
-            for row in range(start, stop):
-                lane, latency_ns = plain.lanes[plain.lane[row]], int(plain.latencies[row])
-                number = sequence + row - start
-                asked_by = None if lane.is_request else number - int(plain.behind[row])
-                known_ns = latency_ns if asked_by is not None and latency_ns > 0 else None
-                self.plain(lane, plain.frame(row), number, known_ns, asked_by)
-            return
         if not self._channels_of[:, 0].all():
             self._open_lanes(start, stop)
         log_ns = block.t_ns[start:stop].clip(self._last_ns, LATEST_NS)

@@ -9,7 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from analyzer import dialects
-from tests.columns.both_ways import same, same_capture, short_runs
+from analyzer.sinks.mcap_log import McapLog
+from tests.columns.both_ways import blocks, outcome, same, same_capture, short_runs
 from tests.columns.can_traffic import frames, interleaved
 from tests.fuzz.mutators import mutated
 from tests.toy.dialect import DIALECT as TOY
@@ -74,3 +75,37 @@ def test_damaged_captures(name, short_runs, tmp_path):
         path.write_bytes(mutated(random.Random(seed), data))
         in_runs += same_capture(path, MKS)
     assert in_runs
+
+
+def set_back(items, by_ns):
+    """Return items whose clock is set back in the middle."""
+    half = len(items) // 2
+    return [*items[:half], *(replace(item, t_ns=item.t_ns - by_ns) for item in items[half:])]
+
+
+@pytest.mark.parametrize("by_s", [0.5, 1.2, 3600])
+@pytest.mark.parametrize("odd", [0, 0.02])
+def test_behind_a_clock_that_is_set_back(by_s, odd, short_runs):
+    """By 1.2 s the times come back to where they were; by 3600 s each message says how far."""
+    rows = set_back(list(frames(MKS, random.Random(8), 3000, 0, odd)), int(by_s * 1e9))
+    pipeline = same(rows, MKS, 400)
+    assert pipeline.in_runs > (0.4 if odd else 0.9) * len(rows)
+
+
+def test_a_clock_that_is_set_back_costs_no_frame_its_columns(monkeypatch):
+    singly = []
+    entry = McapLog.entry
+
+    def counted(self, each):
+        singly.append(each)
+        entry(self, each)
+
+    monkeypatch.setattr(McapLog, "entry", counted)
+    polls = list(frames(MKS, random.Random(9), 3000, 0, 0, polls=("read_speed", "read_position", "read_pulses")))
+    counts = []
+    for rows in (polls, set_back(polls, 3600 * 10**9)):
+        singly.clear()
+        outcome(list(blocks(rows, 1000)), MKS)
+        counts.append(len(singly))
+    # Those that open a block alone.
+    assert counts[1] - counts[0] < 10

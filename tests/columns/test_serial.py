@@ -6,6 +6,7 @@ import random
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from analyzer import dialects
 from analyzer.columns import framing
@@ -34,6 +35,17 @@ def test_exchanges(name, seed, share, short_runs):
     chunks = list(chunks_of(line, chance, [p.stop for p in placed], longest=chance.choice((3, 40, 5000)), steady=not seed))
     in_runs = same_line(chunks, dialects.get(name), chance.choice((5, 50, 10_000)) if seed else 10_000, timed=seed != 1)
     assert in_runs > 100 or seed or share
+
+
+@pytest.mark.parametrize("by_s", [0.5, 1.2, 3600])
+def test_behind_a_clock_that_is_set_back(by_s, short_runs):
+    chance = random.Random(by_s)
+    frames = polls("mks-rs485", chance, 900)
+    line, placed = damage(frames, 0.001, chance)
+    chunks = list(chunks_of(line, chance, [p.stop for p in placed], longest=40, steady=True))
+    half = len(chunks) // 2
+    chunks = [replace(chunk, t_ns=chunk.t_ns - int(by_s * 1e9) * (n >= half)) for n, chunk in enumerate(chunks)]
+    assert same_line(chunks, dialects.get("mks-rs485"), 100) > 200
 
 
 @pytest.mark.parametrize(("count", "together"), [(framing.SHORTEST_TOGETHER - 20, False), (1200, True)])
