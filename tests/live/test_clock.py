@@ -1,11 +1,11 @@
-"""The wall clock is watched and never followed."""
+"""The wall clock is watched and never followed, and times of a log never go back."""
 
 from __future__ import annotations
 
 import time
 
 from analyzer.events import checked
-from analyzer.live.clock import DRIFT_EVERY_NS, STEP_NS, Now, WallClock, now
+from analyzer.live.clock import DRIFT_EVERY_NS, STEP_NS, LogClock, Now, WallClock, now
 
 START = Now(1_000, 1_700_000_000_000_000_000, 5_000)
 SECOND = 1_000_000_000
@@ -57,3 +57,21 @@ def test_how_far_a_clock_was_set_can_be_read_back_from_a_log():
 def test_a_machine_that_slept_is_told_apart():
     (change,) = WallClock(START).look(at(1, slept=600 * SECOND))
     assert change.about == {"step_ns": 600 * SECOND, "cause": "the machine slept"}
+
+
+def test_times_of_a_log_never_go_back_and_what_came_late_is_told():
+    clock = LogClock(START.monotonic_ns, START.wall_ns)
+    seen = [clock.at(START.monotonic_ns + each) for each in (5_000_000, 4_000_000, 6_000_000, 2_000_000, 7_000_000)]
+    assert [each - START.wall_ns for each in seen] == [5_000_000, 5_000_000, 6_000_000, 6_000_000, 7_000_000]
+    assert clock.monotonic_ns == START.monotonic_ns + 7_000_000
+    # A millisecond is jitter.
+    assert (clock.moved, clock.moved_ns) == (1, 4_000_000)
+    assert clock.notes == ["1 record arrived up to 4 ms late; their times were moved forward"]
+
+
+def test_a_log_in_order_has_no_note_and_goes_on_where_another_process_stood():
+    clock = LogClock(START.monotonic_ns, START.wall_ns)
+    assert clock.notes == []
+    clock.restore(START.wall_ns + SECOND, (3, 8_000_000))
+    assert clock.at(START.monotonic_ns + SECOND - 1) == START.wall_ns + SECOND
+    assert clock.notes == ["3 records arrived up to 8 ms late; their times were moved forward"]
