@@ -166,7 +166,7 @@ HEARING: Rows = {
         Row(
             "broadcast-speed-ignored",
             "8A by broadcast is not executed",
-            deaf_to(mks_frames.of(mks_frames.to_all, Verb.SET_BAUD_RATE)),
+            deaf_to(mks_frames.of(mks_frames.to_all, Verb.SET_BAUD_RATE, Verb.SET_BIT_RATE)),
         ),
         Row(
             "broadcast-group-ignored",

@@ -113,9 +113,9 @@ def same_low_byte(drive: MksCore, message: Message) -> bool:
     return (message.address ^ drive.address) & 0xFF == 0
 
 
-def of(whom: Whom, verb: Verb) -> Whom:
-    """Return what says whether a frame so addressed is of one command."""
-    return lambda drive, message: whom(drive, message) and message.command is not None and message.command.verb is verb
+def of(whom: Whom, *verbs: Verb) -> Whom:
+    """Return what says whether a frame so addressed is of one of these commands."""
+    return lambda drive, message: whom(drive, message) and message.command is not None and message.command.verb in verbs
 
 
 def hearing(whom: Whom) -> Change:
