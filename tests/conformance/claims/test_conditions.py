@@ -13,6 +13,8 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "lk-few-degrees-round": "motion/move_single_turn/across-zero",
+    "lk-nearly-a-turn-round": "motion/move_single_turn_limited/way-round",
     "direction-turns-speed": "motion/set_direction/and-the-bus",
     "close-unlimited-while-turning": "motion/move_absolute_axis/mode-limit",
     "lk-off-at-rest-told-on": "motion/motor_off/ends-motion",
