@@ -383,6 +383,11 @@ STATEMENTS: tuple[Statement, ...] = (
         "motion/set_direction/and-the-bus",
         "motion/set_direction/and-move_*",
     ),
+    unseen(
+        "3.2.6/homing",
+        "It may turn homing, which is motion by the bus, or leave it by HmDir.",
+        "observed by motion/set_direction/and-home: which of the two is meant is not said",
+    ),
     *_setting("3.2.7", "set_pulse_delay", "87 with a byte", "pulse_delay"),
     said("3.2.7/values", "Values are 0 to 3 for 0, 4, 20 and 40 ms.", "ranges/set_pulse_delay/pulse_delay/*"),
     said("3.2.7/default", "20 ms is the default.", "read-back/restore/settings"),
@@ -844,6 +849,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "A saved run begins again when power comes on, either way, at its speed.",
         "read-back/save_speed/power",
         "read-back/save_speed/restart",
+        "read-back/save_speed/no-sooner",
     ),
     said("4.4.3/cleaned", "A cleaned one does not.", "read-back/save_speed/clean"),
     said(

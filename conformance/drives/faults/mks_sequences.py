@@ -15,7 +15,7 @@ from analyzer.protocols import mks_rs485, mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Request, Values
 from conformance.drives.faults import numbers
-from conformance.drives.faults.mks_behaviour import OK, before, tuned, wrapped
+from conformance.drives.faults.mks_behaviour import OK, before, homing_by, tuned, wrapped
 from conformance.drives.faults.mks_conditions import refused_when, undone_when
 from conformance.drives.faults.mks_frames import mine, slots
 from conformance.drives.faults.places import (
@@ -33,7 +33,7 @@ from conformance.drives.faults.places import (
     storing,
 )
 from conformance.drives.mks.core import MOTIONS, STOPS, Activity, Behaviour, MksCore, Script
-from conformance.drives.mks.motion import TARGETS
+from conformance.drives.mks.motion import TARGETS, begin_run
 from conformance.drives.mks.paths import Number, divided
 from conformance.drives.mks.state import SUBDIVISION
 
@@ -174,6 +174,26 @@ def _kept_at_rest(drive: MksCore, request: Request) -> Values | None:
     """Say that the run is cleaned, and keep it, where the shaft stands."""
     cleans = request.values["save_state"] == mks_shared.SaveState.CLEAN
     return dict(OK) if cleans and not drive.motor.speed(drive.now_ns) else None
+
+
+def _begins_kept(ready: Callable[[Request], bool]) -> Callable[[Behaviour], Behaviour]:
+    """Begin a kept run where a command makes the motor ready."""
+
+    def wrap(behaviour: Behaviour) -> Behaviour:
+        def act(drive: MksCore, request: Request) -> Values | None:
+            found, settings = behaviour(drive, request), drive.settings
+            if settings["saved_run"] and drive.ready and ready(request):
+                begin_run(drive, settings["saved_direction"], settings["saved_speed"], settings["saved_acceleration"])
+            return found
+
+        return act
+
+    return wrap
+
+
+_homing_turned = Change(
+    homing_by(lambda settings: {"home_direction": settings["home_direction"] ^ settings["motor_direction"]}).install, SERIAL
+)
 
 
 def _slower_back(direction: int) -> Callable[[Drive, Command, Values], Values]:
@@ -497,6 +517,18 @@ SEQUENCES: Rows = {
         ),
         Row("package-of-two-codes", "of the own slots of a package the first of each code is executed", slots(_by_code)),
     ),
+    "sooner": (
+        Row(
+            "save-speed-begun-by-mode",
+            "the kept run begins when 82 sets a mode by the bus",
+            wrapped(Verb.SET_WORK_MODE, _begins_kept(lambda request: True)),
+        ),
+        Row(
+            "save-speed-begun-by-enabling",
+            "the kept run begins when F3 enables the motor",
+            wrapped(Verb.ENABLE, _begins_kept(lambda request: bool(request.values["enabled"]))),
+        ),
+    ),
     "undone": (
         Row("protection-stays", "88 00 is answered, and the protection acts on", storing(_on_alone, "protection")),
         Row(
@@ -510,6 +542,7 @@ SEQUENCES: Rows = {
         Row("respond-0-needs-active", "respond 0 silences nothing with active 0", tuned(_silent_if_active), NATIVE),
         Row("ends-told-aloud", "with respond 0 the end of FE and F5 is told", tuned(_tells_ends), TELLING),
         Row("refused-aloud", "with respond 0 a refusal is answered", tuned(_refuses_aloud), TELLING),
+        Row("direction-turns-home", "with 86 on CCW homing turns the other way round", _homing_turned),
         Row("protection-slows", f"with the protection on nothing turns faster than {_SAFE_RPM} rpm", tuned(_slow_if_protected)),
         *(
             Row(

@@ -13,6 +13,9 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "direction-turns-home": "motion/set_direction/and-home",
+    "save-speed-begun-by-mode": "read-back/save_speed/no-sooner",
+    "save-speed-begun-by-enabling": "read-back/save_speed/no-sooner",
     "lk-few-degrees-round": "motion/move_single_turn/across-zero",
     "lk-nearly-a-turn-round": "motion/move_single_turn_limited/way-round",
     "direction-turns-speed": "motion/set_direction/and-the-bus",
