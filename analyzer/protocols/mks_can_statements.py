@@ -753,6 +753,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "timing/run_speed/ramp-0",
         "timing/stop_speed/ramp-0",
         "motion/*/at-once",
+        "motion/*/own-ramp",
     ),
     said("4.1/ramp-up", "On the way up one rpm takes (256 - acc) x 50 us.", "timing/run_speed/ramp-*", "timing/*/takes-*"),
     said("4.1/ramp-down", "On the way down one rpm takes as long.", "timing/stop_speed/ramp-*", "timing/*/takes-*"),

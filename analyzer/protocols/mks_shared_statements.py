@@ -216,6 +216,7 @@ RAMPS = (
         "With acceleration 0 the shaft takes its speed at once.",
         "timing/run_speed/ramp-0",
         "timing/stop_speed/ramp-0",
+        "motion/*/own-ramp",
     ),
     said(
         "6.1/up",

@@ -13,6 +13,10 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "at-once-by-ramp-of-before": "motion/move_absolute_axis/own-ramp",
+    "at-once-behind-at-once": "motion/move_absolute_pulses/own-ramp",
+    "release-enables": "motion/run_speed/disabled",
+    "direction-turns-speed-of-moves": "motion/set_direction/and-move_relative_pulses",
     "direction-turns-home": "motion/set_direction/and-home",
     "save-speed-begun-by-mode": "read-back/save_speed/no-sooner",
     "save-speed-begun-by-enabling": "read-back/save_speed/no-sooner",
