@@ -742,6 +742,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.1/speed-at-others",
         "At other subdivisions a run turns at the speed as sent times 16 by the subdivision.",
         "motion/set_subdivision/speed-at-*",
+        "motion/*/parts-of-a-rpm",
     ),
     said(
         "4.1/moves-at-others", "Moves too turn at the speed as sent times 16 by the subdivision.", "motion/move_*/crossed-speed"

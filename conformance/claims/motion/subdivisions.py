@@ -40,6 +40,8 @@ _TRIED = (2, 8, 16, 32, 64, 100, 128, 256)
 _ALSO, _OTHERS = (1, 4, 7), (3, 5, 10, 20, 25, 40, 50, 67, 200, 255)
 #: The way of a move in degrees, its ramp, and when the shaft is looked at: a move that is twice as fast is beyond it.
 _WAY, _STEEP, _MIDWAY = 36, 255, 50 * MS
+#: A speed that is no whole number of rpm, and how long it is looked at.
+_PART, _PART_NS = 1.5, 400 * MS
 #: What a shaft may lag behind its law.
 _LAG_NS = 10 * MS
 
@@ -252,3 +254,31 @@ def _at_each_subdivision(probe: Probe, command: Command) -> None:
     for subdivision, motions in _table(probe.dialect).items():
         for tried in _of(probe, subdivision, command.verb) if command in (c for c, _ in motions) else ():
             _expect(probe, tried, f"{command.name} goes elsewhere or at another speed at {subdivision} subdivisions")
+
+
+def _finest(dialect: Dialect) -> Iterator[Case]:
+    """Yield each motion with the largest subdivision, at which a speed as sent is the smallest part of a rpm."""
+    largest = dialect.subdivision.largest if dialect.subdivision is not None else 0
+    for case in _motions(dialect) if _sent(dialect, largest) is not None else ():
+        yield Case(dialect, case.command, {"subdivision": largest}, case.facts)
+
+
+@of_motion(each=_finest, refuted_by="a whole number of rpm", parameters={})
+def _parts_of_a_rpm(probe: Probe, command: Command, subdivision: int) -> None:
+    """At {subdivision} subdivisions {command} turns the shaft at 1.5 rpm where that is what the speed means."""
+    motion.ready_to_move(probe, subdivision=_sent(probe.dialect, subdivision))
+    exchange, (rpm, spread) = undamaged(probe, _slow, command, subdivision)
+    if spread > _PART / 4:
+        raise Inconclusive(f"a speed cannot be measured: {spread:.1f} rpm are uncertain")
+    within = _PART * 2 * CLOCK_SHARE + spread
+    text = f"{command.name} turns the shaft at another speed than {_PART} rpm"
+    probe.expect(abs(rpm), near=_PART, within=within, unit="rpm", refutes=text, exchange=exchange)
+
+
+def _slow(probe: Probe, command: Command, subdivision: int) -> tuple[Exchange, tuple[float, float]]:
+    """Turn the shaft by a part of a rpm; return what was said, the speed and its uncertainty, and stop it."""
+    exchange = motion.begin(probe, command, _WAY, quiet_ns=0, rpm=_PART, acceleration=_STEEP, subdivision=subdivision)
+    probe.wait(_LAG_NS)
+    seen = motion.mean_speed(probe, _PART_NS)
+    motion.stand_still(probe)
+    return exchange, seen

@@ -123,6 +123,16 @@ def _scaled_moves(drive: MksCore) -> None:
         drive.behaviours[verb] = slow
 
 
+def _in_whole_rpm(drive: MksCore) -> None:
+    real = drive.real_speed
+    drive.real_speed = lambda speed: round(real(speed))  # type: ignore[method-assign]
+
+
+def _going_on_at_0(drive: MksCore, request: Request) -> Values | None:
+    """Say that a move at speed 0 stops the shaft, and let it go on."""
+    return None if request.values["speed"] else dict(OK)
+
+
 def _as_sent_at_odd(drive: MksCore) -> None:
     """Turn at the speed as sent at odd subdivisions above 64."""
     plain = drive.real_speed
@@ -655,6 +665,13 @@ SEQUENCES: Rows = {
             "as-sent-at-odd",
             f"at odd subdivisions above {_PLAIN_MOST} the speed is the one that is sent",
             tuned(_as_sent_at_odd),
+            SERIAL,
+        ),
+        Row("speeds-in-whole-rpm", "speeds of other subdivisions are rounded to whole rpm", tuned(_in_whole_rpm)),
+        Row(
+            "speed-0-of-moves-goes-on",
+            "F4 with speed 0 and a distance is answered, and the shaft goes on",
+            before(Verb.MOVE_RELATIVE_AXIS, _going_on_at_0),
             SERIAL,
         ),
         Row("moves-scaled-at-32", "at 32 subdivisions moves go at half their speed", tuned(_scaled_moves)),

@@ -13,6 +13,8 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "speeds-in-whole-rpm": "motion/run_speed/parts-of-a-rpm",
+    "speed-0-of-moves-goes-on": "motion/move_relative_axis/speed-0",
     "at-once-by-ramp-of-before": "motion/move_absolute_axis/own-ramp",
     "at-once-behind-at-once": "motion/move_absolute_pulses/own-ramp",
     "release-enables": "motion/run_speed/disabled",
