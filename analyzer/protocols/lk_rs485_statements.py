@@ -380,12 +380,12 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "14/clockwise",
         "Direction 0 turns clockwise.",
-        ("motion/move_single_turn/clockwise", "motion/move_single_turn/two-ways"),
+        ("motion/move_single_turn/clockwise", "motion/move_single_turn/two-ways", "motion/move_single_turn/way-round"),
     ),
     S(
         "14/counterclockwise",
         "Direction 1 turns counterclockwise.",
-        ("motion/move_single_turn/two-ways", "ranges/move_single_turn/direction/*"),
+        ("motion/move_single_turn/two-ways", "motion/move_single_turn/way-round", "ranges/move_single_turn/direction/*"),
     ),
     S("14/range", "The angle is 0 to 35999, unsigned, of two bytes.", ("ranges/move_single_turn/angle/*",)),
     S("14/unit", "One unit is 0.01 degrees.", ("motion/move_single_turn/reaches", "ranges/move_single_turn/angle/highest")),
@@ -408,12 +408,20 @@ STATEMENTS: tuple[S, ...] = (
     S(
         "15/clockwise",
         "Direction 0 turns clockwise.",
-        ("motion/move_single_turn_limited/clockwise", "motion/move_single_turn_limited/two-ways"),
+        (
+            "motion/move_single_turn_limited/clockwise",
+            "motion/move_single_turn_limited/two-ways",
+            "motion/move_single_turn_limited/way-round",
+        ),
     ),
     S(
         "15/counterclockwise",
         "Direction 1 turns counterclockwise.",
-        ("motion/move_single_turn_limited/two-ways", "ranges/move_single_turn_limited/direction/*"),
+        (
+            "motion/move_single_turn_limited/two-ways",
+            "motion/move_single_turn_limited/way-round",
+            "ranges/move_single_turn_limited/direction/*",
+        ),
     ),
     S("15/range", "The angle is 0 to 35999, unsigned, of two bytes.", ("ranges/move_single_turn_limited/angle/*",)),
     S("15/unit", "One unit of angle is 0.01 degrees.", ("motion/move_single_turn_limited/reaches",)),

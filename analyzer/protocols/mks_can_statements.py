@@ -383,6 +383,11 @@ STATEMENTS: tuple[Statement, ...] = (
         "motion/set_direction/and-the-bus",
         "motion/set_direction/and-move_*",
     ),
+    unseen(
+        "3.2.6/homing",
+        "It may turn homing, which is motion by the bus, or leave it by HmDir.",
+        "observed by motion/set_direction/and-home: which of the two is meant is not said",
+    ),
     *_setting("3.2.7", "set_pulse_delay", "87 with a byte", "pulse_delay"),
     said("3.2.7/values", "Values are 0 to 3 for 0, 4, 20 and 40 ms.", "ranges/set_pulse_delay/pulse_delay/*"),
     said("3.2.7/default", "20 ms is the default.", "read-back/restore/settings"),
@@ -737,6 +742,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "4.1/speed-at-others",
         "At other subdivisions a run turns at the speed as sent times 16 by the subdivision.",
         "motion/set_subdivision/speed-at-*",
+        "motion/*/parts-of-a-rpm",
     ),
     said(
         "4.1/moves-at-others", "Moves too turn at the speed as sent times 16 by the subdivision.", "motion/move_*/crossed-speed"
@@ -748,6 +754,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "timing/run_speed/ramp-0",
         "timing/stop_speed/ramp-0",
         "motion/*/at-once",
+        "motion/*/own-ramp",
     ),
     said("4.1/ramp-up", "On the way up one rpm takes (256 - acc) x 50 us.", "timing/run_speed/ramp-*", "timing/*/takes-*"),
     said("4.1/ramp-down", "On the way down one rpm takes as long.", "timing/stop_speed/ramp-*", "timing/*/takes-*"),
@@ -844,6 +851,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "A saved run begins again when power comes on, either way, at its speed.",
         "read-back/save_speed/power",
         "read-back/save_speed/restart",
+        "read-back/save_speed/no-sooner",
     ),
     said("4.4.3/cleaned", "A cleaned one does not.", "read-back/save_speed/clean"),
     said(

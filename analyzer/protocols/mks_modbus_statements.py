@@ -261,6 +261,7 @@ _MOTION = (
             "read-back/save_speed/power",
             "read-back/save_speed/restart",
             "read-back/save_speed/as-it-was",
+            "read-back/save_speed/no-sooner",
         ),
         said("8.3.3.3/clean", "A forgotten run does not.", "read-back/save_speed/clean"),
     ),

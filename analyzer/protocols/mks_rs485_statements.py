@@ -434,7 +434,12 @@ _MOTION = (
     said(
         "6.5.3/status", "It is answered by 1 or 2, or by 0 when that fails.", "shape/save_speed/status", "examples/save_speed/1"
     ),
-    said("6.5.3/power-on", "With a kept run the motor turns when power comes on, either way.", "read-back/save_speed/power"),
+    said(
+        "6.5.3/power-on",
+        "With a kept run the motor turns when power comes on, either way.",
+        "read-back/save_speed/power",
+        "read-back/save_speed/no-sooner",
+    ),
     # 6.6 to 6.9 Positions
     *_move(
         "6.6.1",

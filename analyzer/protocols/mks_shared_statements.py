@@ -202,6 +202,7 @@ RAMPS = (
         "At others it is speed times 16 over the subdivision.",
         *(f"motion/set_subdivision/speed-at-{n}" for n in (2, 8, 100, 128, 256)),
         "motion/move_*/crossed-speed",
+        "motion/*/parts-of-a-rpm",
     ),
     said("6.1/8", "At 8 subdivisions speed 1200 is 2400 rpm.", "motion/set_subdivision/speed-at-8"),
     said("6.1/128", "At 128 subdivisions speed 1200 is 150 rpm.", "motion/set_subdivision/speed-at-128"),
@@ -216,6 +217,7 @@ RAMPS = (
         "With acceleration 0 the shaft takes its speed at once.",
         "timing/run_speed/ramp-0",
         "timing/stop_speed/ramp-0",
+        "motion/*/own-ramp",
     ),
     said(
         "6.1/up",

@@ -70,6 +70,7 @@ MODULES = (
     "motion.newer_motion",
     "motion.speed_limits",
     "motion.subdivisions",
+    "motion.own_values",
     "motion.stops",
     "motion.enabling",
     "motion.motor_states",

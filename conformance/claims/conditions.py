@@ -20,7 +20,7 @@ from typing import Any
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from analyzer.protocols.lk_rs485 import ERROR_BITS
 from conformance.claims import bench
-from conformance.claims.addressing.many import join
+from conformance.claims.addressing.ways import join
 from conformance.claims.motion import homing
 from conformance.claims.motion.protection import protect
 from conformance.claims.motion.stops import endless

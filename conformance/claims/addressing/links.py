@@ -15,7 +15,7 @@ from functools import partial
 
 from analyzer.catalogue import Command, Dialect
 from analyzer.layout import Effect, Field
-from conformance.claims.addressing.many import Many, addressing, ways
+from conformance.claims.addressing.ways import Many, addressing, ways
 from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case, Cases
 from conformance.claims.settings.link_changes import another_rate, at_rate, change_address, other_address, settle

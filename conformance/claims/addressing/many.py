@@ -1,4 +1,4 @@
-"""Ways to several drives: all of them (broadcast), a group, and packages without motion. Executed, never answered.
+"""What is sent to several drives: all of them (broadcast), a group, and packages without motion. Executed, never answered.
 
 FA 00 F4 ..          every drive moves, none answers
 FA 50 F4 ..          every drive of the group 50h moves, none answers; each still answers its own address
@@ -7,13 +7,24 @@ FC 00 .. 01 F3 00 .. drive 1 is disabled, and does not answer; motions in a pack
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
 from typing import Any
 
-from analyzer.catalogue import Command, Dialect, Doubt, MotionKind, Risk, Subject, Verb
-from conformance.claim import Theme
-from conformance.claims.addressing import guarded_commands, package
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
+from conformance.claims.addressing import guarded_commands
+from conformance.claims.addressing.ways import (
+    BROADCAST,
+    BYTE,
+    GROUPS,
+    HIGH_GROUPS,
+    PACKAGES,
+    Many,
+    addresses,
+    addressing,
+    read_of,
+    send_to,
+    ways,
+)
 from conformance.claims.control_reads import (
     ask_first,
     expect_silence,
@@ -23,7 +34,7 @@ from conformance.claims.control_reads import (
     plain_reads,
     received_text,
 )
-from conformance.claims.declare import Case, Cases, claim, described_in
+from conformance.claims.declare import Case, Cases
 from conformance.claims.known_reads import every_read
 from conformance.claims.motion.stops import expect_standing
 from conformance.claims.ranges import edges
@@ -32,16 +43,13 @@ from conformance.claims.settings.setting_effects import differing
 from conformance.gate.gate import Item
 from conformance.motion import declared, effects, motion, ramp
 from conformance.motion.declared import CALM, MOVES, QUICK
-from conformance.motion.effects import STEP_NS, Change, Observable
+from conformance.motion.effects import STEP_NS, Observable
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
 from conformance.talk.settings import changes_link
 
 #: Settings that decide whether and to whom a drive answers: what claims about them say.
 _OF_REPLIES = frozenset({Verb.SET_RESPOND, Verb.SET_GROUP_ADDRESS})
-#: A group address, and another one where the drive itself has it.
-_GROUP, _OTHER_GROUP, _BYTE = 0x50, 0x60, 0xFF
-_HIGH_GROUP = 0xE0
 #: How long a motion or a stop is listened to: its ramp takes 24 ms.
 _TURNS_NS = 100_000_000
 #: How long the shaft has until it is looked at, by an address that is not the drive's: at its ramp it turns at 60 rpm by then.
@@ -54,144 +62,9 @@ _SHORT = 45
 _SETTING_NS = 60_000_000
 
 
-def send_to(probe: Probe, address: int, change: Change, listen_ns: int = 0) -> Exchange:
-    """Send a change to an address and return what came back while it could have been executed."""
-    built = probe.build(change.command, change.values, address=address)
-    return probe.send(built.item(), timeout_ns=max(listen_ns, probe.rig.silence_ns))
-
-
-def read_of(probe: Probe, address: int) -> Exchange:
-    """Send a good read to an address and return what came back within the time of a silence."""
-    return probe.send(probe.build(plain_read(probe.dialect), address=address).item())
-
-
-# --- addresses of several drives --------------------------------------------------------------------------------------
-
-
-def _addressed(probe: Probe, command: Command, values: Mapping[str, int], to: int) -> Item | bytes:
-    return probe.build(command, values, address=to).item()
-
-
-@dataclass(frozen=True)
-class Many:
-    """A way to several drives. `join`: makes the drive hear it and returns its address; `frame`: a command that goes so.
-
-    The rest is what a claim declares.
-    """
-
-    name: str
-    what: str
-    join: Callable[[Probe], int]
-    section: Callable[[Case], str]
-    settings: tuple[str, ...] = ()
-    rests_on: tuple[Doubt, ...] = ()
-    setting: Verb | None = None
-    frame: Callable[[Probe, Command, Mapping[str, int], int], Item | bytes] = _addressed
-
-    def risks(self, dialect: Dialect) -> frozenset[Risk]:
-        return frozenset() if self.setting is None else dialect.by_verb[self.setting].all_risks
-
-
-def _all_drives(probe: Probe) -> int:
-    assert probe.dialect.broadcast is not None  # asked by `addresses`
-    return probe.dialect.broadcast
-
-
-def group_of(dialect: Dialect, own: int) -> int:
-    """Return a group address that is not a drive's own or near it: its neighbours are sent to as well.
-
-    Where an address has more than a byte, one of more than a byte.
-    """
-    high = 0x100 if dialect.addresses[1] > _BYTE else 0
-    return high | (_OTHER_GROUP if own & _BYTE in range(_GROUP - 2, _GROUP + 3) else _GROUP)
-
-
-def join(probe: Probe) -> int:
-    """Put the drive into a group and return its address."""
-    group = group_of(probe.dialect, probe.address)
-    probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": group})
-    return group
-
-
-def _join_high(probe: Probe) -> int:
-    last = probe.dialect.addresses[1]
-    # A byte's highest values begin frames. Of identifiers the highest is like any other.
-    group = _HIGH_GROUP if last <= _BYTE else last - (probe.address == last)
-    probe.do(Verb.SET_GROUP_ADDRESS, {"group_address": group})
-    return group
-
-
-def _address_section(case: Case) -> str:
-    command = case.dialect.by_verb.get(Verb.SET_ADDRESS)
-    return described_in(Subject.ADDRESSING)(case) if command is None else command.section
-
-
-_BROADCAST = Many("broadcast", "a broadcast", _all_drives, _address_section)
-_GROUPS = Many(
-    "group",
-    "a group address",
-    join,
-    lambda case: case.dialect.by_verb[Verb.SET_GROUP_ADDRESS].section,
-    ("group_address",),
-    (Doubt.ADDRESSING,),
-    Verb.SET_GROUP_ADDRESS,
-)
-
-
-_PACKAGES = Many(
-    "package",
-    "a slot of a package",
-    lambda probe: probe.address,
-    lambda case: package.of(case.dialect)[0].section,
-    frame=lambda probe, command, values, to: package.in_own_slot(probe, command, values),
-)
-
-
-_HIGH_GROUPS = replace(_GROUPS, name="group/high", what="a high group address", join=_join_high)
-
-
-def addresses(dialect: Dialect) -> Iterator[Many]:
-    """Yield the addresses of several drives that a dialect has."""
-    if dialect.broadcast is not None:
-        yield _BROADCAST
-    if Verb.SET_GROUP_ADDRESS in dialect.by_verb:
-        yield _GROUPS
-
-
-def ways(dialect: Dialect) -> Iterator[Many]:
-    """Yield the ways to several drives that a dialect has."""
-    yield from addresses(dialect)
-    if package.of(dialect):
-        yield _PACKAGES
-
-
 def _of(many: Many) -> Cases:
     """Return one case of an address of several drives, where a dialect has it."""
     return lambda dialect: [Case(dialect, given={"many": many, "what": many.what})] if many in addresses(dialect) else []
-
-
-def addressing(refuted_by: str, each: Cases, **facts: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Declare a check that sends to several drives; what that needs is named for it."""
-
-    def risks(case: Case) -> frozenset[Risk]:
-        many: Many = case["many"]
-        return many.risks(case.dialect) | (case["shown"].risks if "shown" in case.given else frozenset())
-
-    def settings(case: Case) -> tuple[str, ...]:
-        return (*(case["shown"].settings if "shown" in case.given else ()), *case["many"].settings)
-
-    return claim(
-        Theme.ADDRESSING,
-        each=each,
-        refuted_by=refuted_by,
-        section=lambda case: case["many"].section(case),
-        rests_on=lambda case: case["many"].rests_on,
-        risks=risks,
-        settings=settings,
-        alone=True,
-        parameters={},
-        **facts,
-    )
 
 
 def _expect_silence(probe: Probe, sent: Exchange, what: str) -> None:
@@ -205,7 +78,7 @@ def _samples(dialect: Dialect) -> list[Command]:
     return plain_reads(dialect)[:4]
 
 
-@addressing("any answer", _of(_BROADCAST), name="{many}/read")
+@addressing("any answer", _of(BROADCAST), name="{many}/read")
 def _broadcast_read(probe: Probe, many: Many) -> None:
     """A read by broadcast is not answered."""
     ask_first(probe)
@@ -214,21 +87,21 @@ def _broadcast_read(probe: Probe, many: Many) -> None:
         _expect_silence(probe, sent, many.what)
 
 
-@addressing("silence, or another answer", _of(_BROADCAST), name="{many}/next")
+@addressing("silence, or another answer", _of(BROADCAST), name="{many}/next")
 def _behind_broadcast(probe: Probe, many: Many) -> None:
     """The next request to the drive behind a broadcast is answered."""
     ask_first(probe)
     judge_next(probe, many.what, lambda: read_of(probe, many.join(probe)))
 
 
-@addressing("any answer", _of(_GROUPS), name="{many}/read")
+@addressing("any answer", _of(GROUPS), name="{many}/read")
 def _group_read(probe: Probe, many: Many) -> None:
     """A read to the group address is not answered."""
     ask_first(probe)
     _expect_silence(probe, read_of(probe, many.join(probe)), many.what)
 
 
-@addressing("silence, or another answer", _of(_GROUPS), name="{many}/own")
+@addressing("silence, or another answer", _of(GROUPS), name="{many}/own")
 def _own_address(probe: Probe, many: Many) -> None:
     """A drive in a group still answers its own address."""
     ask_first(probe)
@@ -256,7 +129,7 @@ def _changes(dialect: Dialect) -> Iterator[Case]:
 def _changes_and_high_groups(dialect: Dialect) -> Iterator[Case]:
     yield from _changes(dialect)
     for case in _group_changes(dialect):
-        yield Case(dialect, given={**case.given, "many": _HIGH_GROUPS, "what": _HIGH_GROUPS.what})
+        yield Case(dialect, given={**case.given, "many": HIGH_GROUPS, "what": HIGH_GROUPS.what})
 
 
 @addressing("no effect of it", _changes_and_high_groups, name="{many}/executed")
@@ -303,7 +176,7 @@ def _turns_and_stops(probe: Probe, many: Many, run: Command, stop: Command) -> N
     """{run} by {what} turns the shaft by its ramp and as far as sent, {stop} lets it stand, and neither is answered."""
     motion.prepare(probe, run)
     to, first = many.join(probe), stop is probe.dialect.stops_of(run)[0]
-    if many is _GROUPS and first:
+    if many is GROUPS and first:
         _expect_stays(probe, run, _near_groups(probe, to))
     # By its ramp the shaft would go on for 0.15 s.
     ramped = declared.of(run).acceleration
@@ -334,7 +207,7 @@ def _turns_and_stops(probe: Probe, many: Many, run: Command, stop: Command) -> N
         _expect_silence(probe, sent, many.what)
     if first and declared.of(run).kind in MOVES:
         _expect_goes(probe, many, run, to)
-    if many is _GROUPS and first:
+    if many is GROUPS and first:
         own = probe.ask(run, declared.values_of(probe.dialect, run, 36, start=motion.place(probe, run)))
         motion.stand_still(probe)
         text = f"a drive in a group no longer answers {run.name} to its own address"
@@ -366,7 +239,7 @@ def _ramped(dialect: Dialect) -> Iterator[Case]:
     """Yield each way to several drives with a run whose ramp is known; with a package, as no other claim does, each move."""
     every = dialect.motions(MotionKind.RUN, *MOVES) if dialect.ramp is not None else ()
     for many in ways(dialect) if every else ():
-        chosen = every if many is _PACKAGES else every[:1]
+        chosen = every if many is PACKAGES else every[:1]
         risks = many.risks(dialect) | declared.risks(dialect, *(risk for command in chosen for risk in command.all_risks))
         facts = {"risks": risks, "settings": declared.settings(dialect, *many.settings)}
         yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
@@ -406,13 +279,13 @@ def _expect_on_ramp(probe: Probe, item: Item | bytes, first: int, what: str) -> 
 
 
 def _group_changes(dialect: Dialect) -> Iterator[Case]:
-    return (case for case in _changes(dialect) if case["many"] is _GROUPS)
+    return (case for case in _changes(dialect) if case["many"] is GROUPS)
 
 
 def _near_groups(probe: Probe, group: int) -> list[int]:
     """Return other groups' addresses: those that differ in one bit, that below, and the low byte; none a drive's own."""
     last = probe.dialect.addresses[1]
-    near = (*(group ^ 1 << bit for bit in range(last.bit_length())), group - 1, group & _BYTE)
+    near = (*(group ^ 1 << bit for bit in range(last.bit_length())), group - 1, group & BYTE)
     mine = (group, probe.address, probe.rig.group, probe.dialect.broadcast)
     return [each for each in dict.fromkeys(near) if each not in mine and each <= last]
 

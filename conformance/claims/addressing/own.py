@@ -17,7 +17,7 @@ from analyzer.catalogue import Certainty, Command, Dialect, Form, MotionKind, Ri
 from analyzer.codec import codec
 from analyzer.link import HeadLink, LkLink
 from conformance.claim import Inconclusive, Theme
-from conformance.claims.addressing.many import read_of, send_to
+from conformance.claims.addressing.ways import read_of, send_to
 from conformance.claims.control_reads import ask_first, expect_silence, judge_next, plain_read, received_text
 from conformance.claims.declare import Case, claim, commands, described_in, needing
 from conformance.claims.known_quirks import may_meet

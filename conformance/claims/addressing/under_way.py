@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
-from conformance.claims.addressing.many import Many, addresses, addressing
+from conformance.claims.addressing.ways import Many, addresses, addressing
 from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case
 from conformance.claims.motion import homing

@@ -3,6 +3,7 @@
     motion under way x way                                    homing takes over from it
     mode x direction x switch x subdivision                   any two: homing has its way and its speed
     emergency stop, disabling x direction                     homing ends
+    the motor's direction                                     homing keeps its own
 
 Rules kept here:
 - No switch is reached: the shaft is looked at while it searches, and stopped.
@@ -15,7 +16,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Trait, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.crossed.course import motions_of
 from conformance.claims.declare import Case
@@ -143,6 +144,31 @@ def _home_turns(probe: Probe, command: Command) -> None:
             exchange=begun,
         )
     homing.set_home(probe)
+
+
+def _directions_of_homing(dialect: Dialect) -> Iterator[Case]:
+    """Yield the setting of the motor's direction; whether it turns homing too where it turns motion, is not said."""
+    turns, command = Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits, dialect.by_verb.get(Verb.SET_DIRECTION)
+    for case in _homes(dialect) if command is not None else ():
+        facts = {
+            "settings": (*case.facts["settings"], "motor_direction"),
+            "at_best": Certainty.OPEN if turns else Certainty.LIKELY,
+        }
+        yield Case(dialect, command, {"home": case.command}, {**case.facts, **facts})
+
+
+@of_motion(each=_directions_of_homing, name="{command}/and-{home}", refuted_by="homing that turns the other way")
+def _direction_and_homing(probe: Probe, command: Command, home: Command) -> None:
+    """Homing turns by its own direction, whatever the setting of the motor's direction is."""
+    motion.ready_to_move(probe, subdivision=declared.SUBDIVISION)
+    homing.set_home(probe, home_speed=_HOME_RPM)
+    found = []
+    for value in (0, 1):
+        exchange = probe.do(command, {"motor_direction": value})
+        _, (rpm, _, _) = undamaged(probe, _homed, home)
+        found.append(rpm)
+    text, shown = "the setting of the motor's direction turns homing", f"{found[0]:+.0f} and {found[1]:+.0f} rpm"
+    probe.expect(shown, holds=found[0] * found[1] > 0, expected="one way", refutes=text, exchange=exchange, key=text)
 
 
 def _homes_in_modes(dialect: Dialect) -> Iterator[Case]:

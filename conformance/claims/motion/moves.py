@@ -42,6 +42,9 @@ _OVERSHOOT = 2.0
 #: Short moves, in units, and their way; how often each is asked for, and how long one takes.
 _STEPS = ((1, 1), (1, -1), (2, -1), (3, 1), (5, -1), (7, 1), (7, -1), (14, 1))
 _SO_MANY, _STEP_NS = 4, 25 * MS
+#: Ways round within a turn, each from where the one before ended: short, long and nearly a turn, beside its zero and across it.
+_ROUND_FROM, _ROUND_RPM = 3, 2 * declared.CALM
+_ROUND = (4, -4, 350, 12, -12, -350, -8, 354, -354, -25, 30, -175, 185, -200, 270, -90)
 
 
 def takes_angle(command: Command) -> bool:
@@ -332,12 +335,24 @@ def _across_zero(probe: Probe, command: Command) -> None:
     motion.ready_to_move(probe)
     here = motion.place(probe, command)
     turn = declared.units_per_turn(probe.dialect, command)
-    # To 300 degrees, then to 60 and back: 120 degrees each time.
+    # To 300 degrees, then to 60 and back; to 357, then to 2 and back.
     arriving.follow(probe, command, (300 - here * 360 / turn) % 360, start=here)
-    for way in (1, -1):
-        start = motion.place(probe, command)
-        move = arriving.follow(probe, command, way * 120, start=start)
+    for way in (120, -120, 57, 5, -5):
+        move = arriving.follow(probe, command, way)
         _expect_way(probe, move, True, f"{command.name} goes another way across zero")
+
+
+@of_motion(each=_in_turn, refuted_by="the other way round, or another way", at_best=Certainty.LIKELY)
+def _way_round(probe: Probe, command: Command) -> None:
+    """{command} goes the way round that it is told, by few degrees and by nearly a turn, beside zero and across it."""
+    motion.ready_to_move(probe)
+    here = motion.place(probe, command)
+    turn = declared.units_per_turn(probe.dialect, command)
+    arriving.follow(probe, command, (_ROUND_FROM - here * 360 / turn) % 360, start=here)
+    for way in _ROUND:
+        move = arriving.follow(probe, command, way, rpm=_ROUND_RPM)
+        text = f"{command.name} goes another way round than it was told"
+        _expect_way(probe, move, True, text)
 
 
 def both_ways(probe: Probe, command: Command) -> tuple[float, float, Exchange]:

@@ -200,9 +200,8 @@ def _turns_back(probe: Probe, command: Command, older: Command) -> None:
 
 
 def _certain_of_speed_0(case: Case) -> Certainty:
-    """Of runs the section that has the highest speed of each mode says it; of moves none does."""
-    runs = declared.of(command_of(case)).kind is MotionKind.RUN
-    return Certainty.LIKELY if runs and case.dialect.mode_speeds else Certainty.OPEN
+    """The section on speeds that has the highest one of each mode says it, of runs and moves alike; that of CAN does not."""
+    return Certainty.LIKELY if case.dialect.mode_speeds else Certainty.OPEN
 
 
 @of_motion(

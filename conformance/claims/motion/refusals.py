@@ -80,10 +80,17 @@ def expect_refused(
 
 @of_motion(each=motions(*_SURE, where=_can_refuse), refuted_by="a motion, or an answer that says success")
 def _disabled(probe: Probe, command: Command) -> None:
-    """{command} is refused either way while the motor is disabled, and nothing turns when it is enabled again."""
+    """{command} is refused either way while the motor is disabled, behind a release of the protection too.
+
+    Nothing turns when the motor is enabled again.
+    """
     motion.ready_to_move(probe)
     motion.switch(probe, False)
-    expect_refused(probe, command, "while disabled", lambda: motion.switch(probe, True), ways=(1, -1))
+    expect_refused(probe, command, "while disabled", ways=(1, -1))
+    release = probe.dialect.by_verb.get(Verb.RELEASE_PROTECTION)
+    if release is not None:
+        probe.ask(release)
+    expect_refused(probe, command, "while disabled, behind a release", lambda: motion.switch(probe, True))
 
 
 @of_motion(

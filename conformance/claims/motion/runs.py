@@ -14,10 +14,12 @@ from analyzer.catalogue import Certainty, Command, Dialect, Doubt, MotionKind, R
 from conformance.claim import Inconclusive
 from conformance.claims.declare import Case, commands, motions
 from conformance.claims.known_quirks import LATE, may_meet
-from conformance.claims.motion.motion_claim import expect_speed, has_direction, has_sign, of_motion, risks_by, risks_of
+from conformance.claims.motion.motion_claim import expect_speed, has_direction, has_sign, of_motion, risks_by
 from conformance.claims.motion.ramps import TOO_LATE_NS
-from conformance.motion import arriving, declared, motion
+from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.declared import CALM, QUICK, SUBDIVISION
+from conformance.motion.motion import Sample
+from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
 from conformance.talk.probe import MS, SECOND_NS, Probe
 from conformance.talk.restarts import restart
@@ -26,6 +28,8 @@ from conformance.talk.restarts import restart
 _CLEAR = 20
 #: The speed of runs that last, and that of runs whose direction alone matters: 16 bits hold them in every unit.
 _RPM, _SLOW = 54, 30
+#: How far a move goes whose way is looked at (degrees), and when it has its speed: it takes 185 ms.
+_MOVED, _ON_ITS_WAY_NS = 45, 80 * MS
 #: The slowest, in whole rpm and in 0.01 deg/s: what they are measured in, after how long, and by how much they may be off.
 _SLOWEST, _SLOWEST_BY_ANGLES = (1, 2), (0.1, 0.5)
 _SLOW_NS, _SETTLED_NS, _SLOW_SHARE = 500 * MS, 100 * MS, 0.25
@@ -95,13 +99,30 @@ def _way(probe: Probe, rpm: float) -> float:
     probe.wait(100 * MS)
     seen = motion.speed(probe)
     went = motion.stand_still(probe).value - before.value
+    _expect_told_way(probe, seen, went, exchange)
+    return went
+
+
+def _way_of_move(probe: Probe, move: Command) -> float:
+    """Return how far a move of 45 degrees turns the shaft. Refutes a speed that is told the other way."""
+    before = motion.position(probe)
+    exchange = motion.begin(probe, move, _MOVED, quiet_ns=0)
+    probe.wait(exchange.sent_ns + _ON_ITS_WAY_NS - probe.gate.now_ns())
+    seen = motion.speed(probe)
+    law_ns = int(ramp.move_ns(_MOVED / 360, CALM, QUICK))
+    went = arriving.come_to_rest(probe, exchange, law_ns, law_ns).value - before.value
+    _expect_told_way(probe, seen, went, exchange)
+    return went
+
+
+def _expect_told_way(probe: Probe, seen: Sample, went: float, exchange: Exchange) -> None:
     if min(abs(seen.value), abs(went)) > 1 + seen.noise:
-        text = f"the speed of a run is told the other way than the shaft turned, by {went:+.1f} degrees"
+        assert exchange.command is not None  # it was asked for
+        text = f"the speed of {exchange.command.name} is told the other way than the shaft turned, by {went:+.1f} degrees"
         key = "the speed is told the other way"
         probe.expect(
             seen, holds=seen.value * went > 0, unit="rpm", expected="that way", refutes=text, exchange=exchange, key=key
         )
-    return went
 
 
 def _relative_way(probe: Probe) -> float:
@@ -215,30 +236,36 @@ def _and_the_bus(probe: Probe, command: Command, turns: bool) -> None:
 
 
 def _directions_of_moves(dialect: Dialect) -> Iterator[Case]:
+    """Yield the setting with each move that it may turn: at once, and after a restart."""
     turns = Trait.DIRECTION_TURNS_BUS_MOTION in dialect.traits
-    facts = {
-        "statement": f"The setting of the motor's direction {'turns' if turns else 'does not turn'} {{move}}.",
-        "refuted_by": f"a move that turns {'the same way' if turns else 'another way'} with the other setting",
-        "parameters": {},
-    }
+    turned = "turns" if turns else "does not turn"
     for case in commands(Verb.SET_DIRECTION)(dialect):
         for move in dialect.motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO):
             if declared.takes_pulses(move) or not turns:
-                yield Case(dialect, case.command, {"move": move, "turns": turns}, facts)
+                for where, when in (("", ""), ("-restart", " after a restart")):
+                    begins = dialect.by_verb[Verb.RESTART].all_risks if where else set()
+                    facts = {
+                        "statement": f"The setting of the motor's direction {turned} {{move}}{{when}}.",
+                        "refuted_by": f"a move that turns {'the same' if turns else 'another'} way with the other setting",
+                        "parameters": {},
+                        "risks": declared.risks(dialect, *move.all_risks, *begins),
+                    }
+                    yield Case(dialect, case.command, {"move": move, "turns": turns, "where": where, "when": when}, facts)
 
 
-@of_motion(
-    each=_directions_of_moves, name="{command}/and-{move}", refuted_by="", risks=risks_of("move"), settings=("motor_direction",)
-)
-def _and_moves(probe: Probe, command: Command, move: Command, turns: bool) -> None:
+@of_motion(each=_directions_of_moves, name="{command}/and-{move}{where}", refuted_by="", settings=("motor_direction",))
+def _and_moves(probe: Probe, command: Command, move: Command, turns: bool, when: str) -> None:
     motion.prepare(probe, move)
-    ways = []
-    for value in (0, 1):
-        exchange = probe.do(command, {"motor_direction": value})
-        ways.append(arriving.follow(probe, move, 45).degrees)
-    text = f"the setting of the motor's direction {'does not turn' if turns else 'turns'} {move.name}"
-    shown, expected = f"{ways[0]:+.1f} and {ways[1]:+.1f} degrees", "opposite ways" if turns else "one way"
-    probe.expect(shown, holds=(ways[0] * ways[1] < 0) is turns, expected=expected, refutes=text, exchange=exchange)
+    probe.do(command, {"motor_direction": 0})
+    plain = _way_of_move(probe, move)
+    exchange = probe.do(command, {"motor_direction": 1})
+    if when:
+        restart(probe)
+        motion.prepare(probe, move)
+    way = _way_of_move(probe, move)
+    text = f"the setting of the motor's direction {'does not turn' if turns else 'turns'} {move.name}{when}"
+    shown, expected = f"{plain:+.1f} and {way:+.1f} degrees", "opposite ways" if turns else "one way"
+    probe.expect(shown, holds=(plain * way < 0) is turns, expected=expected, refutes=text, exchange=exchange)
 
 
 # --- as time goes on --------------------------------------------------------------------------------------------------

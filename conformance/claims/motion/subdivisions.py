@@ -28,7 +28,7 @@ from conformance.claims.motion.motion_claim import of_motion
 from conformance.gate.gate import Refused
 from conformance.motion import arriving, course, declared, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.declared import CALM, QUICK, SUBDIVISION
+from conformance.motion.declared import CALM
 from conformance.motion.motion import Sample
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
@@ -40,6 +40,8 @@ _TRIED = (2, 8, 16, 32, 64, 100, 128, 256)
 _ALSO, _OTHERS = (1, 4, 7), (3, 5, 10, 20, 25, 40, 50, 67, 200, 255)
 #: The way of a move in degrees, its ramp, and when the shaft is looked at: a move that is twice as fast is beyond it.
 _WAY, _STEEP, _MIDWAY = 36, 255, 50 * MS
+#: A speed that is no whole number of rpm, and how long it is looked at.
+_PART, _PART_NS = 1.5, 400 * MS
 #: What a shaft may lag behind its law.
 _LAG_NS = 10 * MS
 
@@ -254,53 +256,29 @@ def _at_each_subdivision(probe: Probe, command: Command) -> None:
             _expect(probe, tried, f"{command.name} goes elsewhere or at another speed at {subdivision} subdivisions")
 
 
-def _lowest(dialect: Dialect) -> Iterator[Case]:
-    for command in motions_of(dialect):
-        yield Case(dialect, command, facts={"risks": declared.risks(dialect, *command.all_risks)})
+def _finest(dialect: Dialect) -> Iterator[Case]:
+    """Yield each motion with the largest subdivision, at which a speed as sent is the smallest part of a rpm."""
+    largest = dialect.subdivision.largest if dialect.subdivision is not None else 0
+    for case in _motions(dialect) if _sent(dialect, largest) is not None else ():
+        yield Case(dialect, case.command, {"subdivision": largest}, case.facts)
 
 
-@of_motion(each=_lowest, refuted_by="a shaft that stays, another way, or a ramp that is none", at_best=Certainty.LIKELY)
-def _lowest_values(probe: Probe, command: Command) -> None:
-    """{command} takes the lowest speed and the slowest ramp, 1 each, either way."""
-    motion.ready_to_move(probe, subdivision=SUBDIVISION)
-    runs = not declared.of(command).distance
-    for way in (1, -1):
-        for rpm, acceleration, degrees in ((1, QUICK, _SLOW), (_RAMPED, 1, 2 * _SHORT)):
-            before, exchange, on = undamaged(probe, _slowest, command, way, rpm, acceleration, degrees)
-            text = f"{command.name} at speed {rpm} and acceleration {acceleration} is refused or not answered"
-            taken = exchange.is_read and not probe.refused(exchange)
-            probe.expect("a refusal or no answer", holds=taken, expected="motion", refutes=text, exchange=exchange)
-            law = course.run(0, rpm, acceleration) if runs else course.move(degrees / 360, rpm, acceleration)
-            since_ns, until_ns = (on.t_ns + side * on.spread_ns - exchange.sent_ns for side in (-1, 1))
-            late_ns = exchange.reply.first_ns - exchange.sent_ns if exchange.reply is not None else 0
-            first_ns = (since_ns - late_ns - _LAG_NS) / (1 + ramp.SLOW_QUIRK) - ramp.step_ns(acceleration)
-            low, high = law.turns(first_ns, until_ns / (1 - CLOCK_SHARE) + ramp.step_ns(acceleration))
-            text = f"{command.name} at speed {rpm} and acceleration {acceleration} leaves its course"
-            within = motion.miss(probe) + probe.noise.swing
-            probe.expect(
-                abs(on.value - before.value),
-                at_least=low * 360 - within,
-                at_most=high * 360 + within,
-                unit="degrees",
-                refutes=text,
-                exchange=exchange,
-            )
-            motion.stop(probe)
-    motion.wait_standing(probe)
+@of_motion(each=_finest, refuted_by="a whole number of rpm", parameters={})
+def _parts_of_a_rpm(probe: Probe, command: Command, subdivision: int) -> None:
+    """At {subdivision} subdivisions {command} turns the shaft at 1.5 rpm where that is what the speed means."""
+    motion.ready_to_move(probe, subdivision=_sent(probe.dialect, subdivision))
+    exchange, (rpm, spread) = undamaged(probe, _slow, command, subdivision)
+    if spread > _PART / 4:
+        raise Inconclusive(f"a speed cannot be measured: {spread:.1f} rpm are uncertain")
+    within = _PART * 2 * CLOCK_SHARE + spread
+    text = f"{command.name} turns the shaft at another speed than {_PART} rpm"
+    probe.expect(abs(rpm), near=_PART, within=within, unit="rpm", refutes=text, exchange=exchange)
 
 
-def _slowest(
-    probe: Probe, command: Command, way: int, rpm: int, acceleration: int, degrees: float
-) -> tuple[Sample, Exchange, Sample]:
-    """Begin a slow motion; return where the shaft stood, what was said, and where the shaft is a little later."""
-    before = motion.wait_standing(probe)
-    speed = rpm if declared.of(command).distance else way * rpm
-    exchange = motion.ask(probe, command, way * degrees, quiet_ns=0, rpm=speed, acceleration=acceleration)
-    probe.wait(exchange.sent_ns + _MIDWAY_NS - probe.gate.now_ns())
-    return before, exchange, motion.position(probe)
-
-
-#: Degrees that are moved by the slowest ramp, and at the lowest speed; the speed of that ramp (rpm).
-_SHORT, _SLOW, _RAMPED = 8, 4, 20
-#: When the shaft is looked at: at the lowest speed it has gone a degree and more.
-_MIDWAY_NS = 250 * MS
+def _slow(probe: Probe, command: Command, subdivision: int) -> tuple[Exchange, tuple[float, float]]:
+    """Turn the shaft by a part of a rpm; return what was said, the speed and its uncertainty, and stop it."""
+    exchange = motion.begin(probe, command, _WAY, quiet_ns=0, rpm=_PART, acceleration=_STEEP, subdivision=subdivision)
+    probe.wait(_LAG_NS)
+    seen = motion.mean_speed(probe, _PART_NS)
+    motion.stand_still(probe)
+    return exchange, seen

@@ -18,7 +18,7 @@ from typing import Any
 from analyzer.catalogue import Certainty, Command, Dialect, Form, Risk, Verb
 from conformance.claim import Theme
 from conformance.claims import conditions
-from conformance.claims.addressing.many import group_of
+from conformance.claims.addressing.ways import group_of
 from conformance.claims.conditions import AT_REST, Condition
 from conformance.claims.control_reads import is_exception, received_text
 from conformance.claims.declare import Case, claim

@@ -2,6 +2,7 @@
 
 save_speed/restart, power         it begins again, though the shaft was stopped before
 save_speed/as-it-was              with its speed, its way and its ramp
+save_speed/no-sooner              but not when another mode, enabling or releasing makes the motor ready
 save_speed/clean, clean-at-rest   one that was forgotten does not
 """
 
@@ -10,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from math import copysign
 
-from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
 from conformance.claim import Refuted
 from conformance.claims.declare import Case
 from conformance.claims.settings.read_back import of_read_back
@@ -35,6 +36,8 @@ _KEEP, _FORGET = {"save_state": 0xC8}, {"save_state": 0xCA}
 #: How long a run is given to end where it should not, to show its way on a long ramp, and what is damaged to be answered.
 _GOES_ON_NS, _SHOWS_NS = 60 * MS, 150 * MS
 _DAMAGED_NS = 60 * MS
+#: How long a drive is given to begin a run that it should not, behind a setting that makes it start.
+_BEGINS_NS = 300 * MS
 
 
 def _saved_runs(dialect: Dialect) -> Iterator[Case]:
@@ -136,6 +139,37 @@ def _saved_as_it_was(probe: Probe, command: Command) -> None:
         except Refuted:
             _forget(probe, command)
             raise
+    _forget(probe, command)
+
+
+def _made_ready(probe: Probe) -> Iterator[tuple[str, Exchange]]:
+    """Make the motor ready in each way that is not a begin of the drive; yield each in words, and what was sent."""
+    modes, buses = probe.command(Verb.SET_WORK_MODE), declared.bus_modes(probe.dialect)
+    of_pulses = next(m for m in declared.field_of(modes, "work_mode").choice_names.values() if m not in buses)
+    for mode in (buses[0], buses[-1]):
+        motion.set_mode(probe, of_pulses)
+        yield "a mode of pulses is left", probe.do(modes, {"work_mode": declared.choice(modes, "work_mode", mode)})
+    yield "another mode is set", probe.do(modes, {"work_mode": declared.choice(modes, "work_mode", buses[0])})
+    motion.switch(probe, False)
+    yield "the motor is enabled", motion.switch(probe, True)
+    release = probe.dialect.by_verb.get(Verb.RELEASE_PROTECTION)
+    if release is not None:
+        yield "the protection is released", probe.ask(release)
+
+
+@of_read_back(each=_saved_runs, refuted_by="a shaft that turns", at_best=Certainty.LIKELY)
+def _no_sooner(probe: Probe, command: Command) -> None:
+    """A kept run that was stopped does not begin when a pulse mode is left, another mode is set, or the motor is enabled."""
+    before = _turning(probe, -_RPM)
+    probe.do(command, _KEEP)
+    motion.stand_still(probe)
+    for when, exchange in _made_ready(probe):
+        probe.wait(_BEGINS_NS)
+        seen = motion.speed(probe)
+        if abs(seen.value) > abs(before) / 2:
+            _forget(probe, command)
+        text = f"a kept run begins when {when}"
+        probe.expect(abs(seen.value), at_most=abs(before) / 2, unit="rpm", refutes=text, exchange=exchange)
     _forget(probe, command)
 
 

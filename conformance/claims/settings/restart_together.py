@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
-from conformance.claims.addressing import many, package
+from conformance.claims.addressing import package, ways
 from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case
 from conformance.claims.ranges import edges
@@ -51,7 +51,7 @@ class _Way:
 
     def risks(self, dialect: Dialect) -> frozenset[Risk]:
         """Return what `ready` risks."""
-        return dialect.by_verb[Verb.SET_GROUP_ADDRESS].all_risks if self.ready is many.join else frozenset()
+        return dialect.by_verb[Verb.SET_GROUP_ADDRESS].all_risks if self.ready is ways.join else frozenset()
 
     def chosen(self, dialect: Dialect) -> list[Setting]:
         """Return the settings of a dialect that are sent so."""
@@ -70,11 +70,11 @@ def _to_all(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchan
 
 
 def _to_group(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
-    return _to(probe, many.group_of(probe.dialect, probe.address), command, values)
+    return _to(probe, ways.group_of(probe.dialect, probe.address), command, values)
 
 
 def _to(probe: Probe, address: int, command: Command, values: Mapping[str, int]) -> Exchange:
-    return many.send_to(probe, address, Change(command, dict(values), 0, 0), _SILENT_NS)
+    return ways.send_to(probe, address, Change(command, dict(values), 0, 0), _SILENT_NS)
 
 
 def _in_slot(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
@@ -91,7 +91,7 @@ _WAYS = (
         "to the group",
         _to_group,
         lambda dialect: Verb.SET_GROUP_ADDRESS in dialect.by_verb,
-        many.join,
+        ways.join,
         ("group_address",),
     ),
     _Way("restart-package", "in a slot of a package", _in_slot, lambda dialect: bool(package.of(dialect))),

@@ -19,7 +19,7 @@ from analyzer import dialects as registry
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from analyzer.layout import Effect, Field
 from conformance.claim import Inconclusive
-from conformance.claims.addressing import many
+from conformance.claims.addressing import ways
 from conformance.claims.declare import Case
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.ranges import edges
@@ -332,7 +332,7 @@ def _link(probe: Probe, command: Command, native: Dialect, setter: Command) -> N
     shown = _shown_by_a_group(probe.dialect)
     if shown is not None:
         shown.prepare(probe)
-        group = many.join(probe)
+        group = ways.join(probe)
     move_away(probe, setter)
     away = other_address(probe.dialect)
     exchange = probe.ask(command, address=away)
@@ -351,7 +351,7 @@ def _link(probe: Probe, command: Command, native: Dialect, setter: Command) -> N
     if shown is not None:
         shown.prepare(probe)
         change = shown.change(probe)
-        sent = many.send_to(probe, group, change, shown.settle_ns)
+        sent = ways.send_to(probe, group, change, shown.settle_ns)
         text = f"a restored drive is in the group {group} still"
         holds, expected = not shown.done(probe, change), "no effect of what the group is told"
         probe.expect("its effect", holds=holds, expected=expected, refutes=text, exchange=sent)

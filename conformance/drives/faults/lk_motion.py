@@ -95,6 +95,29 @@ def _from_the_origin(drive: LkDrive, request: Request) -> None:
     motor.zero = zero
 
 
+#: From how far on a way is nearly a turn, up to how far it is few degrees, and in how many two places are one.
+_NEARLY_A_TURN, _FEW_DEGREES, _SAME = 340, 10, 0.1
+
+
+def _left(drive: LkDrive, request: Request) -> tuple[bool, float]:
+    """Return whether a move within the turn is told to go clockwise, and how far that is."""
+    clockwise = request.values["direction"] == SpinDirection.CW
+    return clockwise, (request.physical["angle"] - drive.motor.within_turn) * (1 if clockwise else -1) % 360
+
+
+def _short_of_a_turn(drive: LkDrive, request: Request) -> None:
+    clockwise, left = _left(drive, request)
+    other = _NEARLY_A_TURN < left < 360 - _SAME
+    drive.motor.turn_to(request.physical["angle"], clockwise=clockwise != other, top=request.physical["max_speed"])
+
+
+def _round_across_zero(drive: LkDrive, request: Request) -> None:
+    clockwise, left = _left(drive, request)
+    crosses = (request.physical["angle"] < drive.motor.within_turn) is clockwise
+    other = _SAME < left < _FEW_DEGREES and crosses
+    drive.motor.turn_to(request.physical["angle"], clockwise=clockwise != other)
+
+
 def _from_given_up(hooks: Hooks) -> None:
     given_up: list[float] = []
 
@@ -548,6 +571,16 @@ ROWS: Rows = {
             "lk-single-turn-by-position",
             "0xA5 counts from where 0x95 set the position",
             moving(SINGLE_TURN[:1], _from_the_origin),
+        ),
+        Row(
+            "lk-nearly-a-turn-round",
+            "0xA6 by nearly a turn goes the short way, the other way round",
+            moving(SINGLE_TURN[1:], _short_of_a_turn),
+        ),
+        Row(
+            "lk-few-degrees-round",
+            "0xA5 by few degrees across zero goes the long way, the other way round",
+            moving(SINGLE_TURN[:1], _round_across_zero),
         ),
         Row("lk-increment-of-stopped-move", "after 0x81 0xA7 counts from the target of before", Change(_from_given_up, LK)),
         Row(

@@ -15,7 +15,7 @@ from analyzer.protocols import mks_rs485, mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Request, Values
 from conformance.drives.faults import numbers
-from conformance.drives.faults.mks_behaviour import OK, before, tuned, wrapped
+from conformance.drives.faults.mks_behaviour import OK, before, homing_by, mks, tuned, wrapped
 from conformance.drives.faults.mks_conditions import refused_when, undone_when
 from conformance.drives.faults.mks_frames import mine, slots
 from conformance.drives.faults.places import (
@@ -33,7 +33,7 @@ from conformance.drives.faults.places import (
     storing,
 )
 from conformance.drives.mks.core import MOTIONS, STOPS, Activity, Behaviour, MksCore, Script
-from conformance.drives.mks.motion import TARGETS
+from conformance.drives.mks.motion import TARGETS, begin_run
 from conformance.drives.mks.paths import Number, divided
 from conformance.drives.mks.state import SUBDIVISION
 
@@ -123,6 +123,16 @@ def _scaled_moves(drive: MksCore) -> None:
         drive.behaviours[verb] = slow
 
 
+def _in_whole_rpm(drive: MksCore) -> None:
+    real = drive.real_speed
+    drive.real_speed = lambda speed: round(real(speed))  # type: ignore[method-assign]
+
+
+def _going_on_at_0(drive: MksCore, request: Request) -> Values | None:
+    """Say that a move at speed 0 stops the shaft, and let it go on."""
+    return None if request.values["speed"] else dict(OK)
+
+
 def _as_sent_at_odd(drive: MksCore) -> None:
     """Turn at the speed as sent at odd subdivisions above 64."""
     plain = drive.real_speed
@@ -174,6 +184,61 @@ def _kept_at_rest(drive: MksCore, request: Request) -> Values | None:
     """Say that the run is cleaned, and keep it, where the shaft stands."""
     cleans = request.values["save_state"] == mks_shared.SaveState.CLEAN
     return dict(OK) if cleans and not drive.motor.speed(drive.now_ns) else None
+
+
+def _begins_kept(ready: Callable[[Request], bool]) -> Callable[[Behaviour], Behaviour]:
+    """Begin a kept run where a command makes the motor ready."""
+
+    def wrap(behaviour: Behaviour) -> Behaviour:
+        def act(drive: MksCore, request: Request) -> Values | None:
+            found, settings = behaviour(drive, request), drive.settings
+            if settings["saved_run"] and drive.ready and ready(request):
+                begin_run(drive, settings["saved_direction"], settings["saved_speed"], settings["saved_acceleration"])
+            return found
+
+        return act
+
+    return wrap
+
+
+def _move_told_turned(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
+    core = mks(drive)
+    turned = core.doing(Activity.MOVE) and core.settings["motor_direction"]
+    return values | {"speed": -values["speed"]} if turned else values
+
+
+def _released_enabled(drive: MksCore, request: Request) -> None:
+    """Enable a motor that is off where nothing was protected."""
+    drive.memory.enabled = True
+    drive.grip()
+
+
+_homing_turned = Change(
+    homing_by(lambda settings: {"home_direction": settings["home_direction"] ^ settings["motor_direction"]}).install, SERIAL
+)
+
+
+def _taking_ramp_of_last(verb: Verb, takes: Callable[[int, int], bool]) -> Callable[[MksCore], None]:
+    """Let a motion take the acceleration of the one before; `takes(its own, that)` says when."""
+
+    def change(drive: MksCore) -> None:
+        last: int | None = None
+
+        def noted(behaviour: Behaviour) -> Behaviour:
+            def act(core: MksCore, request: Request) -> Values | None:
+                nonlocal last
+                own = request.values["acceleration"]
+                if request.command.verb is verb and last is not None and takes(own, last):
+                    request.values = request.values | {"acceleration": last}
+                last = own
+                return behaviour(core, request)
+
+            return act
+
+        for each in MOTIONS:
+            drive.behaviours[each] = noted(drive.behaviours[each])
+
+    return change
 
 
 def _slower_back(direction: int) -> Callable[[Drive, Command, Values], Values]:
@@ -497,6 +562,35 @@ SEQUENCES: Rows = {
         ),
         Row("package-of-two-codes", "of the own slots of a package the first of each code is executed", slots(_by_code)),
     ),
+    "by the ramp of before": (
+        Row(
+            "at-once-by-ramp-of-before",
+            "F5 with acceleration 0 takes the ramp of the motion before",
+            tuned(_taking_ramp_of_last(Verb.MOVE_ABSOLUTE_AXIS, lambda own, last: not own)),
+        ),
+        Row(
+            "at-once-behind-at-once",
+            "FE behind a motion with acceleration 0 is at once too",
+            tuned(_taking_ramp_of_last(Verb.MOVE_ABSOLUTE_PULSES, lambda own, last: not last)),
+        ),
+    ),
+    "sooner": (
+        Row(
+            "release-enables",
+            "3D enables a motor that is off and was not protected",
+            before(Verb.RELEASE_PROTECTION, _released_enabled),
+        ),
+        Row(
+            "save-speed-begun-by-mode",
+            "the kept run begins when 82 sets a mode by the bus",
+            wrapped(Verb.SET_WORK_MODE, _begins_kept(lambda request: True)),
+        ),
+        Row(
+            "save-speed-begun-by-enabling",
+            "the kept run begins when F3 enables the motor",
+            wrapped(Verb.ENABLE, _begins_kept(lambda request: bool(request.values["enabled"]))),
+        ),
+    ),
     "undone": (
         Row("protection-stays", "88 00 is answered, and the protection acts on", storing(_on_alone, "protection")),
         Row(
@@ -510,6 +604,12 @@ SEQUENCES: Rows = {
         Row("respond-0-needs-active", "respond 0 silences nothing with active 0", tuned(_silent_if_active), NATIVE),
         Row("ends-told-aloud", "with respond 0 the end of FE and F5 is told", tuned(_tells_ends), TELLING),
         Row("refused-aloud", "with respond 0 a refusal is answered", tuned(_refuses_aloud), TELLING),
+        Row(
+            "direction-turns-speed-of-moves",
+            "with 86 on CCW the speed of a move is told the other way",
+            result(_move_told_turned, Verb.READ_SPEED),
+        ),
+        Row("direction-turns-home", "with 86 on CCW homing turns the other way round", _homing_turned),
         Row("protection-slows", f"with the protection on nothing turns faster than {_SAFE_RPM} rpm", tuned(_slow_if_protected)),
         *(
             Row(
@@ -565,6 +665,13 @@ SEQUENCES: Rows = {
             "as-sent-at-odd",
             f"at odd subdivisions above {_PLAIN_MOST} the speed is the one that is sent",
             tuned(_as_sent_at_odd),
+            SERIAL,
+        ),
+        Row("speeds-in-whole-rpm", "speeds of other subdivisions are rounded to whole rpm", tuned(_in_whole_rpm)),
+        Row(
+            "speed-0-of-moves-goes-on",
+            "F4 with speed 0 and a distance is answered, and the shaft goes on",
+            before(Verb.MOVE_RELATIVE_AXIS, _going_on_at_0),
             SERIAL,
         ),
         Row("moves-scaled-at-32", "at 32 subdivisions moves go at half their speed", tuned(_scaled_moves)),

@@ -15,6 +15,17 @@ from conformance.suite.target import EMULATED, parse
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
+    "speeds-in-whole-rpm": "motion/run_speed/parts-of-a-rpm",
+    "speed-0-of-moves-goes-on": "motion/move_relative_axis/speed-0",
+    "at-once-by-ramp-of-before": "motion/move_absolute_axis/own-ramp",
+    "at-once-behind-at-once": "motion/move_absolute_pulses/own-ramp",
+    "release-enables": "motion/run_speed/disabled",
+    "direction-turns-speed-of-moves": "motion/set_direction/and-move_relative_pulses",
+    "direction-turns-home": "motion/set_direction/and-home",
+    "save-speed-begun-by-mode": "read-back/save_speed/no-sooner",
+    "save-speed-begun-by-enabling": "read-back/save_speed/no-sooner",
+    "lk-few-degrees-round": "motion/move_single_turn/across-zero",
+    "lk-nearly-a-turn-round": "motion/move_single_turn_limited/way-round",
     "direction-turns-speed": "motion/set_direction/and-the-bus",
     "close-unlimited-while-turning": "motion/move_absolute_axis/mode-limit",
     "lk-off-at-rest-told-on": "motion/motor_off/ends-motion",
