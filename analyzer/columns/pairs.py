@@ -377,7 +377,7 @@ class Pairing:
         return len(self._kinds) - 1
 
     def _says_the_same(self, kind: _Kind) -> bool:
-        """Say whether frames of a kind say the same, whatever their data are."""
+        """Say whether the data of frames cannot change what a kind says."""
         lanes = [self._lanes[n] for n in (*kind.asking, *kind.telling)]
         judged = any(self._lanes[n].command.judged for n in kind.telling)
         return not judged and all(column_codec(lane.form.layout, kind.start).takes_all for lane in lanes)

@@ -202,7 +202,7 @@ def of_replies(garbled: Sequence[Garbled]) -> Iterator[Way]:
 
 @cache
 def _starts(head: bytes, line: Line) -> frozenset[tuple[bytes, bytes]]:
-    """Return what is read of the beginning of a frame, whatever follows: bytes, and their known bits."""
+    """Return how the beginning of a frame is read: bytes, and those of their bits that no later byte changes."""
     found = set()
     for late in _lates(line.ratio):
         pair = [read(levels(head + tail, line), line, late) for tail in (bytes(8), b"\xff" * 8)]

@@ -257,7 +257,7 @@ def _parts(scene: Scene) -> list[_Part]:
 
 
 def _checked(data: bytes) -> int:
-    """Return the length of a request to read registers at the beginning of bytes, whoever is asked; 0 where none is."""
+    """Return the length of the request to read registers that bytes begin with, at any address; 0 where none does."""
     return _READ_BYTES if data[1:2] in _REGISTERS and len(data) >= _READ_BYTES and modbus_crc(data[:_READ_BYTES]) == 0 else 0
 
 

@@ -115,7 +115,7 @@ class Place:
         return ""
 
     def check_files(self, names: Iterable[str]) -> None:
-        """Raise ValueError for a pipe, a socket or a device on a disk: whoever reads it may wait for ever."""
+        """Raise ValueError for a pipe, a socket or a device on a disk: reading one may never end."""
         for name in names if self.local else ():
             path = self.path(name)
             if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):

@@ -119,7 +119,7 @@ class LogClock:
 
     @property
     def notes(self) -> list[str]:
-        """What is to be said of the times."""
+        """Notes about the times: how many records came late, and by how much."""
         if not self.moved:
             return []
         late = f"{counted(self.moved, 'record')} arrived up to {self.moved_ns / 1e6:.0f} ms late"

@@ -100,7 +100,7 @@ def _endpoint(text: str) -> Endpoint:
 
 
 def _refuse_own_port(link: str, endpoint: Endpoint) -> None:
-    """Raise UsageError where the link would take the adapter's place, whatever the two are called."""
+    """Raise UsageError where the link names the adapter's own device; one device may have several names."""
     port = endpoint.place if endpoint.kind == "serial" else ""
     if endpoint.adapter:
         # Where it is not plugged in, the tap waits for it.

@@ -159,7 +159,7 @@ def _directions_of_homing(dialect: Dialect) -> Iterator[Case]:
 
 @of_motion(each=_directions_of_homing, name="{command}/and-{home}", refuted_by="homing that turns the other way")
 def _direction_and_homing(probe: Probe, command: Command, home: Command) -> None:
-    """Homing turns by its own direction, whatever the setting of the motor's direction is."""
+    """Homing turns by its own direction; that of the motor does not change it."""
     motion.ready_to_move(probe, subdivision=declared.SUBDIVISION)
     homing.set_home(probe, home_speed=_HOME_RPM)
     found = []

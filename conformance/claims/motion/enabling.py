@@ -162,7 +162,7 @@ def _staying_off(dialect: Dialect) -> Iterator[Case]:
 
 @of_motion(each=_staying_off, name="{command}/stays-off", refuted_by="a motor that is on", at_best=Certainty.LIKELY)
 def _stays_off(probe: Probe) -> None:
-    """A motor that is off stays off, whatever comes that does not switch it on: moves, stops, a release, a new zero."""
+    """A motor that is off stays off at moves, stops, a release and a new zero."""
     motion.ready_to_move(probe)
     motion.switch(probe, False)
     for command in _not_switching(probe.dialect):

@@ -29,7 +29,7 @@ from conformance.talk.noise import TOLD_LATE_NS
 from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 from conformance.talk.restarts import restart
 
-#: What is no motion and no setting, and answered all the same.
+#: The answered commands that are neither motions nor settings.
 _LOUD = (Verb.RELEASE_PROTECTION, Verb.EMERGENCY_STOP)
 _TURNS, _MOVE_RPM = 0.2, 120
 #: 60 rpm, and 0.15 s from it to a stop.

@@ -316,7 +316,7 @@ def _when_rising(probe: Probe, command: Command, run: Command) -> None:
     _expect_ended(probe, command, "slows down")
 
 
-#: A fast speed and its turns, a ramp of 5 ms for each rpm, and how long a shaft may take to stand after its ramp.
+#: A fast move: its speed and turns, with a ramp of 5 ms for each rpm. The shaft stands so long after its ramp at most.
 _FAST_RPM, _FAST_TURNS, _RISING, _DOWN_NS = 1200, 20, 156, 120 * MS
 
 

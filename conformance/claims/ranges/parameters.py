@@ -24,7 +24,7 @@ from conformance.talk.probe import Probe
 
 #: Numbers that no parameter has in the manual; most are next to a listed one.
 _NUMBERS = (0, 9, 13, 29, 31, 33, 35, 37, 39, 255)
-#: How far a position that was just set may be off (degrees), beside the noise.
+#: A position that was just set may be off by so many degrees, and by the noise.
 _SAME = 0.3
 
 

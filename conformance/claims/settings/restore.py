@@ -179,7 +179,7 @@ def _unprinted(dialect: Dialect) -> Iterator[Case]:
     at_best=Certainty.LIKELY,
 )
 def _forgets(probe: Probe, command: Command, setter: Command, values: Sequence[Mapping[str, int]]) -> None:
-    """A restore brings {setter} to one value, whatever was set before."""
+    """A restore brings {setter} to one value from each that was set before."""
     kept = []
     for given in values:
         probe.do(setter, given)
