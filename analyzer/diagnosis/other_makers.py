@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from functools import reduce
+from operator import xor
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
@@ -150,6 +152,17 @@ def _bacnet(data: bytes) -> bool:
     return len(data) < _MSTP_HEAD or crc == _MSTP_GOOD
 
 
+def _hart(data: bytes) -> bool:
+    """Say whether bytes are a frame of HART: a preamble, a kind, a short or long address, a command, a count, a check."""
+    frame = data.lstrip(b"\xff")
+    if len(data) - len(frame) < _HART_PREAMBLE or not frame or frame[0] & 0x7F not in _HART_KINDS:
+        return False
+    count = 7 if frame[0] & 0x80 else 3
+    return len(frame) > count and len(frame) == count + frame[count] + 2 and reduce(xor, frame) == 0
+
+
+#: Of HART: the fewest bytes of its preamble, and its kinds: a burst, a request and a reply.
+_HART_PREAMBLE, _HART_KINDS = 2, (1, 2, 6)
 #: Of BACnet MS/TP: preamble with the type, its last type, its head with a check, and what that leaves where it fits.
 _PREAMBLE, _LAST_TYPE, _MSTP_HEAD, _MSTP_GOOD = 3, 7, 8, 0x55
 _TEXT = re.compile(rb"[\x20-\x7e\r\n\t]*[A-Za-z]{4}[\x20-\x7e\r\n\t]*")
@@ -180,6 +193,7 @@ MAKES = (
     Make("an electricity meter (68 ... 68 ... 16)", _meter, 1, _PROTOCOL),
     Make("a meter on M-Bus (10 ... 16, 68 ... 16)", _m_bus, 1, _PROTOCOL),
     Make("BACnet MS/TP (55 FF)", _bacnet, 1, "Switch the device to Modbus, if it has both; else use a BACnet tool"),
+    Make("a HART transmitter (FF FF ... 02 or 82)", _hart, 1, "Use a HART tool and its modem; " + _UART),
     Make("a controller of Omron (FINS)", _fins, 1, _SERVICE),
     Make("a controller of Siemens (S7, which begins a connection by 03 00)", _tpkt, 1, _SERVICE),
     Make("Modbus ASCII", _modbus_ascii, 1, "Set both sides to Modbus RTU"),

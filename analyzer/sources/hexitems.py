@@ -32,6 +32,15 @@ CONTENT = r"(?:data|bytes?|frame|adu|pdu|buffer|buf|packet|msg|message|raw)"
 #: What bytes can begin with.
 _BYTES = rf"(?={PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*$|(?:[0-9A-Fa-f]{{2}}\.){{5}}|-?\d{{1,3}}[\s,])"
 
+
+def _end(group: str) -> str:
+    """Return the pattern of a name of an end of a line, which is no byte and no word for bytes."""
+    return rf"(?!(?:[0-9A-F]{{2}}|hex|{CONTENT})\b)(?P<{group}>[A-Za-z][A-Za-z0-9]{{0,11}})(?![0-9A-Za-z_])"
+
+
+#: One end of a line and the other, with an arrow between them.
+_ENDS = rf"{_end('one')}\s*(?P<way>[-=]{{0,2}}>|<[-=]{{1,2}}|[→←])\s*{_end('other')}{DECORATION}{_BYTES}"
+
 #: Items that may stand before the bytes, in the order of trying, each with a character that its lines have. The names of the
 #: groups say what an item is.
 ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
@@ -47,6 +56,8 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
             "(",
             rf"\s*(?:[$>\s]*)(?:[A-Za-z_]\w*\.)*(?P<call>{WORDS_PATTERN})(?!\w*{_VALUES})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"']))?",
         ),
+        # Who sends to whom: `PC=>MOT`, `COM>TCP`, `[host <- drive]`.
+        (When.UNMARKED, "", rf"\s*[\[(]?{_ENDS}"),
         (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{WORDS_PATTERN})(?:_?{CONTENT})?(?:\(\):)?{_END}{DECORATION}"),
         # What the bytes are called, how many they are, a counter as Modbus Poll prints it.
         (When.MARKED, "", rf"(?:hex|{CONTENT}){_END}[\s:=>]*"),
@@ -90,7 +101,7 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
 )
 #: A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark; so does a phrase that ends in a colon.
 DISTANT = re.compile(
-    rf"(?<![\w.])(?<!before )(?:(?:{WORDS_PATTERN})\s*(?:[>\]=|]|:(?!:))|(?<![\w,]\s)(?:{WORDS_PATTERN})\s+"
+    rf"(?<![\w.])(?<!before )(?:{_ENDS}|(?:{WORDS_PATTERN})\s*(?:[>\]=|]|:(?!:))|(?<![\w,]\s)(?:{WORDS_PATTERN})\s+"
     rf"(?={PAIR}[\s,:-]+{PAIR}|<Buffer|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
     re.IGNORECASE,
 )

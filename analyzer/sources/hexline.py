@@ -40,7 +40,7 @@ from analyzer.sources.hexitems import (
     When,
 )
 from analyzer.sources.lines import remembered
-from analyzer.sources.marks import ACTIONS, LETTERS, SIGNS, SPEAKERS, WORDS, role_of
+from analyzer.sources.marks import ACTIONS, LETTERS, MATTERS, SIGNS, SPEAKERS, TO, WORDS, role_of, speaker_of
 from analyzer.sources.stamps import ANY, STAMPS, Stamp
 from analyzer.sources.written import Radix, Written
 
@@ -85,7 +85,7 @@ class HexLine(NamedTuple):
     @property
     def marked(self) -> bool:
         """Whether a word or sign says who sent."""
-        return self.worded or self.sign in SIGNS or self.sign in LETTERS
+        return self.worded or self.sign in SIGNS or self.sign in LETTERS or TO in self.sign
 
 
 #: A digit before bytes that all have two digits is no byte, where some byte keeps its zero or has a letter.
@@ -126,6 +126,8 @@ _INDEXED = re.compile(
 #: One byte of a log before the name of who sent it: `0.000260 TAB 0x01 TAB HOST`.
 _SIDED = re.compile(r"(?P<before>[^\t]*)\t(?:0[xX])?(?P<hex>[0-9A-Fa-f]{2})\t(?P<side>[A-Za-z]+)")
 _NUMBER = re.compile(r"\d+\s*")
+#: What stands behind two names that nobody knows: bytes and nothing else.
+_FRAME = re.compile(rf"(?:{PAIR}[\s,:-]*){{3,}}")
 _AROUND_NOTE = " \t,;|"
 #: A sentence before a mark: no header of bytes.
 _TWO_WORDS = re.compile(r"[^\W\d_]+ [^\W\d_]+ $")
@@ -373,6 +375,8 @@ class _Peeler:
 
     def _take(self, found: re.Match[str]) -> bool:
         """Keep what an item says; say whether it can stand here."""
+        if "way" in found.re.groupindex:
+            return self._speaks(found)
         for group, value in found.groupdict().items():
             if value is None:
                 continue
@@ -407,6 +411,18 @@ class _Peeler:
                 if (word := value.rpartition(".")[2].lower()) in ACTIONS and word != value.lower():
                     self.words.append(word)
         return True
+
+    def _speaks(self, found: re.Match[str]) -> bool:
+        """Keep who speaks to whom; say whether the names are those of the ends of a line."""
+        ends = (found["one"].lower(), found["other"].lower())
+        sender, receiver = ends[::-1] if found["way"][0] in "<←" else ends
+        if not {sender, receiver}.isdisjoint((*ACTIONS, *MATTERS)):
+            return False
+        if speaker := speaker_of(sender, receiver):
+            self.words.append(speaker)
+        elif " " not in found[0].strip() and _FRAME.fullmatch(self.text, found.end()):
+            self.sign = f"{sender}{TO}{receiver}"
+        return self.marked
 
     def _with_note(self, rest: str) -> tuple[Written | None, str]:
         """Return the bytes at the beginning of a text and what stands behind them as a comment."""

@@ -11,7 +11,7 @@ from analyzer.catalogue import Role
 from analyzer.link import modbus_crc
 from analyzer.sources.hexfields import has_cells, has_fields
 from analyzer.sources.hexline import HexLine, Shape, take_apart
-from analyzer.sources.marks import OTHER_SIDE, WORDS, role_of
+from analyzer.sources.marks import OTHER_SIDE, TO, WORDS, role_of
 from analyzer.sources.prose import quotations
 from analyzer.sources.written import Radix, decimal
 
@@ -56,6 +56,17 @@ def _is_turned(traffic: Sequence[HexLine]) -> bool:
     """Say whether a server writes: all requests that can be told are marked as received, and all replies as sent."""
     asked = {p.role for p in traffic if _asks(p.data)}
     return asked == {Role.REPLY} and {p.role for p in traffic if _replies(p.data)} == {Role.REQUEST}
+
+
+def _asker(traffic: Sequence[HexLine]) -> str:
+    """Return the name of who sends requests to read registers, of names that speak to each other; empty where none does."""
+    votes: Counter[str] = Counter()
+    for part in traffic:
+        if TO in part.sign:
+            sender, receiver = part.sign.split(TO)
+            votes[sender] += _asks(part.data)
+            votes[receiver] += _replies(part.data)
+    return max(votes, key=lambda name: votes[name]) if votes.total() else ""
 
 
 def says(parts: Sequence[HexLine]) -> bool:
@@ -124,6 +135,8 @@ class Manner(NamedTuple):
     deaf: bool = False
     #: A server writes: what it sends are replies.
     turned: bool = False
+    #: The name of who sends requests, of two names that tell nothing by themselves.
+    asker: str = ""
     #: A number stands before the bytes of each line.
     led: bool = False
     #: There is no line of a log: sentences are read.
@@ -160,6 +173,7 @@ class Manner(NamedTuple):
             led=len(traffic) > 1 and all(p.led for p in traffic[:2]),
             deaf=_is_deaf(traffic, roles),
             turned=_is_turned(traffic),
+            asker=_asker(traffic),
             prose=prose,
             fields=prose and has_fields(lines),
             cells=prose and has_cells(lines),
@@ -185,6 +199,8 @@ class Manner(NamedTuple):
             role = Role.UNKNOWN
         elif self.brackets and line.sign.startswith("each"):
             role = Role.REQUEST if line.sign == "each[" else Role.REPLY
+        elif self.asker and TO in line.sign:
+            role = Role.REQUEST if line.sign.startswith(f"{self.asker}{TO}") else Role.REPLY
         elif self.turned:
             role = OTHER_SIDE[role]
         return line if role is line.role else line._replace(role=role)

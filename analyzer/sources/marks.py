@@ -52,6 +52,15 @@ SIGNS: dict[str, int] = {
 #: Letters that mean an action only where they are all that is said.
 LETTERS: dict[str, int] = {"t": _SENT, "r": _RECEIVED, "w": _SENT, "o": _SENT, "i": _RECEIVED, "out": _SENT, "in": _RECEIVED}
 
+#: What stands between two names, of which the first speaks.
+TO = " to "
+#: Names of the two ends of a line, beside those of `SPEAKERS`, as programs print them: `PC=>MOT`, `TCP>COM`, `H>M`.
+ENDS: dict[str, int] = {
+    **SPEAKERS,
+    **dict.fromkeys(("tcp", "net", "plc", "mcu", "esp", "arduino", "rpi", "controller", "app", "h"), 1),
+    **dict.fromkeys(("mot", "drv", "dev", "com", "serial", "uart", "rs", "driver", "slv", "stepper", "bus", "s"), -1),
+}
+
 WORDS = frozenset((*ACTIONS, *SPEAKERS, *MATTERS))
 _ROLES = {1: Role.REQUEST, -1: Role.REPLY, 0: Role.UNKNOWN}
 
@@ -67,6 +76,15 @@ def role_of(words: Iterable[str], sign: str = "") -> Role:
     if not (action or speaker or matter):
         return _ROLES[SIGNS.get(sign, LETTERS.get(sign, 0))]
     return _ROLES[matter or (action or 1) * (speaker or 1)]
+
+
+def speaker_of(sender: str, receiver: str) -> str:
+    """Return `host` or `drive` for who speaks from one end of a line to the other; empty where the names do not tell.
+
+    The names are in lower case; a number may stand behind them, as in `COM3`.
+    """
+    from_, to = (ENDS.get(name.rstrip("0123456789"), 0) for name in (sender, receiver))
+    return {1: "host", -1: "drive", 0: ""}[0 if from_ == to else from_ or -to]
 
 
 #: Who is spoken to.

@@ -185,3 +185,21 @@ def test_an_echo_that_a_library_reads_late_is_one():
 def test_a_request_that_is_sent_again_later_is_no_echo():
     text = "".join(f"[10:00:0{second}] TX: {pairs(ASK)}\n" for second in range(1, 4))
     assert "echo" not in [each.suspicion.cause for each in diagnosed(text).causes]
+
+
+@pytest.mark.parametrize(
+    "marks", ["PC=>MOT MOT=>PC", "PC->MOTOR MOTOR->PC", "HOST>DRV DRV>HOST", "TCP>COM3 COM3>TCP", "h→m m→h", "host<-x x<-host"]
+)
+def test_an_arrow_between_two_names_tells_the_way_by_the_one_that_is_known(marks):
+    one, other = marks.split()
+    ask, answer = (one, other) if "<" not in marks else (other, one)
+    rows = ((ask, "3E 9A 07 00 DF"), (answer, "3E 9A 07 07 E6 22 70 08 01 00 00 00 9B"), (ask, "3E 92 07 00 D7"),
+            (answer, "3E 92 07 08 DF 10 02 00 00 00 00 00 00 12"))  # fmt: skip
+    assert diagnosed("".join(f"11:02:0{n}.000  {mark}  {data}\n" for n, (mark, data) in enumerate(rows))).verdict == "ok"
+    # Without its reply the request is one that nobody has answered: so it is read as the host's.
+    assert diagnosed(f"{ask}: {pairs(ASK)}\n{answer}: {pairs(REPLY[:6])}\n").causes[0].suspicion.cause == "reply_cut"
+
+
+def test_an_arrow_between_unknown_names_tells_the_way_by_who_reads_registers():
+    text = f"A=>B {pairs(ASK)}\nB=>A {pairs(ASK + REPLY)}\nA=>B {pairs(ASK_2)}\nB=>A {pairs(ASK_2 + REPLY_2)}\n"
+    assert diagnosed(text).causes[0].suspicion.cause == "echo"

@@ -70,3 +70,24 @@ def test_makes_with_a_frame_of_their_own(frame):
 def test_a_host_reads_two_frames_of_daly_at_once():
     one = bytes.fromhex("A5 01 90 08 01 02 03 04 05 06 07 08 62")
     assert first(("<", one * 2)) == "unsupported_dialect"
+
+
+def hart(body):
+    frame = bytes.fromhex(body)
+    check = 0
+    for byte in frame:
+        check ^= byte
+    return bytes((*b"\xff" * 5, *frame, check))
+
+
+@pytest.mark.parametrize(
+    ("ask", "answer"),
+    [("82 93 11 2A 7C 05 03 00", "86 93 11 2A 7C 05 03 06 00 00 41 20 00 00"), ("02 80 00 00", "06 80 00 04 00 00 FE 93")],
+)
+def test_hart_is_of_another_maker(ask, answer):
+    rows = [(">", hart(ask)), ("<", hart(answer))]
+    assert [each.cause for each in told(*(3 * rows))] == ["unsupported_dialect"]
+
+
+def test_a_preamble_alone_is_not_hart():
+    assert "HART" not in str(told((">", b"\xff" * 5 + b"\x82\x93\x11\x2a")))
