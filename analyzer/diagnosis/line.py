@@ -142,13 +142,14 @@ def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Susp
     ways = [
         Way("wrong_parity", 1.0, list(of_seven(garbled))),
         Way("inverted_lines", 1.0, list(of_inverted(garbled))),
-        *of_what_was_sent(scene, garbled),
+        # What a host has sent stands in its log as it was before the line.
+        *(of_what_was_sent(scene, garbled) if side is not Role.REQUEST else ()),
         *(_back(scene.reader, garbled, cause, line) for cause, line in LINES),
     ]
     best = max(ways, key=lambda way: way.taken)
     if best.taken < _ENOUGH * sum(len(each.data) for each in garbled):
         best = max((best, *at_other_speeds(garbled), *of_replies(garbled)), key=lambda way: (_is_told(way), way.taken))
-    if best.fits and _is_told(best):
+    if best.fits and _is_told(best) and (side is Role.UNKNOWN or _is_met(scene, best, garbled)):
         yield _said(best, [each.trouble for each in all_garbled])
     elif _heard(scene, side) and not _sound(scene, side) and all(each.trouble in scene.damaged for each in garbled):
         repeats = len({each.data for each in all_garbled}) < len(all_garbled)
@@ -163,6 +164,16 @@ def _is_told(way: Way) -> bool:
         or max(way.different, len(way.fits)) > 1
         or any(fit.taken >= ALMOST_ALL * len(fit.data) for fit in way.fits)
     )
+
+
+def _is_met(scene: Scene, way: Way, garbled: list[Garbled]) -> bool:
+    """Say whether a way explains most reads of a host: of a protocol that is not known here it explains some by chance.
+
+    Of what comes at another speed only frames that are likely can be found.
+    """
+    if way.cause == "wrong_baud" or any(piece.sound for piece in scene.pieces):
+        return True
+    return len({fit.trouble for fit in way.fits}) > len(garbled) / 2
 
 
 def _heard(scene: Scene, side: Role) -> bool:

@@ -91,3 +91,18 @@ def test_hart_is_of_another_maker(ask, answer):
 
 def test_a_preamble_alone_is_not_hart():
     assert "HART" not in str(told((">", b"\xff" * 5 + b"\x82\x93\x11\x2a")))
+
+
+@pytest.mark.parametrize(
+    ("head", "size"), [("A5 07", 2), ("EB 91 03", 3), ("FE FE 04", 1), ("01", 2), ("AA 06", 2), ("7E 02 05", 4)]
+)
+def test_what_one_frame_of_an_unknown_protocol_is_like_says_nothing_of_the_line(head, size):
+    """Replies begin as their requests do, and one of them is as long: no echo, no start that is missing, no wires swapped."""
+    chance = random.Random(f"{head} {size}")
+    rows = []
+    for number in range(12):
+        code = bytes.fromhex(head) + bytes((0x40 + 9 * (number % 3),))
+        tail = chance.randbytes(1) + b"\x0d"
+        answer = chance.randbytes(size if not number % 3 else size + 1 + number % 3)
+        rows += [(">", code + bytes(size) + tail), ("<", code + answer + chance.randbytes(1) + b"\x0d")]
+    assert {each.cause for each in told(*rows)} <= {"unsupported_dialect"}
