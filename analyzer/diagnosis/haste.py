@@ -22,6 +22,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect requests that come too soon."""
     yield from _at_once(scene)
     yield from _too_fast(scene)
+    yield from _in_bursts(scene)
 
 
 def _too_fast(scene: Scene) -> Iterator[Suspicion]:
@@ -62,6 +63,60 @@ def _too_fast(scene: Scene) -> Iterator[Suspicion]:
         f"Wait for each reply, and then {2 * longest / 1e6:.3g} ms, before the next request",
         tuple(Shown(r.offset, shown(r.data)) for _, r in failing),
     )  # fmt: skip
+
+
+def _in_bursts(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the pace where several requests go out in less time than any reply takes, and only the last is answered."""
+    rows = list(_bursts(scene)) if scene.timed else []
+    answered = [row[-1] for row in rows if _replied(row[-1])]
+    if len(answered) < _OFTEN:
+        return
+    quickest = min(each.received[0].t_ns - each.request.t_ns for each in answered)
+    names = {_asked_for(each.request.message)[1] for each in answered}
+    hasty = [
+        row for row in rows if len(row) > 1 and _replied(row[-1])
+        and all(other.request.t_ns - one.request.t_ns < quickest for one, other in pairwise(row))
+    ]  # fmt: skip
+    # What no drive ever answers may be silent by its setting.
+    failing = [each for row in hasty for each in row[:-1] if _asked_for(each.request.message)[1] in names]
+    if len(hasty) < _OFTEN or 2 * len(hasty) <= len(rows) or len(failing) < 2 * _OFTEN:
+        return
+    silent = {_asked_for(each.request.message)[0] for each in failing}
+    troubles = [
+        t for t in scene.of("unanswered", "silent_address")
+        if t.piece is not None and t.piece.message is not None and t.piece.message.address in silent
+    ]  # fmt: skip
+    one, other = hasty[0][0].request, hasty[0][1].request
+    yield Suspicion(
+        "too_fast", Confidence.LIKELY,
+        troubles or [Trouble("unanswered", e.request.offset, None, e.request.piece) for e in failing],
+        "The host sends several requests without waiting for their replies: only the last of them is answered.",
+        f"{shown(other.data)} at byte {other.offset} comes {(other.t_ns - one.t_ns) / 1e6:.3g} ms after {shown(one.data)}, "
+        f"and the quickest reply takes {quickest / 1e6:.3g} ms; {counted(len(failing), 'request')} without a reply in "
+        f"{counted(len(hasty), 'row')}",
+        "Send one request, wait for its reply or the timeout, then send the next, also to another address",
+        tuple(Shown(e.request.offset, shown(e.request.data)) for e in failing),
+    )  # fmt: skip
+
+
+def _bursts(scene: Scene) -> Iterator[list[Exchange]]:
+    """Yield requests that follow each other before anything comes, where each of them asks for a reply of its own."""
+    for chain in chains(scene):
+        row: list[Exchange] = []
+        for exchange in chain:
+            row.append(exchange)
+            if exchange.received:
+                whose = [exchange.request.message for exchange in row]
+                if all(m is not None and m.command is not None and awaited(m) for m in whose) and len(
+                    {_asked_for(m) for m in whose}
+                ) == len(row):
+                    yield row
+                row = []
+
+
+def _replied(exchange: Exchange) -> bool:
+    """Say whether all that comes behind a request is its own reply."""
+    return _can_be(exchange.data, exchange.request)
 
 
 def _asked_for(message: Message | None) -> tuple[int, str]:

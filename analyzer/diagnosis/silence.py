@@ -99,8 +99,8 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -
     if sum(t.stretch is not None for t in scene.explained) >= _OFTEN * len(asked.troubles):
         return
     others = sorted(a for a, name in answering.items() if name == dialect.name)
-    if others and len(asked.troubles) == 1:
-        # Asked once, as a search for drives does.
+    if others and (len(asked.troubles) == 1 or scene.explained.issuperset(asked.troubles)):
+        # Asked once, as a search for drives does; or so that no reply can come.
         return
     if others:
         there = ", ".join(identifier(a) if dialect.bus == "can" else str(a) for a in others[:4])

@@ -419,3 +419,39 @@ def test_data_bits_that_are_missing():
     sent, came = rtu("01 03 00 00 00 0A"), bytes.fromhex("01 03 00 00 00 0A 05 1E")
     assert [each.cause for each in told((">", sent), ("<", came))] == ["wrong_parity", "noise"]
     assert "wrong_parity" not in {each.cause for each in told((">", sent), ("<", came[:4] + b"\x08" + came[5:]))}
+
+
+def rows_of_requests(requests, replies, gap_ms, rounds=4):
+    """Return requests that follow each other at a pace, and replies that come 5 ms behind the last of them."""
+    items, now = [], 0.0
+    for _ in range(rounds):
+        for role, frames, pause in ((Role.REQUEST, requests, gap_ms), (Role.REPLY, replies, 5)):
+            for frame in frames:
+                now += pause
+                items.append(Chunk(int(now * MS), "bus", bytes.fromhex(frame), role, True))
+        now += 200
+    return items
+
+
+SPEEDS_OF_THREE = ("FA 05 32 31", "FA 06 32 32", "FA 07 32 33")
+REPLIES_OF_THREE = ("FB 05 32 00 28 5A", "FB 06 32 00 29 5C", "FB 07 32 00 2A 5E")
+
+
+@pytest.mark.parametrize(
+    ("requests", "replies", "gap_ms", "too_fast"),
+    [
+        (SPEEDS_OF_THREE, REPLIES_OF_THREE[2:], 1.5, True),
+        # A host that waits longer than the reply takes finds two drives that are not there.
+        (SPEEDS_OF_THREE, REPLIES_OF_THREE[2:], 40, False),
+        # All answer in the end.
+        (SPEEDS_OF_THREE, REPLIES_OF_THREE, 1.5, False),
+        # Motion commands that no drive answers, by its setting, and a read behind them.
+        (("FA 05 F6 00 50 02 47", "FA 06 F6 00 50 02 48", "FA 07 32 33"), REPLIES_OF_THREE[2:], 1.5, False),
+    ],
+    ids=["rows", "waits", "answered", "silent by setting"],
+)
+def test_only_the_last_of_requests_that_follow_each_other_at_once_is_answered(requests, replies, gap_ms, too_fast):
+    causes = [each.suspicion.cause for each in diagnosed(rows_of_requests(requests, replies, gap_ms)).causes]
+    assert ("too_fast" in causes) is too_fast
+    # Whom the host has not let answer is not looked for.
+    assert not ("wrong_address" in causes and too_fast)
