@@ -25,7 +25,7 @@ from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources import written
 from analyzer.sources.can_text import can_name
 from analyzer.sources.lines import Lines, fitting, head_lines, is_like
-from analyzer.sources.marks import role_of_name
+from analyzer.sources.marks import role_of, role_of_name
 from analyzer.sources.source import Source, quote
 from analyzer.sources.stamps import Stamp, StampClock, stamp_of
 from analyzer.sources.times import number_ns
@@ -178,7 +178,9 @@ def _named(cells: Iterable[tuple[str, Any]]) -> Row:
 
 def _bytes_in(row: Row) -> list[tuple[bytes, Role]]:
     """Return the bytes of a row and who sent them."""
-    mark = role_of_name(str(row.get("mark", "")))
+    said = str(row.get("mark", "")).strip()
+    # A column of directions may have a letter or a sign alone.
+    mark = known if (known := role_of_name(said)) is not Role.UNKNOWN else role_of((), said.lower())
     if "cells" in row:
         cells = written.read(" ".join(cell.rjust(2, "0") for cell in row["cells"]))
         return [] if cells is None else [(_filled(cells.data, _length(row, len(cells.data))), mark)]

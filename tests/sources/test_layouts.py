@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.records import Chunk
+from analyzer.records import CanFrame, Chunk
 from analyzer.sources import open_source
 
 ASKED, ANSWERED = "11 03 00 C0 00 01 86 A6", "11 03 02 00 04 78 44"
@@ -99,3 +99,20 @@ def test_what_a_library_keeps_of_several_reads_is_known(tmp_path: Path) -> None:
 def test_what_is_cleared_before_a_request_was_received(tmp_path: Path) -> None:
     text = f"send: {ASKED}\nWARNING: cleanup recv buffer before send: 00 22 00 22 E0 5D\nrecv: {ANSWERED}\n"
     assert read(tmp_path, text)[1] == ("reply", "00 22 00 22 E0 5D")
+
+
+@pytest.mark.parametrize("marks", ["T R", "t r", "> <", "out in", "W R", "-> <-"])
+@pytest.mark.parametrize("heading", ["Time (s),Dir,ID,DLC,Data", "ID,DLC,Data,Direction"])
+def test_a_column_of_directions_may_have_a_letter_or_a_sign(marks, heading, tmp_path: Path) -> None:
+    sent, received = marks.split()
+    rows = [(sent, "00C", "3", "F6 01 03"), (received, "00C", "3", "F6 02 04"), (sent, "00D", "2", "F1 FE")]
+    cells = [
+        {"Time (s)": f"0.{n}", "Dir": r[0], "Direction": r[0], "ID": r[1], "DLC": r[2], "Data": r[3]}
+        for n, r in enumerate(rows)
+    ]
+    path = tmp_path / "can.csv"
+    path.write_text("\n".join((heading, *(",".join(row[name] for name in heading.split(",")) for row in cells))) + "\n")
+    with open_source(path) as source:
+        roles = [each.direction.value for each in source if isinstance(each, CanFrame)]
+    # A listener receives everything: on CAN only what was sent is told.
+    assert roles == ["request", "unknown", "request"]
