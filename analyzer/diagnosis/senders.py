@@ -18,6 +18,7 @@ from typing import NamedTuple
 from analyzer.catalogue import Role
 from analyzer.diagnosis.bits import CELLS, Line, levels, read
 from analyzer.diagnosis.exchanges import replies_to
+from analyzer.diagnosis.meeting import lacks_end, meeting
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link import modbus_crc
 from analyzer.values import counted
@@ -54,7 +55,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     found = list(_two_masters(scene, spoiled))
     spoiled = [each for each in spoiled if each.trouble not in scene.explained]
     if not found and spoiled:
-        found = list(_report_meets(scene, spoiled))
+        found = [*_reports_meet(scene, spoiled)] or [*_report_meets(scene, spoiled)]
         found = found or [*_two_drives(scene, spoiled), *_too_early(scene, spoiled), *_late_driver(scene, spoiled)]
     yield from found or _noise(scene, spoiled)
 
@@ -256,12 +257,31 @@ def _late_driver(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
     )  # fmt: skip
 
 
+def _reports_meet(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect two reports of a motion's end that two drives send at once."""
+    own = [(each, pair) for each in spoiled if (pair := meeting(scene, each.stretch)) is not None]
+    # Two at the same bit are told by every bit of them; what only begins as one and ends as the other has to come again.
+    if not any(pair.whole for _, pair in own) and len(own) < _REPLIES:
+        return
+    troubles, frames = _of([each for each, _ in own])
+    first, pair = next((row for row in own if row[1].whole), own[0])
+    how = "is what a receiver reads of both" if pair.whole else "begins as one and ends as the other"
+    yield Suspicion(
+        "collision", _sure(len(own) + 1), troubles,
+        "Two drives report the end of their motions at once, and their reports collide.",
+        f"{shown(first.stretch.data)} at byte {first.stretch.offset}: {shown(pair.one)} and {shown(pair.other)} are awaited, "
+        f"and it {how}; {counted(len(own), 'time')}",
+        "Let the motions of drives end at different times, or switch the reports off (active = 0 in 8C) and read the status",
+        frames,
+    )  # fmt: skip
+
+
 def _report_meets(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     """Suspect the report of a motion's end, which a drive sends by itself: it never comes, and each time a reply is damaged.
 
     The reply is that of another drive; or the report meets the request itself, and there is no reply.
     """
-    begun = [piece for piece in scene.requests if _lacks_end(scene, piece)]
+    begun = [piece for piece in scene.requests if lacks_end(scene, piece)]
     starts = [piece.offset for piece in begun]
     met = {starts[at - 1] for each in spoiled if (at := bisect_right(starts, each.stretch.offset))}
     # The last motion may have gone on behind the end of the capture.
@@ -280,15 +300,6 @@ def _report_meets(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspici
         "Ask no drive while a motion runs, or switch the reports off (active = 0 in 8C) and read the status",
         frames,
     )  # fmt: skip
-
-
-def _lacks_end(scene: Scene, piece: Piece) -> bool:
-    """Say whether a request is a motion that began, and whose end was not reported."""
-    command = None if piece.message is None else piece.message.command
-    if command is None or command.motion is None or not command.motion.tells_end:
-        return False
-    told = [r.message.values.get(command.replies.status) for r in scene.replies.get(piece.sequence, ()) if r.message]
-    return bool(told) and command.replies.interim.issuperset(told[-1:])
 
 
 def _same(one: bytes, other: bytes) -> int:

@@ -121,6 +121,38 @@ def test_a_report_that_meets_the_request(lost, cause, causes_of):
     assert causes_of(log) == cause
 
 
+def ends(came, rounds=3):
+    """Return motions of drives 5 and 8, with what comes at their end, and one round in which both ends come."""
+    log = ""
+    good = [native("FB 05 FE 02"), native("FB 08 FE 02")]
+    for n, tail in enumerate([*rounds * [[came]], good]):
+        rows = [row for who in ("05", "08") for row in (
+            ("TX", native(f"FA {who} FE 00 78 05 00 00 20 {n:02X}")), ("RX", native(f"FB {who} FE 01")))]  # fmt: skip
+        rows += [("RX", frame) for frame in tail]
+        log += "".join(f"{3 * n + at / 10:.2f} {mark} {data}\n" for at, (mark, data) in enumerate(rows))
+    return log
+
+
+@pytest.mark.parametrize(
+    ("came", "collides"),
+    [
+        # Each bit is that of FB 05 FE 02 00 and of FB 08 FE 02 03.
+        ("FB 00 FE 02 00", True),
+        # The second begins while the first is on the line.
+        ("FB 05 F2 82 02 03", True),
+        # Bits that neither has, and an end of one alone.
+        ("FB 00 FE 12 00", False),
+        ("FB 05 FE 02 01", False),
+    ],
+)
+def test_two_reports_that_meet(came, collides, causes_of):
+    assert ("collision" in causes_of(ends(came))) is collides
+
+
+def test_what_begins_as_one_report_and_ends_as_another_once_is_no_collision(causes_of):
+    assert "collision" not in causes_of(ends("FB 05 F2 82 02 03", rounds=1))
+
+
 def bytewise(frame, ms, answer):
     """Return a log of three requests, of which each byte is written alone."""
     log = ""
