@@ -7,8 +7,9 @@ from bisect import bisect_right
 from collections.abc import Iterator
 
 from analyzer.catalogue import Risk, Role, Verb
+from analyzer.diagnosis.exchanges import Turn, awaited, chains
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link import FUNCTIONS, READS, modbus_crc
+from analyzer.link import FUNCTIONS, READS, HeadLink, modbus_crc
 from analyzer.protocols.mks_shared import MotorStatus
 from analyzer.values import counted
 
@@ -27,7 +28,7 @@ _EXCEPTION, _LAST_CODE = 5, 0x0B
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the firmware."""
-    for part in (_second_reply, _byte_count, _no_check, _no_end, _never_answered):
+    for part in (_second_reply, _other_code, _byte_count, _no_check, _no_end, _never_answered):
         yield from part(scene)
 
 
@@ -60,6 +61,38 @@ def _second_reply(scene: Scene) -> Iterator[Suspicion]:
         Confidence.LIKELY, found, f"The drive answers {names} twice, which its manual does not say.", " comes behind the reply",
         "Let the program drop a second reply of the same code; look for other firmware",
     )  # fmt: skip
+
+
+def _other_code(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect replies that are right but for their code: each reply to one command has that of another."""
+    found: dict[tuple[str, int], list[Turn]] = {}
+    right: set[str] = set()
+    for exchange in (exchange for chain in chains(scene) for exchange in chain):
+        message, data = exchange.request.message, exchange.data
+        if message is None or message.command is None or not isinstance(message.frame.dialect.link, HeadLink):
+            continue
+        for reply in awaited(message):
+            at = len(reply.head) - 1
+            if reply.stands(data, 0):
+                right.add(message.command.name)
+            elif len(data) == reply.size and data[:at] == reply.head[:at] and reply.link.fits(data):
+                turn = exchange.received[0]
+                # A sound one may be the reply to another request.
+                if turn.piece is not None and not turn.piece.sound:
+                    found.setdefault((message.command.name, data[at]), []).append(turn)
+    for (name, code), turns in found.items():
+        if len(turns) < _HABIT or name in right:
+            continue
+        offsets = {turn.offset for turn in turns}
+        first = turns[0]
+        yield Suspicion(
+            "firmware_quirk", Confidence.LIKELY,
+            [t for t in scene.troubles if t.offset in offsets] or [Trouble("wrong_length", n, None) for n in offsets],
+            f"The drive answers {name} under the code {code:02X}, which is that of another command: its sum and length fit.",
+            f"{shown(first.data)} at byte {first.offset}; {counted(len(turns), 'time')}, and never otherwise",
+            "Let the program take this reply by its length and address too; look for other firmware",
+            tuple(Shown(turn.offset, shown(turn.data)) for turn in turns),
+        )  # fmt: skip
 
 
 def _said(confidence: Confidence, troubles: list[Trouble], say: str, where: str, todo: str) -> Suspicion:

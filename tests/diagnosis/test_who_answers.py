@@ -153,6 +153,28 @@ def test_what_begins_as_one_report_and_ends_as_another_once_is_no_collision(caus
     assert "collision" not in causes_of(ends("FB 05 F2 82 02 03", rounds=1))
 
 
+def answers(*codes):
+    """Return reads of drive 9's encoder by 31, each answered by another read's code, and reads of its speed that are right."""
+    log = ""
+    for n, code in enumerate(codes):
+        rows = [("TX", native("FA 09 31")), ("RX", native(f"FB 09 {code} 00 00 00 00 {n:02X} 40"))]
+        rows += [("TX", native("FA 09 32")), ("RX", native(f"FB 09 32 00 {n:02X}"))]
+        log += "".join(f"{n + at / 10:.2f} {mark} {data}\n" for at, (mark, data) in enumerate(rows))
+    return log
+
+
+@pytest.mark.parametrize(
+    ("codes", "causes"),
+    [(("32", "32", "32"), ["firmware_quirk"]), (("3E", "3E"), ["firmware_quirk"]), (("31", "31", "31"), [])],
+)
+def test_a_drive_that_answers_under_the_code_of_another_command(codes, causes, causes_of):
+    assert causes_of(answers(*codes)) == causes
+
+
+def test_one_reply_under_another_code_is_no_habit(causes_of):
+    assert "firmware_quirk" not in causes_of(answers("31", "32", "31", "32"))
+
+
 def bytewise(frame, ms, answer):
     """Return a log of three requests, of which each byte is written alone."""
     log = ""
