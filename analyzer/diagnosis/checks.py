@@ -17,7 +17,7 @@ from analyzer.diagnosis.check_rules import ORDER, RULES, RULES_OF_TWO, Rule
 from analyzer.diagnosis.exchanges import awaited, reported
 from analyzer.diagnosis.reader import Reader, Reading
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
-from analyzer.link.modbus import modbus_crc
+from analyzer.link import LkLink, modbus_crc
 from analyzer.values import counted
 
 _LONGEST_CHECK = 2
@@ -28,6 +28,8 @@ _LOOKED_AT = 200
 _HEAD = 4
 #: Different replies that a rule must fit.
 _RULED = 2
+#: The link whose head counts the fields and has a sum of its own.
+_COUNTING = LkLink()
 #: A frame of CAN with a sum and no field.
 _SHORT_CAN = 2
 #: Bytes before a frame that are looked for.
@@ -85,6 +87,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         # What a program or its log shows as sent was sent so: no line has damaged it.
         sound = []
     kept = _deliberate([each for each in missing if not _summed(each)], sound)
+    # No chance takes the same byte of different requests.
+    whole_but_sum = [each for each in missing if _is_counted(each)]
+    kept = whole_but_sum if not kept and len({each.right for each in whole_but_sum}) > 1 else kept
     if short := [each for each in missing if each not in kept and (_summed(each) or _sent_short(each))]:
         first = short[0]
         yield Suspicion(
@@ -199,7 +204,13 @@ def _sent_short(failing: Failing) -> bool:
     """Say whether the host has sent a serial request that is a byte short, and has fields."""
     data, stretch = _data(failing), failing.trouble.stretch
     of_host = stretch is not None and stretch.can_id is None and stretch.direction is Role.REQUEST
-    return of_host and len(failing.right) == len(data) + 1 and len(data) > _HEAD
+    return of_host and len(failing.right) == len(data) + 1 and len(data) > _HEAD and not _is_counted(failing)
+
+
+def _is_counted(failing: Failing) -> bool:
+    """Say whether the head of a request counts its fields and all are there, so that only their sum is missing."""
+    data = _data(failing)
+    return data[0] in _COUNTING.first_bytes and len(failing.right) == len(data) + 1 and failing.right.startswith(data)
 
 
 def _data(failing: Failing) -> bytes:
@@ -291,11 +302,14 @@ def failing_by_check(scene: Scene, trouble: Trouble, stretch: Stretch) -> Failin
         right, got = body + modbus_crc(body).to_bytes(2, "little"), data[len(body) :]
         rules = tuple(rule for rule in RULES if got and rule.of(body, 0) == got)
         return None if right == data else Failing(trouble, right, "read_and_write_registers", len(got), rules)
+    bare = _with_check(scene.reader, trouble, data, b"", can_id, alone, sent) if alone else None
+    if bare is not None and _is_counted(bare):
+        return bare
     for size in range(1, _LONGEST_CHECK + 1):
         found = _with_check(scene.reader, trouble, data[: len(data) - size], data[len(data) - size :], can_id, alone)
         if found is not None and (found.rules or stretch.ends):
             return found
-    return _with_check(scene.reader, trouble, data, b"", can_id, alone, sent) if alone else None
+    return bare
 
 
 def _read_and_write(data: bytes) -> bytes:

@@ -476,3 +476,17 @@ def test_what_explains_nothing_stands_behind_what_explains_all():
         )
     )
     assert ranked([nothing, silence], [trouble])[0].suspicion is silence
+
+
+@pytest.mark.parametrize(("code", "fields", "changed"), [("A2", 4, 0), ("A1", 2, 0), ("A3", 8, 1)])
+def test_the_sum_of_the_fields_alone_is_missing(code, fields, changed):
+    """The head counts the fields, and all of them are there; a request without fields has one sum, and is right."""
+    head = bytes((0x3E, int(code, 16), 6, fields))
+    asked, came = bytes.fromhex("3E 9A 06 00 DE"), bytes.fromhex("3E 9A 06 07 E5 21 68 09 00 00 00 00 92")
+    rows = []
+    for number in range(1, 5):
+        data = bytearray(fields)
+        data[changed] = 0x21 * number
+        rows += [(">", asked), ("<", came), (">", bytes((*head, sum(head) & 0xFF, *data)))]
+    found = told(*rows)
+    assert (found[0].cause, found[0].frames[0].right[-2:]) == ("missing_checksum", "21")
