@@ -1,0 +1,47 @@
+"""Numbers that a program or a person writes beside the frames, against what the fields say."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.diagnosis.test_who_answers import native
+
+
+def speeds(printed):
+    """Return a log of a speed of -450 rpm, and of what the program makes of it."""
+    rows = ((native("FA 03 32"), native("FB 03 32 FE 3E")),) * 3
+    return "".join(f"10:00:0{n}.000 TX: {a}\n10:00:0{n}.010 RX: {b}\n{printed}\n" for n, (a, b) in enumerate(rows))
+
+
+@pytest.mark.parametrize(
+    ("printed", "found"),
+    [
+        ("the motor's speed is 65086 now", ["unit_or_sign"]),
+        ("the motor's speed is -450 now", []),
+        # Both: the program knows.
+        ("the raw speed is 65086, which means -450 now", []),
+        ("the motor's speed is 65087 now", []),
+    ],
+)
+def test_a_signed_field_that_is_printed_as_unsigned(printed, found, causes_of):
+    assert causes_of(speeds(printed)) == found
+
+
+def test_a_position_of_48_bits_that_is_printed_as_unsigned(causes_of):
+    log = f"TX: {native('FA 02 31')}\nRX: {native('FB 02 31 FF FF FF FE 80 00')}\nthe encoder now says 281474976612352 counts\n"
+    assert causes_of(log) == ["unit_or_sign"]
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("The motor has to turn at 750 rpm, so this is sent:", ["decimal_as_hex"]),
+        ("The motor has to turn at 1872 rpm, so this is sent:", []),
+        ("The motor turns at 750 rpm, no, at 1872 rpm, so this is sent:", []),
+        # A number of something else.
+        ("The motor is 750 mm away from the host, and this is sent:", []),
+    ],
+)
+def test_a_number_that_is_sent_with_its_decimal_digits_as_hexadecimal_ones(words, found, causes_of):
+    text = f"{words}\n\nTX: {native('FA 02 F6 07 50 04')}\nRX: {native('FB 02 F6 01')}\n"
+    assert causes_of(text) == found
