@@ -267,9 +267,12 @@ def _signed(piece: Piece, message: Message, word: Word) -> Odd | None:
         return None
     data = message.data[word.start : word.stop]
     value = int.from_bytes(data, "little" if field.order is Order.LITTLE else "big", signed=True)
-    fewer = _digits(word.value(data)) - _digits(value) if len(data) > 2 else 0
-    rounder = fewer >= 2 * _ROUNDER
-    if not (value < 0 and -value <= field.high and (not word.allowed(data) or rounder)):
+    sent = word.value(data)
+    fewer = _digits(sent) - _digits(value)
+    rounder = len(data) > 2 and fewer >= 2 * _ROUNDER
+    # A number that is out of range is a round one, or nearer to the end of the range, where nothing negative was meant.
+    beyond = not word.allowed(data) and (fewer, sent - field.high) > (0, -value)
+    if not (value < 0 and -value <= field.high and (beyond or rounder)):
         return None
     values = {name: v for name, v in message.values.items() if isinstance(v, int | bytes)}
     for each in _words(message.form.layout):
@@ -280,7 +283,7 @@ def _signed(piece: Piece, message: Message, word: Word) -> Odd | None:
     right = codec(message.form.layout).encode({**values, field.name: -value, direction: 1})
     # About one in a thousand of the allowed values looks like this by chance.
     sure = fewer >= 3 * _ROUNDER or not word.allowed(data)
-    return Odd(piece, message, _text(word, word.value(data)), _text(word, value), right, sure)
+    return Odd(piece, message, _text(word, sent), _text(word, value), right, sure)
 
 
 def _text(word: Word, value: int) -> str:

@@ -294,6 +294,15 @@ def test_swapped_bytes(rows):
     assert found[0].frames[0].right
 
 
+@pytest.mark.parametrize(
+    ("angle", "cause"),
+    [(36000, "value_out_of_range"), (41000, "value_out_of_range"), (-9000, "unit_or_sign"), (-113, "unit_or_sign")],
+)
+def test_more_than_a_turn_is_no_negative_angle(angle, cause):
+    sent = word(build(LK, "move_single_turn", 1, {"angle": 0}), 6, (angle & 0xFFFF).to_bytes(2, "little"), LK)
+    assert first((">", sent)) == cause
+
+
 @pytest.mark.parametrize("speed", [-300, -50, -1])
 @pytest.mark.parametrize("dialect", [NATIVE, MODBUS], ids=lambda d: d.name)
 def test_a_negative_speed_as_two_s_complement(dialect, speed):
