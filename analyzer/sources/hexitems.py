@@ -41,6 +41,11 @@ def _end(group: str) -> str:
 #: One end of a line and the other, with an arrow between them.
 _ENDS = rf"{_end('one')}\s*(?P<way>[-=]{{0,2}}>|<[-=]{{1,2}}|[→←])\s*{_end('other')}{DECORATION}{_BYTES}"
 
+#: A letter alone before three bytes or more of two digits each: who sent, even if it is a hexadecimal digit.
+LETTER = re.compile(
+    r"\s*(?P<letter>[a-z])(?:\s*[|;,]\s*|\s+)(?=(?:[0-9a-f]{2}[\s:-]{0,2}){3,}+(?:$|[^0-9a-z]|[g-z]))", re.IGNORECASE
+)
+
 #: Items that may stand before the bytes, in the order of trying, each with a character that its lines have. The names of the
 #: groups say what an item is.
 ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
@@ -81,6 +86,7 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         (When.UNMARKED, "", rf"\s*\[?(?P<letter>{_letters})\]?(?:\s*[:>|]+|\t)\s*"),
         # `W 1 3 0 0`: a letter before numbers alone.
         (When.UNMARKED, "", r"\s*(?P<letter>[wrt])\s+(?=(?:(?:0x)?[0-9a-f]{1,3}[\s,]+){2,}(?:0x)?[0-9a-f]{1,3}[\s,]*$)"),
+        (When.UNMARKED, "", LETTER.pattern),
         (When.UNMARKED, "", rf"\s*+(?::\s*+)?(?P<sign>{SIGNS_PATTERN})(?![<>=-])[\s:]*"),
         (
             When.ANY,

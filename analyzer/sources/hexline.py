@@ -33,6 +33,7 @@ from analyzer.sources.hexitems import (
     DISTANT_LIMIT,
     DISTANT_TIME,
     ITEMS,
+    LETTER,
     PAIR,
     PHRASE,
     SIGNS_PATTERN,
@@ -92,6 +93,8 @@ class HexLine(NamedTuple):
 _LEAD = re.compile(r"(\d)(?:\s*[|;,]\s*|\s+)(?=.*(?:[A-Fa-f]|\b0\d))(?=[0-9A-Fa-f]{2}(?:[\s:-]?[0-9A-Fa-f]{2}){2,}\s*$)")
 #: Such a number in a text whose lines all have one.
 _LEADS = re.compile(r"(\d{1,6})(?:\s*[|;,]\s*|\s+)(?=[0-9A-Fa-f]{2}(?:[\s:-]?[0-9A-Fa-f]{2}){2,}\s*$)")
+#: A time of day in whole seconds, which could be three bytes, before bytes that no colon parts.
+_SECONDS = re.compile(r"[0-2]?\d:[0-5]\d:[0-5]\d[\s,;|]++[^:]*+")
 #: The shapes that most lines have, in one step: a time, a mark, plain hex bytes.
 _USUAL = re.compile(
     rf"(?:[\[(]?(?:({STAMPS['date']})|({STAMPS['clock']})|(\d{{1,19}}\.\d{{1,12}}))[\])]?[\s,;|]+)?"
@@ -189,7 +192,8 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
         return HexLine(
             Shape.TRAFFIC, bytes.fromhex(digits), stamp, _role(mark or ""), sign="" if worded else mark or "", worded=worded
         )
-    plain = written.read(text) if _LEAD.match(text) is None else None
+    headed = _LEAD.match(text) or LETTER.match(text) or _SECONDS.fullmatch(text)
+    plain = written.read(text) if headed is None else None
     if plain is not None and plain.data:
         each = _EACH.match(text)
         return HexLine(Shape.TRAFFIC, plain.data, sign=f"each{each[1]}" if each is not None else "", radix=plain.radix)
@@ -331,6 +335,8 @@ class _Peeler:
     def _bytes(self, text: str) -> Written | None:
         if self.decimal and (numbers := _numbers(text)) is not None:
             return numbers
+        if not self.marked and LETTER.match(text) is not None:
+            return None
         if not self.decimal and self.number is None and (lead := self.lead.match(text)) is not None:
             self.number, self.led = int(lead[1]), True
             text = text[lead.end() :]

@@ -28,6 +28,10 @@ _ODD_DIGITS, _UNPADDED_LINES = re.compile(r"\s*[0-9A-F](?:[0-9A-F]{2}){2,}\s*"),
 #: Bytes with gaps between them, and one of one digit beside one of two.
 _SHORT = re.compile(r"\s*(?:[0-9A-Fa-f]{1,2}\s+){2,}[0-9A-Fa-f]{1,2}\s*")
 _BOTH = re.compile(r"(?=.*\b[0-9A-Fa-f]\b).*\b[0-9A-Fa-f]{2}\b")
+#: Marks that are bytes where bytes stand without their zeros.
+_HEX_LETTERS = frozenset("abcdef")
+#: The least byte of two digits.
+_TWO_DIGITS = 0x10
 SINGLE = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,2}|\d{3})\s*")
 _DIGIT = re.compile(r"(?:(?P<call>.*\w)\(\):)?\s*(?P<digit>[0-9A-Fa-f])\s*")
 _QUOTED = re.compile(r"\s*>\s?")
@@ -106,6 +110,15 @@ def _words(call: str) -> list[str]:
     return [word for word in re.findall(r"[^\W\d_]+", call.lower()) if word in WORDS]
 
 
+def _is_short(line: str, part: HexLine) -> bool:
+    """Say whether bytes of a line stand without their zeros, beside bytes of two digits."""
+    if part.sign in _HEX_LETTERS:
+        return False
+    shown = [f"{byte:x}" for byte in part.data]
+    behind = len({len(digits) for digits in shown}) > 1 and line.lower().split()[-len(shown) :] == shown
+    return behind or (_SHORT.fullmatch(line) is not None and _BOTH.search(line) is not None)
+
+
 def _is_quoted(lines: Sequence[str]) -> bool:
     """Say whether `>` is a quotation: it stands before words too, or another mark or time, and what is not quoted is words."""
     begun = [line for line in lines if _QUOTED.match(line)]
@@ -149,6 +162,8 @@ class Manner(NamedTuple):
     commented: bool = False
     #: Bytes stand without their zeros: where a line has nothing but single digits, these are bytes, too.
     short: bool = False
+    #: So is a letter alone before bytes, because no line with one has a byte with its zero.
+    lettered: bool = False
     #: Bytes stand without gaps and without their zeros: where one ends cannot be told.
     unpadded: bool = False
 
@@ -164,6 +179,7 @@ class Manner(NamedTuple):
         stamped = [p for p in parts if p.stamp.kind]
         prose = not any(p.stamp.kind or p.marked for p in traffic)
         bytes_alone = [p for p in parts if (p.shape is Shape.TRAFFIC and len(p.data) == 1 and p.number is None) or _is_digit(p)]
+        short = any(_is_short(line, part) for line, part in zip(lines, parts, strict=True))
         return cls(
             quoted=quoted,
             lone=bool(traffic) and len(bytes_alone) >= _SINGLE_LINES and not any(len(p.data) > 1 for p in traffic),
@@ -177,7 +193,8 @@ class Manner(NamedTuple):
             prose=prose,
             fields=prose and has_fields(lines),
             cells=prose and has_cells(lines),
-            short=any(_SHORT.fullmatch(line) and _BOTH.search(line) for line in lines),
+            short=short,
+            lettered=short and not any(p.sign in _HEX_LETTERS and min(p.data) < _TWO_DIGITS for p in traffic),
             unpadded=sum(1 for line in lines if _ODD_DIGITS.fullmatch(line)) >= _UNPADDED_LINES,
             commented=prose and not traffic and not says([p for p in parts if not p.text.startswith("#")]),
         )
@@ -194,6 +211,8 @@ class Manner(NamedTuple):
         if self.short and line.shape is Shape.BROKEN and _SHORT.fullmatch(text) is not None:
             data = bytes(int(digit, 16) for digit in text.split())
             line = line._replace(shape=Shape.TRAFFIC, data=data, radix=Radix.EITHER)
+        if self.lettered and line.data and line.sign in _HEX_LETTERS:
+            line = line._replace(data=bytes((int(line.sign, 16),)) + line.data, sign="")
         role = line.role
         if self.deaf or (self.arrow and not line.worded):
             role = Role.UNKNOWN

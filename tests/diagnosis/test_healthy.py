@@ -18,6 +18,13 @@ HEALTHY = {
     "2020-03-23 08:32:31,296 DEBUG FastByteArrayInputStream - count=6 pos=0",
     "bytes of a frame explained in bullets": "Send Hex Data 01 03 00 00 00 02 C4 0B\n\n- 01 - Slave\n- 03 - Read\n- 00\n"
     "- 00\n- 00\n",
+    "letters that are digits for who sent": "".join(
+        f"10:00:0{n}.000 B 02 04 00 32 00 01 90 36\n10:00:0{n}.010 E 02 04 02 00 0{n} {crc}\n"
+        for n, crc in enumerate(("FD 30", "3C F0", "7C F1"))
+    ),
+    "a letter that is a digit for the drive": "".join(
+        f"0.{n}00 M FA 02 31 2D\n0.{n}04 F FB 02 31 00 00 00 00 00 0{n} {0x2E + n:02X}\n" for n in range(4)
+    ),
     "words of two letters before bytes": "I send FA 01 32 2D and it will be FB 01 32 00 00 2E\n"
     "I send FA 01 32 2D and it will be FB 01 32 00 01 2F",
     "a library that loses a reply": "[10:00:01.000] TX: 01 03 00 00 00 01 84 0A\n[10:00:01.020] RX: 01 03 02 00 05 78 47\n"

@@ -354,6 +354,46 @@ def test_logs_as_programs_and_people_type_them(
     assert all(len(chunk.data) in (2, 4, 6, 7, 8) for chunk in chunks)
 
 
+@pytest.mark.parametrize("marks", ["HC", "ME", "AB", ">F", "qa", "DH"])
+@pytest.mark.parametrize(
+    "form",
+    [
+        "0.00{n} {mark} {data}",
+        "0:00:01.10{n} {mark} {data}",
+        "10:00:0{n} {mark} {data}",
+        "{mark} {data}",
+        "0.00{n} | {mark} | {data}",
+    ],
+)
+def test_a_letter_alone_before_the_bytes_is_a_mark_even_if_it_is_a_digit(form: str, marks: str, tmp_path: Path) -> None:
+    frames = ["3E 9C 02 00 DC", "3E 9C 02 07 E3 1C 14 00 32 00 3A 07 A3"] * 2
+    lines = [form.format(n=n, mark=marks[n % 2], data=frame) for n, frame in enumerate(frames)]
+    source, records = read(tmp_path, "\n".join(lines))
+    assert source.problems == []
+    assert [record.data for record in records if isinstance(record, Chunk)] == [bytes.fromhex(frame) for frame in frames]
+
+
+def test_a_line_that_is_cut_makes_no_byte_of_a_letter(tmp_path: Path) -> None:
+    _, records = read(tmp_path, "B FA 01 32 2D\nC FB 01 32 01 40 6F\nB FA 01 32 2D\nC FB 3")
+    data = [record.data for record in records if isinstance(record, Chunk)]
+    assert data[:3] == [bytes.fromhex(each) for each in ("FA 01 32 2D", "FB 01 32 01 40 6F", "FA 01 32 2D")]
+
+
+@pytest.mark.parametrize("stamp", ["", "0:00:01 "])
+def test_a_letter_is_a_byte_where_bytes_stand_without_their_zeros(stamp: str, tmp_path: Path) -> None:
+    # Only the second line shows it.
+    _, records = read(tmp_path, f"{stamp}C 86 12 E2 65\n{stamp}C 6 0 1F 0 3 9C D0\n{stamp}C 10 51 9A 33\n")
+    expected = ["0C 86 12 E2 65", "0C 06 00 1F 00 03 9C D0", "0C 10 51 9A 33"]
+    assert [record.data for record in records if isinstance(record, Chunk)] == [bytes.fromhex(each) for each in expected]
+
+
+@pytest.mark.parametrize("line", ["D FB 1 31 2D", "D FB 01 3 2D", "B 12 34"])
+def test_a_letter_is_a_byte_before_others_of_one_digit_and_before_few(line: str) -> None:
+    found = take_apart(line)
+    assert found.data == bytes(int(digits, 16) for digits in line.split())
+    assert found.sign == ""
+
+
 def test_a_number_before_the_bytes_is_told(tmp_path: Path) -> None:
     source, _ = read(tmp_path, "7 FA 01 32 2D\n3 FB 01 32 01 40 6F\n")
     assert "line 1: the '7' before 4 bytes is read as the number of the line" in " ".join(source.notes)
