@@ -62,6 +62,8 @@ class Terminal:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
                 self.pid = 0
+                # What it drew last may still be on its way here; the end of it is an error of reading.
+                self._thread.join(seconds)
                 return os.waitstatus_to_exitcode(status)
             select.select([], [], [], 0.02)
         raise AssertionError(f"still running: {self.shown[-3000:]}")
