@@ -40,7 +40,7 @@ class ColumnCodec:
 
     @property
     def takes_all(self) -> bool:
-        """Whether all data match and are valid, whatever they are."""
+        """Whether any data at all match and are valid."""
         return not self._limits and all(field.fixed is None for _, field in self._every)
 
     @staticmethod

@@ -129,7 +129,7 @@ _INDEXED = re.compile(
 #: One byte of a log before the name of who sent it: `0.000260 TAB 0x01 TAB HOST`.
 _SIDED = re.compile(r"(?P<before>[^\t]*)\t(?:0[xX])?(?P<hex>[0-9A-Fa-f]{2})\t(?P<side>[A-Za-z]+)")
 _NUMBER = re.compile(r"\d+\s*")
-#: What stands behind two names that nobody knows: bytes and nothing else.
+#: Two unknown names are a mark only if nothing but bytes follows them.
 _FRAME = re.compile(rf"(?:{PAIR}[\s,:-]*){{3,}}")
 _AROUND_NOTE = " \t,;|"
 #: A sentence before a mark: no header of bytes.

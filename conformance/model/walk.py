@@ -489,7 +489,7 @@ class Walk:
         ]
 
     def _by_pin(self, twin: Twin) -> bool:
-        """Say whether the motor is enabled by a pin whose level nobody has told, as it is in pulse modes."""
+        """Say whether a pin of unknown level enables the motor, as one does in pulse modes."""
         drive: Any = twin.drive
         return _EN_LEVEL in self._untold and Verb.SET_ENABLE_LEVEL in self.dialect.by_verb and not drive.by_bus
 

@@ -95,7 +95,7 @@ def _from_the_origin(drive: LkDrive, request: Request) -> None:
     motor.zero = zero
 
 
-#: From how far on a way is nearly a turn, up to how far it is few degrees, and in how many two places are one.
+#: In degrees: the least way that is nearly a turn, the longest that is a few degrees, and how near two places count as one.
 _NEARLY_A_TURN, _FEW_DEGREES, _SAME = 340, 10, 0.1
 
 
