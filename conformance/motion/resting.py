@@ -44,7 +44,7 @@ _CREEPS_NS = 800 * MS
 _SETTLING = 5
 #: From this share on a speed differs from the one asked for; a move that misses by these degrees did not go its way.
 _ANOTHER, _SHORT = 0.1, 90.0
-#: Short moves tell how far from its targets a loop rests: their number, their length in degrees, and the time that each settles.
+#: Short moves tell how far from its targets a loop rests: their number, their length in degrees, and when each has settled.
 _MOVES, _STEP, _SETTLED_NS = 8, 30.0, 150 * MS
 #: What a drive's own limits must leave to the suite, as they are sent, 0 being no limit; and a run that they allow.
 _LIMITED_RPM, _LIMITED_NS = 120, 500 * MS
