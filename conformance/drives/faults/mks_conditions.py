@@ -185,23 +185,26 @@ def _answers_group(drive: Drive, message: Message, wanted: bool) -> bool:
     return wanted or (motion and message.address == drive.settings.get("group_address"))
 
 
+def _newest_is(drive: Drive, to: Callable[[Drive, Message], bool]) -> Callable[[], bool]:
+    """Return a question: whether the newest request was sent so."""
+    so = False
+
+    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal so
+        so = to(drive, message)
+        return wanted
+
+    drive.hooks.accept.append(accept)
+    return lambda: so
+
+
 def _asked_to(to: Callable[[Drive, Message], bool], of: Of, change: Callable[[Values], Values]) -> Change:
     """Change some requests that were sent so, and no others."""
     verbs = {of} if isinstance(of, Verb) else of
 
     def install(drive: MksCore) -> None:
-        so = False
-
-        def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-            nonlocal so
-            so = to(drive, message)
-            return wanted
-
-        def ask(_: Drive, command: Command, values: Values) -> Values:
-            return change(values) if so and command.verb in verbs else values
-
-        drive.hooks.accept.append(accept)
-        drive.hooks.request.append(ask)
+        so = _newest_is(drive, to)
+        drive.hooks.request.append(lambda _, command, values: change(values) if so() and command.verb in verbs else values)
 
     return tuned(install)
 
@@ -262,18 +265,12 @@ def _lost_if_sent(to: Callable[[Drive, Message], bool]) -> Change:
     """Lose settings by a restart that were sent so, and keep others."""
 
     def change(drive: MksCore) -> None:
-        sent = False
-
-        def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-            nonlocal sent
-            sent = to(drive, message)
-            return wanted
+        sent = _newest_is(drive, to)
 
         def store(_: Drive, name: str, value: int) -> tuple[str, int]:
-            (drive.forgetful.add if sent else drive.forgetful.discard)(name)
+            (drive.forgetful.add if sent() else drive.forgetful.discard)(name)
             return name, value
 
-        drive.hooks.accept.append(accept)
         drive.hooks.stored.append(store)
 
     return tuned(change)
