@@ -6,6 +6,8 @@ The two tables of a command, request and reply, are said in the same three state
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from analyzer.catalogue import Statement as S
 
 _REPLY_PARTS = ("head", "code", "address", "length", "once", "clean")
@@ -43,6 +45,59 @@ def _tells_state(section: str, command: str) -> S:
     says = "The reply tells what 9C tells: temperature, torque current (MS: power), speed and encoder."
     return S(f"{section}/tells-state", says, (f"motion/{command}/crossed-tells", f"motion/{command}/tells-now"))
 
+
+def _to_a_position(section: str, command: str, of: str, *unit: str) -> Iterator[S]:
+    """Yield what is said of a move to a position over all turns. `of`: of what a unit is said; `unit`: claims about it."""
+    reaches = f"motion/{command}/reaches"
+    yield S(f"{section}/moves", "It moves the motor to a position over all turns.", (reaches, f"motion/{command}/absolute"))
+    type_of = "The position is signed, of eight bytes, low byte first."
+    yield S(f"{section}/type", type_of, (f"ranges/{command}/position/*",))
+    yield S(f"{section}/unit", f"One unit{of} is 0.01 degrees: 36000 are a turn.", (reaches, *unit))
+    yield S(f"{section}/direction", "It turns from where it is towards the target.", (reaches,))
+
+
+def _within_the_turn(section: str, command: str, null: str, of: str, *unit: str) -> Iterator[S]:
+    """Yield what is said of a move to an angle within the turn. `null`: its byte that is 0; `of`, `unit`: as above."""
+    reaches, ways = f"motion/{command}/reaches", (f"motion/{command}/two-ways", f"motion/{command}/way-round")
+    yield S(f"{section}/moves", "It moves the motor to an angle within the turn.", (reaches,))
+    yield S(f"{section}/clockwise", "Direction 0 turns clockwise.", (f"motion/{command}/clockwise", *ways))
+    counter = (*ways, f"ranges/{command}/direction/*")
+    yield S(f"{section}/counterclockwise", "Direction 1 turns counterclockwise.", counter)
+    yield S(f"{section}/range", "The angle is 0 to 35999, unsigned, of two bytes.", (f"ranges/{command}/angle/*",))
+    yield S(f"{section}/unit", f"One unit{of} is 0.01 degrees.", (reaches, *unit))
+    observed = f"observed by ranges/{command}/reserved: what another value does is not said"
+    yield S(f"{section}/null", f"The {null} byte is 0.", unclaimed=observed)
+
+
+def _by_an_increment(section: str, command: str, of: str) -> Iterator[S]:
+    """Yield what is said of a move by an angle. `of`: as above."""
+    reaches, ranges = f"motion/{command}/reaches", f"ranges/{command}/position/*"
+    yield S(f"{section}/moves", "It moves the motor by an angle.", (reaches, f"motion/{command}/adds-up"))
+    yield S(f"{section}/type", "The increment is signed, of four bytes, low byte first.", (ranges,))
+    yield S(f"{section}/unit", f"One unit{of} is 0.01 degrees: 36000 are a turn.", (reaches,))
+    yield S(f"{section}/direction", "The sign of the increment is the direction.", (reaches, ranges))
+
+
+def _max_speed(section: str, command: str) -> Iterator[S]:
+    """Yield what is said of the speed that a move is limited to."""
+    own = f"motion/{command}/max-speed"
+    kept = (own, f"motion/{command}/crossed-speed", f"motion/{command}/newer-speed")
+    yield S(f"{section}/max-speed", "It turns no faster than max_speed.", kept)
+    yield S(f"{section}/max-speed-type", "max_speed is unsigned, of four bytes.", (f"ranges/{command}/max_speed/*",))
+    yield S(f"{section}/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", (own,))
+
+
+#: Number and name of each parameter, and what it has.
+_PARAMETERS = (
+    (10, "angle_pid", "kp, ki and kd of the angle loop, unsigned, of two bytes each"),
+    (11, "speed_pid", "kp, ki and kd of the speed loop, unsigned, of two bytes each"),
+    (12, "current_pid", "kp, ki and kd of the current loop, unsigned, of two bytes each"),
+    (30, "torque_limit", "the highest torque current, signed, in bytes 3 and 4"),
+    (32, "speed_limit", "the highest speed, signed, in bytes 3 to 6"),
+    (34, "angle_limit", "the limit of the angle, signed, in bytes 3 to 6"),
+    (36, "current_ramp", "the ramp of the current, signed, in bytes 3 to 6"),
+    (38, "speed_ramp", "the ramp of the speed, signed, in bytes 3 to 6"),
+)
 
 STATEMENTS: tuple[S, ...] = (
     # --- the pages before the first command ---
@@ -320,18 +375,7 @@ STATEMENTS: tuple[S, ...] = (
     _tells_state("11", "run_speed"),
     # --- 12 and 13: positions over all turns ---
     *_tables("12", "move_multi_turn", "A3h", 8, 7),
-    S(
-        "12/moves",
-        "It moves the motor to a position over all turns.",
-        ("motion/move_multi_turn/reaches", "motion/move_multi_turn/absolute"),
-    ),
-    S("12/type", "The position is signed, of eight bytes, low byte first.", ("ranges/move_multi_turn/position/*",)),
-    S(
-        "12/unit",
-        "One unit is 0.01 degrees: 36000 are a turn.",
-        ("motion/move_multi_turn/reaches", "motion/set_position/and-moves"),
-    ),
-    S("12/direction", "It turns from where it is towards the target.", ("motion/move_multi_turn/reaches",)),
+    *_to_a_position("12", "move_multi_turn", "", "motion/set_position/and-moves"),
     *_limited(
         "12",
         "Max Angle",
@@ -345,25 +389,8 @@ STATEMENTS: tuple[S, ...] = (
     ),
     _tells_state("12", "move_multi_turn"),
     *_tables("13", "move_multi_turn_limited", "A4h", 12, 7),
-    S(
-        "13/moves",
-        "It moves the motor to a position over all turns.",
-        ("motion/move_multi_turn_limited/reaches", "motion/move_multi_turn_limited/absolute"),
-    ),
-    S("13/type", "The position is signed, of eight bytes, low byte first.", ("ranges/move_multi_turn_limited/position/*",)),
-    S("13/unit", "One unit of position is 0.01 degrees: 36000 are a turn.", ("motion/move_multi_turn_limited/reaches",)),
-    S("13/direction", "It turns from where it is towards the target.", ("motion/move_multi_turn_limited/reaches",)),
-    S(
-        "13/max-speed",
-        "It turns no faster than max_speed.",
-        (
-            "motion/move_multi_turn_limited/max-speed",
-            "motion/move_multi_turn_limited/crossed-speed",
-            "motion/move_multi_turn_limited/newer-speed",
-        ),
-    ),
-    S("13/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_multi_turn_limited/max_speed/*",)),
-    S("13/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_multi_turn_limited/max-speed",)),
+    *_to_a_position("13", "move_multi_turn_limited", " of position"),
+    *_max_speed("13", "move_multi_turn_limited"),
     *_limited(
         "13",
         "Max Angle",
@@ -376,24 +403,7 @@ STATEMENTS: tuple[S, ...] = (
     _tells_state("13", "move_multi_turn_limited"),
     # --- 14 and 15: angles within the turn ---
     *_tables("14", "move_single_turn", "A5h", 4, 7),
-    S("14/moves", "It moves the motor to an angle within the turn.", ("motion/move_single_turn/reaches",)),
-    S(
-        "14/clockwise",
-        "Direction 0 turns clockwise.",
-        ("motion/move_single_turn/clockwise", "motion/move_single_turn/two-ways", "motion/move_single_turn/way-round"),
-    ),
-    S(
-        "14/counterclockwise",
-        "Direction 1 turns counterclockwise.",
-        ("motion/move_single_turn/two-ways", "motion/move_single_turn/way-round", "ranges/move_single_turn/direction/*"),
-    ),
-    S("14/range", "The angle is 0 to 35999, unsigned, of two bytes.", ("ranges/move_single_turn/angle/*",)),
-    S("14/unit", "One unit is 0.01 degrees.", ("motion/move_single_turn/reaches", "ranges/move_single_turn/angle/highest")),
-    S(
-        "14/null",
-        "The last byte is 0.",
-        unclaimed="observed by ranges/move_single_turn/reserved: what another value does is not said",
-    ),
+    *_within_the_turn("14", "move_single_turn", "last", "", "ranges/move_single_turn/angle/highest"),
     *_limited(
         "14",
         "Max Speed",
@@ -404,43 +414,8 @@ STATEMENTS: tuple[S, ...] = (
     ),
     _tells_state("14", "move_single_turn"),
     *_tables("15", "move_single_turn_limited", "A6h", 8, 7),
-    S("15/moves", "It moves the motor to an angle within the turn.", ("motion/move_single_turn_limited/reaches",)),
-    S(
-        "15/clockwise",
-        "Direction 0 turns clockwise.",
-        (
-            "motion/move_single_turn_limited/clockwise",
-            "motion/move_single_turn_limited/two-ways",
-            "motion/move_single_turn_limited/way-round",
-        ),
-    ),
-    S(
-        "15/counterclockwise",
-        "Direction 1 turns counterclockwise.",
-        (
-            "motion/move_single_turn_limited/two-ways",
-            "motion/move_single_turn_limited/way-round",
-            "ranges/move_single_turn_limited/direction/*",
-        ),
-    ),
-    S("15/range", "The angle is 0 to 35999, unsigned, of two bytes.", ("ranges/move_single_turn_limited/angle/*",)),
-    S("15/unit", "One unit of angle is 0.01 degrees.", ("motion/move_single_turn_limited/reaches",)),
-    S(
-        "15/null",
-        "The fourth byte is 0.",
-        unclaimed="observed by ranges/move_single_turn_limited/reserved: what another value does is not said",
-    ),
-    S(
-        "15/max-speed",
-        "It turns no faster than max_speed.",
-        (
-            "motion/move_single_turn_limited/max-speed",
-            "motion/move_single_turn_limited/crossed-speed",
-            "motion/move_single_turn_limited/newer-speed",
-        ),
-    ),
-    S("15/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_single_turn_limited/max_speed/*",)),
-    S("15/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_single_turn_limited/max-speed",)),
+    *_within_the_turn("15", "move_single_turn_limited", "fourth", " of angle"),
+    *_max_speed("15", "move_single_turn_limited"),
     *_limited(
         "15",
         "Max Acceleration",
@@ -450,14 +425,7 @@ STATEMENTS: tuple[S, ...] = (
     _tells_state("15", "move_single_turn_limited"),
     # --- 16 and 17: increments ---
     *_tables("16", "move_increment", "A7h", 4, 7),
-    S("16/moves", "It moves the motor by an angle.", ("motion/move_increment/reaches", "motion/move_increment/adds-up")),
-    S("16/type", "The increment is signed, of four bytes, low byte first.", ("ranges/move_increment/position/*",)),
-    S("16/unit", "One unit is 0.01 degrees: 36000 are a turn.", ("motion/move_increment/reaches",)),
-    S(
-        "16/direction",
-        "The sign of the increment is the direction.",
-        ("motion/move_increment/reaches", "ranges/move_increment/position/*"),
-    ),
+    *_by_an_increment("16", "move_increment", ""),
     *_limited(
         "16",
         "Max Speed",
@@ -469,29 +437,8 @@ STATEMENTS: tuple[S, ...] = (
     ),
     _tells_state("16", "move_increment"),
     *_tables("17", "move_increment_limited", "A8h", 8, 7),
-    S(
-        "17/moves",
-        "It moves the motor by an angle.",
-        ("motion/move_increment_limited/reaches", "motion/move_increment_limited/adds-up"),
-    ),
-    S("17/type", "The increment is signed, of four bytes, low byte first.", ("ranges/move_increment_limited/position/*",)),
-    S("17/unit", "One unit of the increment is 0.01 degrees: 36000 are a turn.", ("motion/move_increment_limited/reaches",)),
-    S(
-        "17/direction",
-        "The sign of the increment is the direction.",
-        ("motion/move_increment_limited/reaches", "ranges/move_increment_limited/position/*"),
-    ),
-    S(
-        "17/max-speed",
-        "It turns no faster than max_speed.",
-        (
-            "motion/move_increment_limited/max-speed",
-            "motion/move_increment_limited/crossed-speed",
-            "motion/move_increment_limited/newer-speed",
-        ),
-    ),
-    S("17/max-speed-type", "max_speed is unsigned, of four bytes.", ("ranges/move_increment_limited/max_speed/*",)),
-    S("17/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", ("motion/move_increment_limited/max-speed",)),
+    *_by_an_increment("17", "move_increment_limited", " of the increment"),
+    *_max_speed("17", "move_increment_limited"),
     *_limited(
         "17",
         "Max Acceleration",
@@ -606,45 +553,10 @@ STATEMENTS: tuple[S, ...] = (
     S("25/unit", "One unit is 0.01 degrees.", ("motion/set_position/and-moves", "motion/set_position/counts-on")),
     S("25/echo", "The reply has the angle that was sent.", ("shape/set_position/echo",)),
     # --- appendix 1 ---
-    S(
-        "appendix 1/angle_pid",
-        "Parameter 10 has kp, ki and kd of the angle loop, unsigned, of two bytes each.",
-        ("shape/read_parameter/of/angle_pid", "read-back/parameter/angle_pid/written"),
-    ),
-    S(
-        "appendix 1/speed_pid",
-        "Parameter 11 has kp, ki and kd of the speed loop, unsigned, of two bytes each.",
-        ("shape/read_parameter/of/speed_pid", "read-back/parameter/speed_pid/written"),
-    ),
-    S(
-        "appendix 1/current_pid",
-        "Parameter 12 has kp, ki and kd of the current loop, unsigned, of two bytes each.",
-        ("shape/read_parameter/of/current_pid", "read-back/parameter/current_pid/written"),
-    ),
-    S(
-        "appendix 1/torque_limit",
-        "Parameter 30 has the highest torque current, signed, in bytes 3 and 4.",
-        ("shape/read_parameter/of/torque_limit", "read-back/parameter/torque_limit/written"),
-    ),
-    S(
-        "appendix 1/speed_limit",
-        "Parameter 32 has the highest speed, signed, in bytes 3 to 6.",
-        ("shape/read_parameter/of/speed_limit", "read-back/parameter/speed_limit/written"),
-    ),
-    S(
-        "appendix 1/angle_limit",
-        "Parameter 34 has the limit of the angle, signed, in bytes 3 to 6.",
-        ("shape/read_parameter/of/angle_limit", "read-back/parameter/angle_limit/written"),
-    ),
-    S(
-        "appendix 1/current_ramp",
-        "Parameter 36 has the ramp of the current, signed, in bytes 3 to 6.",
-        ("shape/read_parameter/of/current_ramp", "read-back/parameter/current_ramp/written"),
-    ),
-    S(
-        "appendix 1/speed_ramp",
-        "Parameter 38 has the ramp of the speed, signed, in bytes 3 to 6.",
-        ("shape/read_parameter/of/speed_ramp", "read-back/parameter/speed_ramp/written"),
+    *(
+        S(f"appendix 1/{name}", f"Parameter {number} has {what}.", claims)
+        for number, name, what in _PARAMETERS
+        for claims in [(f"shape/read_parameter/of/{name}", f"read-back/parameter/{name}/written")]
     ),
     S("appendix 1/loops", "Kp, ki and kd are gains of the loops.", unclaimed="what a gain does to a shaft is not printed"),
     S(

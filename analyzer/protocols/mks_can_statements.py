@@ -54,6 +54,58 @@ def _refusals(command: str, *fields: str) -> Iterator[str]:
         yield f"ranges/{command}/at-corners"
 
 
+def _move(
+    section: str, name: str, sent: str, ranged: str, examples: str, goes: Statement, *more: Statement
+) -> Iterator[Statement]:
+    """Yield what a section about a move says: where it goes, how fast, within which range, and what is answered."""
+    field = "pulses" if name == "move_relative_pulses" else "position"
+    told = (f"motion/{name}/crossed-replies",) if "relative" in name else ()
+    yield from _tables(section, name, sent, "a status of one byte")
+    yield goes
+    yield said(f"{section}/ends-there", "It ends there at any speed.", f"motion/{name}/within", f"motion/{name}/crossed-ends")
+    yield from more
+    yield said(
+        f"{section}/speed",
+        "It turns at the speed and by the ramp that are sent.",
+        f"motion/{name}/crossed-speed",
+        f"timing/{name}/takes-*",
+        f"ranges/{name}/speed/width",
+    )
+    width = (f"ranges/{name}/{field}/width", f"motion/{name}/low-word")
+    yield said(f"{section}/range", ranged, f"ranges/{name}/{field}/*", *told, *width)
+    yield said(f"{section}/examples", examples, f"examples/{name}/*")
+    yield said(
+        f"{section}/status",
+        "Status 1 says that it begins, and 2 that it is done.",
+        f"motion/{name}/replies",
+        f"motion/{name}/told-when-there",
+    )
+    yield said(
+        f"{section}/status-0", "Status 0 says that it does not run.", f"motion/{name}/disabled", f"motion/{name}/protected"
+    )
+    yield said(f"{section}/status-3", "Status 3 says that an end limit stopped it.", f"motion/set_home/end-limit-told-{name}")
+
+
+def _stop(section: str, name: str, sent: str) -> Iterator[Statement]:
+    """Yield what a section about the stop of a move says."""
+    yield from _tables(section, name, sent, "a status of one byte")
+    yield said(
+        f"{section}/ramp",
+        "With an acceleration the shaft slows down by the ramp and stands.",
+        f"motion/{name}/by-ramp",
+        f"timing/{name}/told-in-time",
+    )
+    yield said(f"{section}/at-once", "With acceleration 0 it stands at once.", f"motion/{name}/at-once")
+    yield said(f"{section}/stays", "It then stays where it is.", f"motion/{name}/stays-stopped")
+    yield said(f"{section}/examples", "The frames of the manual stop the shaft.", f"examples/{name}/*")
+    yield said(
+        f"{section}/status",
+        "Status 1 says that it begins to stop, 2 that it stands, 3 that a limit stopped it.",
+        f"motion/{name}/replies",
+        f"motion/{name}/told-when-standing",
+    )
+
+
 STATEMENTS: tuple[Statement, ...] = (
     # Part 1: the product
     said(
@@ -860,260 +912,80 @@ STATEMENTS: tuple[Statement, ...] = (
         "ranges/save_speed/save_state/listed",
         "ranges/save_speed/save_state/unlisted",
     ),
-    *_tables(
-        "4.5.1", "move_relative_pulses", "FD with direction, speed, acceleration and 24 bits of pulses", "a status of one byte"
-    ),
-    said(
-        "4.5.1/distance",
-        "The shaft moves by so many pulses of the subdivision that is set.",
-        "motion/move_relative_pulses/distance",
-        "motion/move_relative_pulses/behind-ended",
-        "motion/set_subdivision/pulses-at-*",
-        "motion/move_relative_pulses/again",
-    ),
-    said(
-        "4.5.1/ends-there",
-        "It ends there at any speed.",
-        "motion/move_relative_pulses/within",
-        "motion/move_relative_pulses/crossed-ends",
-    ),
-    said(
-        "4.5.1/direction",
-        "Direction 0 turns counter-clockwise and 1 clockwise, as in a run.",
-        "motion/move_relative_pulses/opposite",
-        "motion/run_speed/same-sense",
-    ),
-    said(
-        "4.5.1/speed",
-        "It turns at the speed and by the ramp that are sent.",
-        "motion/move_relative_pulses/crossed-speed",
-        "timing/move_relative_pulses/takes-*",
-        "ranges/move_relative_pulses/speed/width",
-    ),
-    said(
-        "4.5.1/range",
+    *_move(
+        "4.5.1",
+        "move_relative_pulses",
+        "FD with direction, speed, acceleration and 24 bits of pulses",
         "Pulses are 0 to FFFFFFh.",
-        "ranges/move_relative_pulses/pulses/*",
-        "motion/move_relative_pulses/crossed-replies",
-        "ranges/move_relative_pulses/pulses/width",
-        "motion/move_relative_pulses/low-word",
+        "The frames of the manual turn the shaft 20 times, either way.",
+        said(
+            "4.5.1/distance",
+            "The shaft moves by so many pulses of the subdivision that is set.",
+            "motion/move_relative_pulses/distance",
+            "motion/move_relative_pulses/behind-ended",
+            "motion/set_subdivision/pulses-at-*",
+            "motion/move_relative_pulses/again",
+        ),
+        said(
+            "4.5.1/direction",
+            "Direction 0 turns counter-clockwise and 1 clockwise, as in a run.",
+            "motion/move_relative_pulses/opposite",
+            "motion/run_speed/same-sense",
+        ),
     ),
-    said("4.5.1/examples", "The frames of the manual turn the shaft 20 times, either way.", "examples/move_relative_pulses/*"),
-    said(
-        "4.5.1/status",
-        "Status 1 says that it begins, and 2 that it is done.",
-        "motion/move_relative_pulses/replies",
-        "motion/move_relative_pulses/told-when-there",
-    ),
-    said(
-        "4.5.1/status-0",
-        "Status 0 says that it does not run.",
-        "motion/move_relative_pulses/disabled",
-        "motion/move_relative_pulses/protected",
-    ),
-    said(
-        "4.5.1/status-3", "Status 3 says that an end limit stopped it.", "motion/set_home/end-limit-told-move_relative_pulses"
-    ),
-    *_tables("4.5.2", "stop_relative_pulses", "FD with speed and pulses 0", "a status of one byte"),
-    said(
-        "4.5.2/ramp",
-        "With an acceleration the shaft slows down by the ramp and stands.",
-        "motion/stop_relative_pulses/by-ramp",
-        "timing/stop_relative_pulses/told-in-time",
-    ),
-    said("4.5.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_relative_pulses/at-once"),
-    said("4.5.2/stays", "It then stays where it is.", "motion/stop_relative_pulses/stays-stopped"),
-    said("4.5.2/examples", "The frames of the manual stop the shaft.", "examples/stop_relative_pulses/*"),
-    said(
-        "4.5.2/status",
-        "Status 1 says that it begins to stop, 2 that it stands, 3 that a limit stopped it.",
-        "motion/stop_relative_pulses/replies",
-        "motion/stop_relative_pulses/told-when-standing",
-    ),
-    *_tables("4.6.1", "move_absolute_pulses", "FE with speed, acceleration and 24 bits, signed", "a status of one byte"),
-    said(
-        "4.6.1/target",
-        "The shaft moves to a count of pulses, wherever it is, and the count reads so then.",
-        "motion/move_absolute_pulses/distance",
-        "motion/move_absolute_pulses/reads-as-asked",
-        "motion/move_absolute_pulses/same-place",
-    ),
-    said(
-        "4.6.1/ends-there",
-        "It ends there at any speed.",
-        "motion/move_absolute_pulses/within",
-        "motion/move_absolute_pulses/crossed-ends",
-    ),
-    said(
-        "4.6.1/speed",
-        "It turns at the speed and by the ramp that are sent.",
-        "motion/move_absolute_pulses/crossed-speed",
-        "timing/move_absolute_pulses/takes-*",
-        "ranges/move_absolute_pulses/speed/width",
-    ),
-    said(
-        "4.6.1/range",
+    *_stop("4.5.2", "stop_relative_pulses", "FD with speed and pulses 0"),
+    *_move(
+        "4.6.1",
+        "move_absolute_pulses",
+        "FE with speed, acceleration and 24 bits, signed",
         "The target is -8388607 to 8388607.",
-        "ranges/move_absolute_pulses/position/*",
-        "ranges/move_absolute_pulses/position/width",
-        "motion/move_absolute_pulses/low-word",
+        "The frames of the manual move to 4000h and to -4000h.",
+        said(
+            "4.6.1/target",
+            "The shaft moves to a count of pulses, wherever it is, and the count reads so then.",
+            "motion/move_absolute_pulses/distance",
+            "motion/move_absolute_pulses/reads-as-asked",
+            "motion/move_absolute_pulses/same-place",
+        ),
     ),
-    said("4.6.1/examples", "The frames of the manual move to 4000h and to -4000h.", "examples/move_absolute_pulses/*"),
-    said(
-        "4.6.1/status",
-        "Status 1 says that it begins, and 2 that it is done.",
-        "motion/move_absolute_pulses/replies",
-        "motion/move_absolute_pulses/told-when-there",
-    ),
-    said(
-        "4.6.1/status-0",
-        "Status 0 says that it does not run.",
-        "motion/move_absolute_pulses/disabled",
-        "motion/move_absolute_pulses/protected",
-    ),
-    said(
-        "4.6.1/status-3", "Status 3 says that an end limit stopped it.", "motion/set_home/end-limit-told-move_absolute_pulses"
-    ),
-    *_tables("4.6.2", "stop_absolute_pulses", "FE with speed and target 0", "a status of one byte"),
-    said(
-        "4.6.2/ramp",
-        "With an acceleration the shaft slows down by the ramp and stands.",
-        "motion/stop_absolute_pulses/by-ramp",
-        "timing/stop_absolute_pulses/told-in-time",
-    ),
-    said("4.6.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_absolute_pulses/at-once"),
-    said("4.6.2/stays", "It then stays where it is.", "motion/stop_absolute_pulses/stays-stopped"),
-    said("4.6.2/examples", "The frames of the manual stop the shaft.", "examples/stop_absolute_pulses/*"),
-    said(
-        "4.6.2/status",
-        "Status 1 says that it begins to stop, 2 that it stands, 3 that a limit stopped it.",
-        "motion/stop_absolute_pulses/replies",
-        "motion/stop_absolute_pulses/told-when-standing",
-    ),
-    *_tables("4.7.1", "move_relative_axis", "F4 with speed, acceleration and 24 bits, signed", "a status of one byte"),
-    said(
-        "4.7.1/distance",
-        "The shaft moves by so many counts of the encoder, as 31 reads them.",
-        "motion/move_relative_axis/distance",
-        "motion/move_relative_axis/behind-ended",
-        "motion/move_relative_axis/sign",
-        "motion/move_relative_axis/again",
-    ),
-    said(
-        "4.7.1/ends-there",
-        "It ends there at any speed.",
-        "motion/move_relative_axis/within",
-        "motion/move_relative_axis/crossed-ends",
-    ),
-    said(
-        "4.7.1/speed",
-        "It turns at the speed and by the ramp that are sent.",
-        "motion/move_relative_axis/crossed-speed",
-        "timing/move_relative_axis/takes-*",
-        "ranges/move_relative_axis/speed/width",
-    ),
-    said(
-        "4.7.1/range",
+    *_stop("4.6.2", "stop_absolute_pulses", "FE with speed and target 0"),
+    *_move(
+        "4.7.1",
+        "move_relative_axis",
+        "F4 with speed, acceleration and 24 bits, signed",
         "The way is -8388607 to 8388607.",
-        "ranges/move_relative_axis/position/*",
-        "motion/move_relative_axis/crossed-replies",
-        "ranges/move_relative_axis/position/width",
-        "motion/move_relative_axis/low-word",
+        "The frames of the manual move by 4000h and by -4000h.",
+        said(
+            "4.7.1/distance",
+            "The shaft moves by so many counts of the encoder, as 31 reads them.",
+            "motion/move_relative_axis/distance",
+            "motion/move_relative_axis/behind-ended",
+            "motion/move_relative_axis/sign",
+            "motion/move_relative_axis/again",
+        ),
     ),
-    said("4.7.1/examples", "The frames of the manual move by 4000h and by -4000h.", "examples/move_relative_axis/*"),
-    said(
-        "4.7.1/status",
-        "Status 1 says that it begins, and 2 that it is done.",
-        "motion/move_relative_axis/replies",
-        "motion/move_relative_axis/told-when-there",
-    ),
-    said(
-        "4.7.1/status-0",
-        "Status 0 says that it does not run.",
-        "motion/move_relative_axis/disabled",
-        "motion/move_relative_axis/protected",
-    ),
-    said("4.7.1/status-3", "Status 3 says that an end limit stopped it.", "motion/set_home/end-limit-told-move_relative_axis"),
-    *_tables("4.7.2", "stop_relative_axis", "F4 with speed and way 0", "a status of one byte"),
-    said(
-        "4.7.2/ramp",
-        "With an acceleration the shaft slows down by the ramp and stands.",
-        "motion/stop_relative_axis/by-ramp",
-        "timing/stop_relative_axis/told-in-time",
-    ),
-    said("4.7.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_relative_axis/at-once"),
-    said("4.7.2/stays", "It then stays where it is.", "motion/stop_relative_axis/stays-stopped"),
-    said("4.7.2/examples", "The frames of the manual stop the shaft.", "examples/stop_relative_axis/*"),
-    said(
-        "4.7.2/status",
-        "Status 1 says that it begins to stop, 2 that it stands, 3 that a limit stopped it.",
-        "motion/stop_relative_axis/replies",
-        "motion/stop_relative_axis/told-when-standing",
-    ),
-    *_tables("4.8.1", "move_absolute_axis", "F5 with speed, acceleration and 24 bits, signed", "a status of one byte"),
-    said(
-        "4.8.1/target",
-        "The shaft moves to a count of the encoder, wherever it is, and 31 reads so then.",
-        "motion/move_absolute_axis/distance",
-        "motion/move_absolute_axis/reads-as-asked",
-        "motion/move_absolute_axis/same-place",
-    ),
-    said(
-        "4.8.1/ends-there",
-        "It ends there at any speed.",
-        "motion/move_absolute_axis/within",
-        "motion/move_absolute_axis/crossed-ends",
-    ),
-    said(
-        "4.8.1/update",
-        "A newer command on the way changes speed and target.",
-        "motion/move_absolute_axis/newer-*",
-        "motion/move_absolute_axis/update-*",
-    ),
-    said(
-        "4.8.1/speed",
-        "It turns at the speed and by the ramp that are sent.",
-        "motion/move_absolute_axis/crossed-speed",
-        "timing/move_absolute_axis/takes-*",
-        "ranges/move_absolute_axis/speed/width",
-    ),
-    said(
-        "4.8.1/range",
+    *_stop("4.7.2", "stop_relative_axis", "F4 with speed and way 0"),
+    *_move(
+        "4.8.1",
+        "move_absolute_axis",
+        "F5 with speed, acceleration and 24 bits, signed",
         "The target is -8388607 to 8388607.",
-        "ranges/move_absolute_axis/position/*",
-        "ranges/move_absolute_axis/position/width",
-        "motion/move_absolute_axis/low-word",
+        "The frames of the manual move to 4000h and to -4000h.",
+        said(
+            "4.8.1/target",
+            "The shaft moves to a count of the encoder, wherever it is, and 31 reads so then.",
+            "motion/move_absolute_axis/distance",
+            "motion/move_absolute_axis/reads-as-asked",
+            "motion/move_absolute_axis/same-place",
+        ),
+        said(
+            "4.8.1/update",
+            "A newer command on the way changes speed and target.",
+            "motion/move_absolute_axis/newer-*",
+            "motion/move_absolute_axis/update-*",
+        ),
     ),
-    said("4.8.1/examples", "The frames of the manual move to 4000h and to -4000h.", "examples/move_absolute_axis/*"),
-    said(
-        "4.8.1/status",
-        "Status 1 says that it begins, and 2 that it is done.",
-        "motion/move_absolute_axis/replies",
-        "motion/move_absolute_axis/told-when-there",
-    ),
-    said(
-        "4.8.1/status-0",
-        "Status 0 says that it does not run.",
-        "motion/move_absolute_axis/disabled",
-        "motion/move_absolute_axis/protected",
-    ),
-    said("4.8.1/status-3", "Status 3 says that an end limit stopped it.", "motion/set_home/end-limit-told-move_absolute_axis"),
-    *_tables("4.8.2", "stop_absolute_axis", "F5 with speed and target 0", "a status of one byte"),
-    said(
-        "4.8.2/ramp",
-        "With an acceleration the shaft slows down by the ramp and stands.",
-        "motion/stop_absolute_axis/by-ramp",
-        "timing/stop_absolute_axis/told-in-time",
-    ),
-    said("4.8.2/at-once", "With acceleration 0 it stands at once.", "motion/stop_absolute_axis/at-once"),
-    said("4.8.2/stays", "It then stays where it is.", "motion/stop_absolute_axis/stays-stopped"),
-    said("4.8.2/examples", "The frames of the manual stop the shaft.", "examples/stop_absolute_axis/*"),
-    said(
-        "4.8.2/status",
-        "Status 1 says that it begins to stop, 2 that it stands, 3 that a limit stopped it.",
-        "motion/stop_absolute_axis/replies",
-        "motion/stop_absolute_axis/told-when-standing",
-    ),
+    *_stop("4.8.2", "stop_absolute_axis", "F5 with speed and target 0"),
     # Part 5: examples
     said("5.3/encoder", "30 is answered with carry 1 and value 29EFh.", "examples/read_encoder_carry/2"),
     said("5.4/run", "F6 runs the motor and is answered by 1.", "examples/run_speed/3"),
