@@ -83,13 +83,6 @@ class BitRate(IntEnum):
     BIT_RATE_1M = 3
 
 
-class AxisLock(IntEnum):
-    """Whether the motor holds its shaft when a bus mode begins."""
-
-    UNLOCKED = 0
-    LOCKED = 1
-
-
 class Alarm(IntEnum):
     """The level of the alarm port."""
 
@@ -156,7 +149,7 @@ _STALL_TOLERANCE = u16("stall_tolerance", maximum=0x7FFF, default=0x64, unit="de
 _BIT_RATE = u8("bit_rate", choices=BitRate, default=BitRate.BIT_RATE_500K, printed="bitRate", effect=Effect.BAUD_RATE)
 _NEW_ADDRESS = u16("new_address", minimum=1, maximum=0x7FF, default=1, printed="ID", effect=Effect.ADDRESS)
 _GROUP_ADDRESS = u16("group_address", minimum=1, maximum=0x7FF, printed="ID", effect=Effect.GROUP)
-_AXIS_LOCK = u8("axis_lock", choices=AxisLock, default=AxisLock.LOCKED, printed="enable")
+_AXIS_LOCK = u8("axis_lock", choices=mks.Lock, default=mks.Lock.LOCKED, printed="enable")
 _HOME_SPEED = replace(mks.HOME_SPEED, default=60)
 _HOME_CURRENT = replace(
     mks.HOME_CURRENT, models={"42E": ModelLimits(maximum=3000, default=300), "57E": ModelLimits(maximum=5200, default=600)}
@@ -428,7 +421,7 @@ _MOTION = (
     ),
     _run(
         Verb.RUN_SPEED, 0xF6, "4.4.1", "Run at a speed until told otherwise.", *mks.speed_body(),
-        status=mks.status(mks.SpeedStatus), replies=mks.RUN, risk=mks.RUN_SPEED_RISK,
+        status=mks.status(), replies=mks.SET, risk=mks.RUN_SPEED_RISK,
         vectors=(
             _sent("01 F6 01 40 02 3A", "4.4.1", direction=0, speed=320, acceleration=2),
             _sent("01 F6 81 40 02 BA", "4.4.1", direction=1, speed=320, acceleration=2),

@@ -246,7 +246,7 @@ _MOTION = (
     ),
     _run(
         Verb.RUN_SPEED, 0xF6, "6.5.1", "Run at a speed until told otherwise.", *mks.speed_body(),
-        status=mks.status(mks.SpeedStatus), replies=mks.RUN, risk=mks.RUN_SPEED_RISK,
+        status=mks.status(), replies=mks.SET, risk=mks.RUN_SPEED_RISK,
         vectors=(
             _sent("FA 01 F6 01 40 02 34", "6.5.1", direction=0, speed=320, acceleration=2),
             _sent("FA 01 F6 81 40 02 B4", "6.5.1", direction=1, speed=320, acceleration=2),

@@ -109,7 +109,7 @@ STOPS = tuple(v.value for v, m in MOTIONS.items() if m is _RAMPED_STOP)
 
 
 class Success(IntEnum):
-    """The answer to a setting."""
+    """The answer to a setting, and to a run at a speed."""
 
     FAILED = 0
     SUCCESS = 1
@@ -188,8 +188,8 @@ class BaudRate(IntEnum):
     BAUD_256000 = 7
 
 
-class KeyLock(IntEnum):
-    """Whether the keys at the display work."""
+class Lock(IntEnum):
+    """Whether something is locked: the keys at the display, or the shaft when a bus mode begins."""
 
     UNLOCKED = 0
     LOCKED = 1
@@ -224,24 +224,8 @@ class SaveState(IntEnum):
     CLEAN = 0xCA
 
 
-class SpeedStatus(IntEnum):
-    """The answer to a run at a speed."""
-
-    FAILED = 0
-    SUCCESS = 1
-
-
 class RunStatus(IntEnum):
-    """The answers to a move to a position."""
-
-    FAILED = 0
-    STARTING = 1
-    COMPLETE = 2
-    LIMIT_STOP = 3
-
-
-class StopStatus(IntEnum):
-    """The answers to a stop."""
+    """The answers to a move to a position, and to a stop."""
 
     FAILED = 0
     STARTING = 1
@@ -394,7 +378,7 @@ BAUD_RATE = u8("baud_rate", choices=BaudRate, default=BaudRate.BAUD_38400, print
 RESPOND = u8("respond", choices=Switch, default=Switch.ENABLED, printed="respon", effect=Effect.RESPOND)
 ACTIVE = u8("active", choices=Switch, default=Switch.ENABLED, printed="active", effect=Effect.ACTIVE)
 MODBUS = u8("modbus", choices=Switch, default=Switch.DISABLED, printed="enable", effect=Effect.DIALECT)
-KEY_LOCK = u8("key_lock", choices=KeyLock, printed="enable")
+KEY_LOCK = u8("key_lock", choices=Lock, printed="enable")
 LIMIT_REMAP = u8("limit_remap", choices=Switch, printed="enable")
 ENABLED = u8("enabled", choices=Switch, printed="en")
 
@@ -433,14 +417,9 @@ def new_address(maximum: int, **options: Any) -> Field:
     return u8("new_address", **facts | options)
 
 
-#: The reply of a setting.
-SET_REPLY = Layout(status())
-
 # ---- What a status means
 
 SET = Replies(final={1}, failed={0})
-RUN = Replies(final={1}, failed={0})
-STOP = Replies(interim={1}, final={2, 3}, failed={0})
 MOVE = Replies(interim={1}, final={2, 3}, failed={0})
 CALIBRATION = Replies(interim={0}, final={1}, failed={2})
 HOMING = Replies(interim={1}, final={2}, failed={0})
@@ -525,9 +504,5 @@ def run(verb: Verb, code: int, section: str, summary: str, *fields: Field, **opt
 
 def stop(verb: Verb, code: int, section: str, summary: str, *fields: Field, **options: Any) -> Command:
     """Declare a stop: a run of zeros, whose replies only an open stop tells from those of its run."""
-    facts: dict[str, Any] = {
-        "reply": (Form(Layout(status(StopStatus)), needs_request=True),),
-        "replies": STOP,
-        "notes": (HALT,),
-    }
+    facts: dict[str, Any] = {"reply": (Form(Layout(_RUN_STATUS), needs_request=True),), "notes": (HALT,)}
     return run(verb, code, section, summary, *fields, **facts | options)

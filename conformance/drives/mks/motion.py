@@ -147,7 +147,7 @@ def _stop(drive: MksCore, request: Request) -> Values:
 
 def _standing(drive: MksCore) -> Script:
     yield lambda: drive.motor.settled
-    drive.finish(mks.StopStatus.COMPLETE)
+    drive.finish(mks.RunStatus.COMPLETE)
 
 
 def _emergency_stop(drive: MksCore, request: Request) -> Values:
