@@ -28,8 +28,8 @@ from conformance.claim import Claim, Outcome
 from conformance.drives.can_bits import frame_bits
 from conformance.gate.gate import Gate
 from conformance.suite import order
+from conformance.suite.dry_run import StandInRig
 from conformance.suite.order import Cost
-from conformance.suite.rig_stand_in import StandInRig
 from conformance.suite.target import Target
 from conformance.talk.probe import Recording
 

@@ -26,8 +26,8 @@ from conformance.gate.permissions import READS, Allowance, parse_allow
 from conformance.safety.settings import changes
 from conformance.suite import plan as suite
 from conformance.suite import target as targets
+from conformance.suite.dry_run import StandInRig
 from conformance.suite.plan import Plan
-from conformance.suite.rig_stand_in import StandInRig
 from conformance.suite.target import Target
 
 #: What is tested where no target is named, at which rate.

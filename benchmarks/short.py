@@ -24,7 +24,7 @@ from benchmarks.run_time import TARGETS, everything, in_a_group, real, specifica
 from conformance.claim import NotStopped, Outcome, RigFault
 from conformance.gate.permissions import parse_allow
 from conformance.suite import plan as suite
-from conformance.suite.rig_stand_in import StandInRig
+from conformance.suite.dry_run import StandInRig
 
 
 class Tried(NamedTuple):

@@ -32,7 +32,7 @@ from analyzer.live.lock import DECODING, RUNNING, Lock
 from analyzer.live.log_parts import LogParts, Wrap
 from analyzer.live.reader_port import LEASH, Stop
 from analyzer.live.recording import Recording
-from analyzer.live.snapshot_pipe import SnapshotWriter
+from analyzer.live.snapshot import SnapshotWriter
 from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.records import Event
 from analyzer.sinks.mcap_sound import unreadable

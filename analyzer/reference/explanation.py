@@ -180,7 +180,7 @@ class Explainer:
 
     def _pasted(self, text: str, role: Role, no_checksum: bool, request: Given | None) -> tuple[list[Explanation], list[str]]:
         # Only now: it brings all formats with it.
-        from analyzer.sources.pasted import read_text
+        from analyzer.sources import read_text
 
         pasted = read_text(text)
         found: list[Explanation] = []

@@ -20,14 +20,16 @@ from types import ModuleType
 from typing import NamedTuple
 
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.records import CanFrame, Chunk
 from analyzer.sources import magic
 from analyzer.sources.lines import head_lines, is_text
 from analyzer.sources.logic.heads import SCORES, saleae_channels
 from analyzer.sources.source import Problem, Record, Source, quote
 from analyzer.sources.stream import BLOCK, ZSTD_MAGIC
+from analyzer.system.scratch import scratch_folder
 from analyzer.values import storable
 
-__all__ = ["FORMATS", "Format", "Problem", "Record", "Source", "open_source"]
+__all__ = ["FORMATS", "Format", "Pasted", "Problem", "Record", "Source", "open_source", "read_text"]
 
 
 class Format(NamedTuple):
@@ -251,3 +253,24 @@ def _unknown(source: Source, scores: dict[str, float]) -> str:
         "In text, frames are expected as FA 01 30 2B, FA:01:30:2B, 0xFA, 0x01, [FA][01], \\xFA\\x01 or 250, 1, 48, 43, and "
         "on CAN as 001#3031. --format NAME reads it as that format anyway"
     )
+
+
+class Pasted(NamedTuple):
+    """What a text that is no file holds: its traffic in order, and what was concluded of how it is written."""
+
+    traffic: list[Chunk | CanFrame]
+    notes: list[str]
+
+
+def read_text(text: str) -> Pasted:
+    """Return the traffic of a text, as people paste it on a command line, in any form; none where it is of none."""
+    with scratch_folder() as folder:
+        path = folder / "text"
+        path.write_text(text.rstrip("\n") + "\n", "utf-8", "replace")
+        try:
+            with open_source(path) as source:
+                if source.format == "raw":
+                    return Pasted([], [])
+                return Pasted([record for record in source if isinstance(record, (Chunk, CanFrame))], source.notes)
+        except UnreadableError:
+            return Pasted([], [])

@@ -25,9 +25,8 @@ from analyzer.view.frames_panel import FramesPanel
 from analyzer.view.head import head_text
 from analyzer.view.keys import bindings, help_text
 from analyzer.view.plot_panel import PlotPanel
-from analyzer.view.prompt import FILTER, MARK, SEARCH, Prompt
+from analyzer.view.prompt import FILTER, MARK, SEARCH, EndQuestion, HelpScreen, Prompt
 from analyzer.view.rows import Rows
-from analyzer.view.screens import EndQuestion, HelpScreen
 from analyzer.view.search import Seeker
 from analyzer.view.source import ViewSource
 from analyzer.view.terminal import EndingSignals, forgiving_terminal, terminal_watch

@@ -1,6 +1,6 @@
 """Lines of bytes on a descriptor: what serial ports and TCP connections share.
 
-    receive: wait for the descriptor, read what there is, stamp it at once; leave out what no line can bring (`intake`)
+    receive: wait for the descriptor, read what there is, stamp it at once; leave out what no line can bring (`Intake`)
 
 The waiting thread takes the stamp right after the wait; a separate thread would be delayed by Python's lock. Bytes that come
 while the caller does other work are stamped late. Exchanges wait for their reply, so their stamps are right.
@@ -18,15 +18,54 @@ from analyzer.catalogue import Role
 from analyzer.live.endpoint import Endpoint
 from analyzer.records import CanFrame, Chunk
 from conformance.bus.echo import EchoFilter
-from conformance.bus.intake import SECOND_NS, Intake
 from conformance.bus.line import Line, LineLost
 
+SECOND_NS = 1_000_000_000
+#: Bytes a second that no line brings, but one of more than 1 Mbit/s.
+FLOOD = 100_000
 #: How long a port may take no bytes before it is taken to be stuck.
 _STUCK_NS = 5 * SECOND_NS
 #: Read at one go, and passed on at one go: what a line brings in 10 ms at 4 Mbit/s, for to decode more takes time.
 READ_SIZE, _PIECE = 1 << 16, 4096
 #: Between two looks at what is sent faster than any line: to read all of it would take all the time there is.
 _FLOODED_SECONDS = 0.01
+
+
+class Intake:
+    """What is read of what comes: no more than a line can bring. `left_out`: bytes that were not.
+
+    A server on a network, or a program behind a terminal, can send hundreds of megabytes a second. To decode them takes all the
+    time that a stop and a time-out have. As long as more comes than any line brings, the rest is read at the rate of the line.
+
+    What may come is far more than the rate of the line, for emulated drives may answer at once, without a wire. No program that
+    asks and waits gets near it.
+    """
+
+    def __init__(self) -> None:
+        self.left_out = 0
+        self._room = 0.0
+        self._last_ns: int | None = None
+        #: When more came than a line can bring, for the last time; None: it did not, or long ago.
+        self._flooded_ns: int | None = None
+
+    def take(self, t_ns: int, count: int, brings: int) -> int:
+        """Return how many of `count` bytes that have come are to be read; the others are left out.
+
+        `brings`: bytes that the line brings in a second.
+        """
+        rate = max(FLOOD, brings) if self._flooded_ns is None else brings
+        elapsed_ns = SECOND_NS if self._last_ns is None else t_ns - self._last_ns
+        self._last_ns = t_ns
+        # At most what comes in a second: a process may stand still so long, and a network too.
+        self._room = min(rate, self._room + elapsed_ns * rate / SECOND_NS)
+        taken = min(count, int(self._room))
+        self._room -= taken
+        if taken < count:
+            self.left_out += count - taken
+            self._flooded_ns = t_ns
+        elif self._flooded_ns is not None and t_ns - self._flooded_ns >= SECOND_NS:
+            self._flooded_ns = None
+        return taken
 
 
 class StreamLine(Line):

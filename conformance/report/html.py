@@ -5,21 +5,29 @@ The page contains everything, so it can be mailed and kept.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from analyzer import page
+from analyzer import dialects, page
 from analyzer.cli.output import write_whole
 from analyzer.page import Line, Plot
+from conformance import claims
 from conformance.claim import Aspect, Outcome
 from conformance.report.bus import line_causes
-from conformance.report.causes import causes
-from conformance.report.coverage import NEVER, NOTHING, matrix, share
 from conformance.report.terminal import COLUMNS, repeat_command
 from conformance.suite.record import RunRecord, VerdictRecord, firmware_of, noise_of
 
+#: What a claim got from a drive that did not answer.
+_SILENT = ("nothing", "silence")
+#: The worst of several outcomes is shown.
+RANK = (Outcome.REFUTED, Outcome.OBSERVED, Outcome.CONFIRMED, Outcome.INCONCLUSIVE, Outcome.NOT_RUN)
+#: No verdict, though there are claims; and no claim: it cannot apply to the command, or the manual prints none.
+NEVER, NOTHING = "never", "nothing"
+Cell = tuple[str, tuple[VerdictRecord, ...]]
 #: Ramps that are drawn at most.
 _CURVES = 24
 #: Outcome -> its colour and its sign.
@@ -93,6 +101,85 @@ def _themes(records: Iterable[VerdictRecord]) -> dict[tuple[str, str], Counter[s
 
 def _why_none(aspect: str) -> str:
     return "the manual prints none" if aspect == Aspect.EXAMPLE else "does not apply"
+
+
+# --- causes -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What is wrong with a drive, in a few words, and the refuted claims that show it."""
+
+    target: str
+    text: str
+    records: tuple[VerdictRecord, ...]
+
+
+def causes(records: Iterable[VerdictRecord]) -> list[Cause]:
+    """Return the causes of what is refuted: those that took most claims first."""
+    found: dict[tuple[str, str], list[VerdictRecord]] = {}
+    for record in records:
+        if record.refuted:
+            found.setdefault((record.target, _text(record)), []).append(record)
+    every = [
+        # The words of a claim that stands alone name its command.
+        Cause(target, text if len(own) > 1 else own[0].reason or own[0].key, tuple(own))
+        for (target, text), own in found.items()
+    ]
+    return sorted(every, key=lambda cause: -len(cause.records))
+
+
+def _text(record: VerdictRecord) -> str:
+    """Return the key of a refutation without the commands that it names."""
+    if record.got in _SILENT and record.expected not in _SILENT:
+        return "no answer"
+    names = sorted((c.name for c in dialects.get(record.dialect).commands), key=len, reverse=True)
+    return re.sub(rf"\b(?:{'|'.join(map(re.escape, names))})\b", "a command", record.key)
+
+
+# --- coverage ---------------------------------------------------------------------------------------------------------
+
+
+def matrix(records: Sequence[VerdictRecord], target: str) -> dict[str, dict[str, Cell]]:
+    """Return for each command and aspect of a target the worst outcome and its verdicts, in the manual's order."""
+    own = [r for r in records if r.target == target]
+    if not own:
+        return {}
+    found: dict[tuple[str, str], list[VerdictRecord]] = {}
+    for record in own:
+        blamed = record.asked if record.refuted and record.asked in {command for command, _ in record.covers} else ""
+        for command, aspect in record.covers:
+            # A claim about many commands is refuted by one of them; of the others it says nothing then.
+            if not blamed or command == blamed:
+                found.setdefault((command, aspect), []).append(record)
+    model = next((part.removeprefix("model=").upper() for part in target.split(",") if part.startswith("model=")), "")
+    dialect = dialects.get(own[0].dialect)
+    dialect = dialect.for_model(model) if model else dialect
+    claimed = {pair for claim in claims.every(dialect) for pair in claim.covers}
+    return {
+        c.name: {a.value: _worst(found.get((c.name, a.value), [])) if (c.name, a) in claimed else (NOTHING, ()) for a in Aspect}
+        for c in dialect.commands
+    }
+
+
+def _worst(records: Sequence[VerdictRecord]) -> Cell:
+    for outcome in RANK:
+        worst = tuple(r for r in records if r.outcome == outcome)
+        if worst:
+            return outcome.value, worst
+    return NEVER, ()
+
+
+def share(rows: Mapping[str, Mapping[str, Cell]]) -> dict[str, tuple[int, int]]:
+    """Return for each aspect how many commands have a verdict, of those that can have one."""
+    unjudged = (NEVER, Outcome.NOT_RUN, Outcome.INCONCLUSIVE)
+    return {
+        a.value: (
+            sum(row[a.value][0] not in (*unjudged, NOTHING) for row in rows.values()),
+            sum(row[a.value][0] != NOTHING for row in rows.values()),
+        )
+        for a in Aspect
+    }
 
 
 # --- figures ----------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""A dry run: all that a run would send, without a port. An emulated drive stands in for the real one.
+"""A dry run: all that a run would send, without a port. An emulated drive in virtual time stands in for the real one.
 
 Other answers can lead to other requests. The list therefore holds for a drive that follows the manual, with a person at hand
 and no other drive on the bus.
@@ -12,6 +12,8 @@ from analyzer.catalogue import Risk, Role
 from analyzer.errors import UsageError
 from analyzer.records import CanFrame, Chunk
 from analyzer.values import counted
+from conformance.bus.emulated import EmulatedLine
+from conformance.bus.line import Line
 from conformance.claim import Outcome
 from conformance.drives import make
 from conformance.gate.gate import Gate, Judge
@@ -19,15 +21,39 @@ from conformance.gate.permissions import Allowance
 from conformance.suite import engine
 from conformance.suite import plan as suite
 from conformance.suite.rig import ClaimRig
-from conformance.suite.rig_stand_in import StandInRig
+from conformance.suite.rig_real import RealRig
 from conformance.suite.target import Target
 from conformance.talk.exchange import hex_of
 
 if TYPE_CHECKING:
+    from conformance.drives.make import Specification
+    from conformance.safety.journal import Journal
     from conformance.suite.plan import Plan
 
 Item = bytes | CanFrame
 _texts: dict[bytes | tuple[int, bytes], str] = {}
+
+
+class StandInRig(RealRig):
+    """A rig by the rules of a real drive, on a line to an emulated one, without a guard and a journal.
+
+    It is the whole run: the search for the drive and its neighbours, each setting read, changed and put back, each stop with
+    its proof, and each wait. `specification`: the emulated drive in place of the target's; one as the manual has it by default.
+    """
+
+    def __init__(self, plan: Plan, target: Target, specification: Specification | None = None) -> None:
+        model = f",model={target.model}" if target.model else ""
+        self._specification = specification or make.parse(f"{target.dialect.name}@{target.address}{model}")
+        super().__init__(plan, target)
+
+    def _open_line(self) -> Line:
+        line = EmulatedLine([make.make(self._specification)])
+        # Its flash counts as one that wears.
+        line.emulated = False
+        return line
+
+    def _open_journal(self) -> Journal | None:
+        return None
 
 
 class _Listed(StandInRig):

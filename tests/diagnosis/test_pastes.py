@@ -12,7 +12,7 @@ from analyzer.diagnosis.watch import Watch
 from analyzer.link import modbus_crc
 from analyzer.pipeline import Pipeline
 from analyzer.records import CanFrame, Comment
-from analyzer.sources.pasted import read_text
+from analyzer.sources import read_text
 
 ESPHOME = "".join(f"[10:00:01][V][modbus:042]: Modbus received Byte  {b} (0X{b:x})\n" for b in bytes.fromhex("110304000041EE"))
 EMODBUS = """[D] {}| ModbusClientRTU.cpp  [ 253] handleConnection: Request sent.

@@ -15,8 +15,7 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.findings import RULES
 from analyzer.live import snapshot_sink as feeds
-from analyzer.live.snapshot import BusCounts, Snapshot, decode, encode
-from analyzer.live.snapshot_pipe import SnapshotWriter
+from analyzer.live.snapshot import BusCounts, Snapshot, SnapshotWriter, decode, encode
 from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.pipeline import Pipeline
 from analyzer.port import Options

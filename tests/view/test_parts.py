@@ -15,12 +15,11 @@ from analyzer.pipeline import Pipeline
 from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sources.times import ShownTime
-from analyzer.view.braille import Canvas, chart
 from analyzer.view.capture import CapturePlot, WantedNumbers, _Keeper
 from analyzer.view.condition import Condition
 from analyzer.view.kept import KeptLines, WantedKept
 from analyzer.view.lines import ELAPSED, STEP, Columns
-from analyzer.view.scale import round_ticks, time_ticks
+from analyzer.view.scale import Canvas, chart, round_ticks, time_ticks
 from analyzer.view.search import Search
 from analyzer.view.series import POINTS, Series
 from analyzer.view.store import BLOCK, FrameStore

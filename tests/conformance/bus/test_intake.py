@@ -7,7 +7,7 @@ import pytest
 from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.encoder import build
-from conformance.bus.intake import FLOOD, SECOND_NS, Intake
+from conformance.bus.stream import FLOOD, SECOND_NS, Intake
 from conformance.gate.gate import Allowance, Gate
 from conformance.safety import stopping
 from conformance.suite.preflight import DriveNotFound, check

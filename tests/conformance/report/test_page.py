@@ -10,8 +10,7 @@ import msgspec
 import pytest
 
 from conformance.claim import Curve
-from conformance.report.causes import causes
-from conformance.report.html import html, write_html
+from conformance.report.html import causes, html, write_html
 from conformance.suite.plan import Plan, run
 from conformance.suite.record import RunRecord, VerdictRecord
 from conformance.suite.target import parse

@@ -21,9 +21,9 @@ from conformance.motion import motion, resting
 from conformance.motion.declared import GENTLE
 from conformance.safety import stopping
 from conformance.suite import target
+from conformance.suite.dry_run import StandInRig
 from conformance.suite.plan import Plan
 from conformance.suite.rig_emulated import EmulatedRig
-from conformance.suite.rig_stand_in import StandInRig
 from conformance.talk.probe import SECOND_NS, Probe
 
 _DRIVE = "mks-rs485@1,work_mode=sr_vfoc"

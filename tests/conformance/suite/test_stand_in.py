@@ -12,8 +12,8 @@ from conformance.gate.permissions import Allowance
 from conformance.motion import arriving, motion
 from conformance.suite import engine, target
 from conformance.suite import plan as suite
+from conformance.suite.dry_run import StandInRig
 from conformance.suite.plan import Plan
-from conformance.suite.rig_stand_in import StandInRig
 from conformance.talk.probe import plain_probe
 
 _PORT = target.parse("mks-can@1", "can:virtual:none,bitrate=500000")

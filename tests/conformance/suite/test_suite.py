@@ -15,7 +15,7 @@ import pytest
 from analyzer.cli import main
 from analyzer.cli.output import Output, write_whole
 from analyzer.errors import UsageError
-from conformance.report.coverage import matrix
+from conformance.report.html import matrix
 from conformance.report.log import METADATA
 from conformance.suite import target
 from conformance.suite.record import VerdictRecord
