@@ -11,6 +11,7 @@ Not known here: the content of the figures, which are not in the text.
 from __future__ import annotations
 
 from analyzer.catalogue import Certainty, Damage, Doubt, Erratum
+from analyzer.protocols.mks_rs485_errata import repeated
 from analyzer.protocols.mks_shared import RUNS, STOPS
 
 _CERTAIN, _LIKELY, _OPEN = Certainty.CERTAIN, Certainty.LIKELY, Certainty.OPEN
@@ -155,13 +156,8 @@ ERRATA = (
         "a turn back from carry 0 and value 0x3FF0 is carry -1 and the same value",
         _CERTAIN,
     ),
-    Erratum(
-        "mks-can-20", "3.1.1, 3.1.2", "clockwise += 0x4000, CCW -= 0x4000",
-        "the examples below it, those of 3.1.1 and the sign of the speed in 3.1.3 say the opposite",
-        "counter-clockwise raises the encoder value",
-        "three places against one; which way a real shaft turns is observed, not judged",
-        _OPEN,
-    ),
+    repeated("mks-rs485-18", "mks-can-20", "3.1.1, 3.1.2",
+             wrong="the examples below it, those of 3.1.1 and the sign of the speed in 3.1.3 say the opposite"),
     Erratum(
         "mks-can-21", "3.1.2, 3.2.1, 3.7", "CCW: += 0x4000; cal: clockwise increases or decreases the value",
         "3.1 fixes the sign; by 3.2.1 and 3.7 the calibration decides it",
@@ -200,28 +196,11 @@ ERRATA = (
         _OPEN,
         bears_on={Doubt.EFFECT: ("write_io",)},
     ),
-    Erratum(
-        "mks-can-26", "3.1.6", "an error of 1 degree is returned as 142.222",
-        "the field is an int32 and can hold no fraction",
-        "the nearest integer of angle x 51200 / 360",
-        "the example shows how to reckon, not what is sent",
-        _LIKELY,
-    ),
-    Erratum(
-        "mks-can-27", "3.1.7, 4.2.2", "read the En pins status; enable = 1 Enabled",
-        "heading and values differ: the level of a pin, or whether the motor is enabled",
-        "whether the motor is enabled, by pin or by F3",
-        "the values are named Enabled and Disabled, and in bus modes F3 decides instead of the pin",
-        _LIKELY,
-        bears_on={Doubt.MEANING: ("read_enabled", "set_enable_level")},
-    ),
-    Erratum(
-        "mks-can-28", "3.1.8", "3D under the commands that read",
-        "it changes the state of the drive",
-        "a command that acts",
-        "it ends the protection and answers with success or failure",
-        _CERTAIN,
-    ),
+    repeated("mks-rs485-22", "mks-can-26", "3.1.6"),
+    repeated("mks-rs485-23", "mks-can-27", "3.1.7, 4.2.2",
+             why="the values are named Enabled and Disabled, and in bus modes F3 decides instead of the pin"),
+    repeated("mks-rs485-24", "mks-can-28", "3.1.8",
+             why="it ends the protection and answers with success or failure"),
     Erratum(
         "mks-can-29", "3.1.9", "FA 01 3E CRC",
         "CAN frames have no head FA; the other eight headings begin with the ID",
@@ -253,13 +232,8 @@ ERRATA = (
         "all settings answer so, and the two statuses stand below",
         _CERTAIN, Damage.SCAN,
     ),
-    Erratum(
-        "mks-can-33", "3.2.6, 3.4.1, 4.4.1, 4.5.1", "dir 00 CW, 01 CCW; dir 0/1 (CCW/CW)",
-        "settings and motion commands number the directions the other way round, and 0 is called forward in 4.4",
-        "both as printed",
-        "each is printed several times alike; which way a real shaft turns is observed, not judged",
-        _OPEN,
-    ),
+    repeated("mks-rs485-26", "mks-can-33", "3.2.6, 3.4.1, 4.4.1, 4.5.1",
+             wrong="settings and motion commands number the directions the other way round, and 0 is called forward in 4.4"),
     Erratum(
         "mks-can-34", "3.2.7", "delay = 000ms $delay = 01 4ms$, and two lines for 02",
         "code and time are run together, and the lines are broken",
@@ -464,14 +438,7 @@ ERRATA = (
         "Part 4 makes no exception for them",
         _OPEN,
     ),
-    Erratum(
-        "mks-can-61", "4.1", "calibrated at 16/32/64 subdivisions; others reckoned from 16",
-        "reckoned from 16, 32 and 64 would be slower; 64 keeps 1200 rpm and 128 drops to an eighth of it",
-        "at 16, 32 and 64 the speed as sent; else speed x 16 / subdivision",
-        "the three worked values (8: 2400, 16/32/64: 1200, 128: 150) fit it",
-        _LIKELY, commands=("set_subdivision", *RUNS),
-        bears_on={Doubt.SEQUENCE: ()},
-    ),
+    repeated("mks-rs485-35", "mks-can-61", "4.1"),
     Erratum(
         "mks-can-62", "4.1, 4.4.1", "speed 0 to 3000, in 12 or 16 bits",
         "the bits hold more, and nothing is said of a greater speed",
@@ -480,13 +447,7 @@ ERRATA = (
         _LIKELY, commands=RUNS,
         bears_on={Doubt.LIMITS: ("speed",)},
     ),
-    Erratum(
-        "mks-can-63", "4.1", "acc 0: no acceleration; (256 - acc) x 50 us",
-        "the formula makes 0 the slowest ramp, the text the steepest",
-        "0 changes the speed at once; the formula holds from 1 on",
-        "the stop commands say so again: acc 0 stops at once",
-        _CERTAIN, commands=(*RUNS, *STOPS),
-    ),
+    repeated("mks-rs485-38", "mks-can-63", "4.1"),
     Erratum(
         "mks-can-64", "4.2.1", "Note 1: valid in bus control only; Note 2: in pulse control it tells the calibration",
         "the second note takes back a part of the first",
@@ -516,13 +477,7 @@ ERRATA = (
         _LIKELY,
         bears_on={Doubt.VALUES: ("save_state",)},
     ),
-    Erratum(
-        "mks-can-78", "4.5, 4.7", "relative motion; to the specified position, to the specified axis",
-        "a relative move goes by a distance, not to a place",
-        "by the pulses or counts that are sent, from where the shaft is",
-        "the examples: 20 turns for 64000 pulses, and 0x8000 + 0x4000 = 0xC000",
-        _CERTAIN,
-    ),
+    repeated("mks-rs485-55", "mks-can-78", "4.5, 4.7"),
     Erratum(
         "mks-can-68", "4.6", "to the specified axis; column: absolute axis; field: absPulses",
         "axis is elsewhere the encoder, in counts",
@@ -567,14 +522,8 @@ ERRATA = (
         "4.4.1 has the same frame with 320RPM, and its checksum fits",
         _CERTAIN, commands=("run_speed",),
     ),
-    Erratum(
-        "mks-can-74", "5.4, 4.4.2", "stop: 1 started, 2 stopped; the worked example has 1 alone and calls it success",
-        "the example leaves out the second reply or calls the first one by the wrong name",
-        "1 when the stop begins, 2 when the shaft stands still, if active is on",
-        "4.4.2 lists both, and the stop of 5.5 gets both",
-        _LIKELY,
-        bears_on={Doubt.SEQUENCE: ()},
-    ),
+    repeated("mks-rs485-42", "mks-can-74", "5.4, 4.4.2",
+             why="4.4.2 lists both, and the stop of 5.5 gets both"),
     Erratum(
         "mks-can-75", "title, 3.1.1, 3.2.12, 3.4.2, 3.4.3, 4.1, 4.5 to 4.8",
         "discription, vaule, respon, sucess, Currnet, uS, stoped, goog",

@@ -10,6 +10,7 @@ are left out.
 from __future__ import annotations
 
 from analyzer.catalogue import Certainty, Damage, Doubt, Erratum
+from analyzer.protocols.mks_rs485_errata import repeated
 
 _CERTAIN, _LIKELY, _OPEN = Certainty.CERTAIN, Certainty.LIKELY, Certainty.OPEN
 
@@ -36,27 +37,10 @@ ERRATA = (
         "the responses are described by start address alone",
         _CERTAIN,
     ),
-    Erratum(
-        "mks-modbus-04", "8.1.1", "+0x4000 makes carry|value 0x3FF0 into 0x13FF0",
-        "the sum would be 0x7FF0, which is outside the value's range; the printed result adds 0x10000",
-        "a turn changes the carry by 1 and leaves the value",
-        "the printed results, 0x13FF0 and 0xFFFFFFFF3FF0, are carry 1 and -1 beside an unchanged 0x3FF0",
-        _CERTAIN,
-    ),
-    Erratum(
-        "mks-modbus-05", "8.1.2", "clockwise += 0x4000, CCW -= 0x4000",
-        "the examples below it, those of 8.1.1 and the sign of the speed in 8.1.3 say the opposite",
-        "counter-clockwise raises the encoder value",
-        "three places against one; which way a real shaft turns is observed, not judged",
-        _OPEN,
-    ),
-    Erratum(
-        "mks-modbus-06", "8.1.2", "0xFFFFFFFFFF0",
-        "eleven digits for a 48-bit value",
-        "0xFFFFFFFFFFF0",
-        "0x3FF0 - 0x4000 is -0x10, and twelve digits of it end in FF0",
-        _CERTAIN,
-    ),
+    repeated("mks-rs485-17", "mks-modbus-04", "8.1.1"),
+    repeated("mks-rs485-18", "mks-modbus-05", "8.1.2",
+             wrong="the examples below it, those of 8.1.1 and the sign of the speed in 8.1.3 say the opposite"),
+    repeated("mks-rs485-19", "mks-modbus-06", "8.1.2"),
     Erratum(
         "mks-modbus-07", "8.1.3", "01 04 00 32 00 01, CRC E1 C4",
         "E1 C4 is the CRC of the frame of 8.1.2",
@@ -71,21 +55,8 @@ ERRATA = (
         "pulses count both ways: FE moves to positions below zero and ends at such a pulse count",
         _LIKELY,
     ),
-    Erratum(
-        "mks-modbus-09", "8.1.6", "an error of 1 degree is returned as 142.222",
-        "the field is an int32 and can hold no fraction",
-        "the nearest integer of angle x 51200 / 360",
-        "the example shows how to reckon, not what is sent",
-        _LIKELY,
-    ),
-    Erratum(
-        "mks-modbus-10", "8.1.7", "read the En pins status; enable = 1 Enabled",
-        "heading and values differ: the level of a pin, or whether the motor is enabled",
-        "whether the motor is enabled, by pin or by F3",
-        "the values are named Enabled and Disabled, and in serial modes F3 decides",
-        _LIKELY,
-        bears_on={Doubt.MEANING: ("read_enabled", "set_enable_level")},
-    ),
+    repeated("mks-rs485-22", "mks-modbus-09", "8.1.6"),
+    repeated("mks-rs485-23", "mks-modbus-10", "8.1.7"),
     Erratum(
         "mks-modbus-31", "5.2.13, 5.2.16, 5.3.4, 8.2.20, 8.3", "no register for 8C, 8D and 94",
         "homing and motion depend on what they set, and Part 8 neither sets it nor says whether it holds",
@@ -194,13 +165,8 @@ ERRATA = (
         "without a direction the wider field fills the register, and the byte counts fit",
         _CERTAIN,
     ),
-    Erratum(
-        "mks-modbus-25", "8.3.5", "column: absolute axis; field: absPulses",
-        "axis is elsewhere the encoder, in counts",
-        "pulses",
-        "8.3.5 is the absolute motion by pulses",
-        _CERTAIN,
-    ),
+    repeated("mks-rs485-46", "mks-modbus-25", "8.3.5",
+             why="8.3.5 is the absolute motion by pulses"),
     Erratum(
         "mks-modbus-26", "8.3.5", "01 10 00 FE 00 04, no CRC, twice",
         "the responses of FD, F4 and F5 have theirs",

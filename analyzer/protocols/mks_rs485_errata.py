@@ -9,6 +9,8 @@ Not known here: the content of the figures, which are not in the text.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from analyzer.catalogue import Certainty, Damage, Doubt, Erratum
 from analyzer.protocols.mks_shared import RUNS, STOPS
 
@@ -421,3 +423,9 @@ ERRATA = (
         _CERTAIN,
     ),
 )  # fmt: skip
+_BY_ID = {erratum.id: erratum for erratum in ERRATA}
+
+
+def repeated(known: str, number: str, section: str, **otherwise: str) -> Erratum:
+    """Return what another manual, or the Modbus chapter, repeats of an entry; `otherwise`: the texts that differ there."""
+    return replace(_BY_ID[known], id=number, section=section, **otherwise)  # type: ignore[arg-type]
