@@ -158,18 +158,6 @@ def _drives(values: Values) -> str:
     return f", drives: {', '.join(shown[:_IDS_SHOWN]) or 'none'}{more}"
 
 
-def _dialect(values: Values) -> str:
-    return f"{', '.join(values.get('dialects') or ())} ({values.get('reason', '')})"
-
-
-def _resumed(values: Values) -> str:
-    return f"read from byte {values.get('offset', 0)} on"
-
-
-def _speed(values: Values) -> str:
-    return f"{values.get('speed', '?')} bit/s from here on"
-
-
 def _back(values: Values) -> str:
     why = f" ({values['reason']})" if values.get("reason") else ""
     return f"gone for {values.get('gap', 0.0):.3f} s, from {values.get('from', '?')} on{why}"
@@ -194,10 +182,6 @@ def _kernel_dropped(values: Values) -> str:
     return f"{_amount(values)} dropped by the kernel" + (f" since {values['from']}" if values.get("from") else "")
 
 
-def _missing(values: Values) -> str:
-    return f"{_amount(values)} missing in the stored data"
-
-
 def _bus_error(values: Values) -> str:
     count = values.get("count", 1)
     return f"{values.get('reason', 'trouble')}" + (f", {counted(count, 'time')}" if count not in (0, 1) else "")
@@ -205,10 +189,6 @@ def _bus_error(values: Values) -> str:
 
 def _step(values: Values) -> str:
     return f"the wall clock went {values.get('step', 0.0):+.3f} s: {values.get('cause', '')}; timestamps do not follow"
-
-
-def _drift(values: Values) -> str:
-    return f"wall clock minus the clock of the recording: {1000 * values.get('drift', 0.0):+.3f} ms"
 
 
 def _stalled(values: Values) -> str:
@@ -221,21 +201,17 @@ def _restarted(values: Values) -> str:
     return f"the {values.get('what', 'process')} process{who} died and was restarted ({values.get('reason', '')})"
 
 
-def _damaged(values: Values) -> str:
-    return f"{_amount(values)} damaged in the data stored next to the log"
-
-
 def _part(values: Values) -> str:
     return f"part {values.get('part', '?')}" + (f", after {values['previous']}" if values.get("previous") else "")
 
 
 KINDS: dict[str, EventKind] = {
-    RESUMED: EventKind(_resumed),
-    SPEED: EventKind(_speed),
+    RESUMED: EventKind(lambda values: f"read from byte {values.get('offset', 0)} on"),
+    SPEED: EventKind(lambda values: f"{values.get('speed', '?')} bit/s from here on"),
     "begin": EventKind(_of("host", "system", "version")),
     "part": EventKind(_part),
     PORT: EventKind(_port),
-    DIALECT: EventKind(_dialect),
+    DIALECT: EventKind(lambda values: f"{', '.join(values.get('dialects') or ())} ({values.get('reason', '')})"),
     "open": EventKind(_of("precision", "notes")),
     "note": EventKind(_of("text")),
     "lost": EventKind(_of("reason"), "port_lost", cuts=True),
@@ -243,13 +219,17 @@ KINDS: dict[str, EventKind] = {
     "overrun": EventKind(_counted, "overrun"),
     "kernel_dropped": EventKind(_kernel_dropped, "dropped", cuts=True),
     "dropped": EventKind(_dropped, "dropped", cuts=True),
-    "missing": EventKind(_missing, "dropped", cuts=True),
+    "missing": EventKind(lambda values: f"{_amount(values)} missing in the stored data", "dropped", cuts=True),
     "bus_error": EventKind(_bus_error, "bus_error"),
     "clock_step": EventKind(_step, "clock_step"),
-    "clock_drift": EventKind(_drift),
+    "clock_drift": EventKind(
+        lambda values: f"wall clock minus the clock of the recording: {1000 * values.get('drift', 0.0):+.3f} ms"
+    ),
     "restarted": EventKind(_restarted, "restarted"),
     "stalled": EventKind(_stalled, "log_stalled"),
-    "damaged": EventKind(_damaged, "spool_damaged", cuts=True),
+    "damaged": EventKind(
+        lambda values: f"{_amount(values)} damaged in the data stored next to the log", "spool_damaged", cuts=True
+    ),
     "fault": EventKind(_of("text"), "decoder_fault", cuts=True),
     "closed": EventKind(_of("reason")),
     "end": EventKind(_of("reason")),

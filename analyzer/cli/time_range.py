@@ -55,7 +55,8 @@ class TimeRange:
         #: Bytes that were decoded unseen.
         self.unseen_bytes = 0
         self._resolved = not self.wanted
-        if self.wanted and (source.kind == "log" or Anchor.END in self._anchors()):
+        to_end = any(moment is not None and moment.anchor is Anchor.END for moment in (since, until))
+        if self.wanted and (source.kind == "log" or to_end):
             bounds = _log_bounds(source) if source.kind == "log" else _bounds(source)
             if bounds is not None:
                 self._resolve(*bounds)
@@ -66,9 +67,6 @@ class TimeRange:
     def wanted(self) -> bool:
         """Whether it is not the whole."""
         return self._since is not None or self._until is not None
-
-    def _anchors(self) -> set[Anchor]:
-        return {moment.anchor for moment in (self._since, self._until) if moment is not None}
 
     @property
     def shown(self) -> ShownTime:

@@ -47,8 +47,4 @@ class Text:
     def line_of(self, pattern: str) -> int | None:
         """Return the line in which a pattern is found first."""
         found = re.search(pattern, self.text, re.MULTILINE)
-        return None if found is None else self.line_at(found.start())
-
-    def line_at(self, place: int) -> int:
-        """Return the line of a place in the text."""
-        return self.text.count("\n", 0, place) + 1
+        return None if found is None else self.text.count("\n", 0, found.start()) + 1

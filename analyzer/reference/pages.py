@@ -34,12 +34,13 @@ def overview(dialect: Dialect) -> Iterator[str]:
     yield styled(f"{dialect.name}: {dialect.title}", "bold")
     first, last = dialect.addresses
     everyone = "none for all" if dialect.broadcast is None else f"{dialect.broadcast} for all"
+    examples = sum(len(c.vectors) for c in dialect.commands)
     facts = [
         ("manual", dialect.manual),
         ("bus", f"{dialect.bus}, {', '.join(str(r) for r in dialect.baud_rates)} (the first is the default)"),
         ("addresses", f"{first}..{last}; {everyone}"),
         ("models", ", ".join(dialect.models) + (f" (shown: {dialect.model})" if dialect.model else "")),
-        ("content", f"{len(dialect.commands)} commands, {_examples(dialect)} worked examples, {len(dialect.errata)} errata"),
+        ("content", f"{len(dialect.commands)} commands, {examples} worked examples, {len(dialect.errata)} errata"),
     ]
     yield from columns([(n, v) for n, v in facts if v.strip()], indent=_INDENT)
     yield ""
@@ -54,10 +55,6 @@ def listing(commands: Iterable[Command]) -> Iterator[str]:
         shown = ", ".join(risks) if len(risks) <= _RISKS_LISTED else "by its content"
         rows.append((_code(command), command.name, command.section, shown, command.summary))
     yield from columns(rows, indent=_INDENT)
-
-
-def _examples(dialect: Dialect) -> int:
-    return sum(len(c.vectors) for c in dialect.commands)
 
 
 def _code(command: Command) -> str:

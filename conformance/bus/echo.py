@@ -72,7 +72,8 @@ class EchoFilter:
         data, self._held = self._held + chunk.data, b""
         passed: list[bytes] = []
         while data:
-            self._expire(t_ns)
+            while self._sent and self._sent[0][0] < t_ns:
+                self._sent.popleft()
             if not self._sent:
                 passed.append(self._second(data, t_ns))
                 break
@@ -150,10 +151,6 @@ class EchoFilter:
         self.echoes = echoes
         if self.firm and not echoes:
             self._sent.clear()
-
-    def _expire(self, now_ns: int) -> None:
-        while self._sent and self._sent[0][0] < now_ns:
-            self._sent.popleft()
 
 
 def _overlap(data: bytes, own: bytes) -> int:

@@ -68,7 +68,7 @@ def html(records: Sequence[VerdictRecord], run: RunRecord) -> str:
         themes=_themes(records),
         aspects=[a.value for a in Aspect],
         coverage=[(target, rows, share(rows)) for target in targets if (rows := matrix(records, target))],
-        why_none=_why_none,
+        why_none=lambda aspect: "the manual prints none" if aspect == Aspect.EXAMPLE else "does not apply",
         latencies=[_latencies(target, records) for target in targets if _latencies_of(target, records)],
         curves=_curves(records),
         curves_left=max(0, sum(len(r.series) for r in records) - _CURVES),
@@ -97,10 +97,6 @@ def _themes(records: Iterable[VerdictRecord]) -> dict[tuple[str, str], Counter[s
     for record in records:
         counts.setdefault((record.target, record.theme), Counter())[record.outcome] += 1
     return counts
-
-
-def _why_none(aspect: str) -> str:
-    return "the manual prints none" if aspect == Aspect.EXAMPLE else "does not apply"
 
 
 # --- causes -----------------------------------------------------------------------------------------------------------

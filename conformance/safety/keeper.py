@@ -161,15 +161,11 @@ class Keeper:
             kept = _Kept(command, before)
         if values not in kept.sent or key not in self._kept:
             # Where a drive can be found again must be known; of other settings the first change says enough.
-            if key not in self._kept or changes_link(command):
-                self._write_change(command, kept.before, values)
+            if self._journal is not None and (key not in self._kept or changes_link(command)):
+                self._journal.write(self._entry("change", command, kept.before, values))
             kept.sent.append(values)
         kept.last = values
         self._kept[key] = kept
-
-    def _write_change(self, command: Command, before: dict[str, int], sent: dict[str, int]) -> None:
-        if self._journal is not None:
-            self._journal.write(self._entry("change", command, before, sent))
 
     def _entry(self, event: str, command: Command, before: dict[str, int], *sent: dict[str, int]) -> Entry:
         # What was tells apart the settings of one command (LK's parameters).

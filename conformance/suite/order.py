@@ -108,13 +108,9 @@ def ordered(claims: Iterable[Claim], rate: int) -> list[Claim]:
     """Return claims in the order in which they run on a real line."""
     every = list(claims)
     told = [c for c in every if c.id.split("/", 1)[1] in table(c.dialect).first]
-    place = {name: number for dialect in {c.dialect for c in every} for number, name in enumerate(_first_ids(dialect))}
+    place = {f"{dialect}/{name}": n for dialect in {c.dialect for c in every} for n, name in enumerate(table(dialect).first)}
     told.sort(key=lambda c: place[c.id])
     return _together(_distance_first([*told, *_by_rounds([c for c in every if c.id not in place], rate)]), rate)
-
-
-def _first_ids(dialect: str) -> list[str]:
-    return [f"{dialect}/{name}" for name in table(dialect).first]
 
 
 def _by_rounds(claims: Sequence[Claim], rate: int) -> list[Claim]:

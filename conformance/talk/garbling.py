@@ -35,12 +35,6 @@ _CAN_LONGEST = 8
 NOISE: tuple[bytes, ...] = (b"\0", b"\xff\xff\xff", b"\x55\xaa", bytes(12), b"\xff" * 12)
 
 
-def check_harmless(built: Built) -> None:
-    """Raise ValueError unless a request does nothing but read."""
-    if built.risks - {Risk.READ} or built.role is not Role.REQUEST:
-        raise ValueError(f"{built.command.name}: a garbled frame is built from a read, and this is none")
-
-
 @cache
 def _judge(address: int, risks: frozenset[Risk], names: frozenset[str]) -> Judge:
     spoken = [d for d in registry.every() if not names or d.name in names]
@@ -75,7 +69,8 @@ class Garbler:
     """Makes variants of one read to the drive at `address`. Raises ValueError for a request that is no read."""
 
     def __init__(self, dialect: Dialect, built: Built) -> None:
-        check_harmless(built)
+        if built.risks - {Risk.READ} or built.role is not Role.REQUEST:
+            raise ValueError(f"{built.command.name}: a garbled frame is built from a read, and this is none")
         self.dialect, self.built = dialect, built
         self.address, self.frame = built.address, built.frame
         self.can_id = built.can_id

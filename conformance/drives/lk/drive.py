@@ -110,29 +110,17 @@ def _torque(motor: LkMotor, request: Request) -> None:
     motor.go(Torque(torque))
 
 
-def _run(motor: LkMotor, request: Request) -> None:
-    motor.go(Speed(request.physical["speed"]))
-
-
-def _to(motor: LkMotor, request: Request) -> None:
-    motor.move_to(request.physical["position"], request.physical.get("max_speed"))
-
-
 def _to_in_turn(motor: LkMotor, request: Request) -> None:
     clockwise = request.values["direction"] == SpinDirection.CW
     motor.turn_to(request.physical["angle"], clockwise=clockwise, top=request.physical.get("max_speed"))
 
 
-def _by(motor: LkMotor, request: Request) -> None:
-    motor.move_by(request.physical["position"], request.physical.get("max_speed"))
-
-
 _KINDS: Mapping[MotionKind, Move] = {
     MotionKind.TORQUE: _torque,
-    MotionKind.RUN: _run,
-    MotionKind.MOVE_TO: _to,
+    MotionKind.RUN: lambda motor, request: motor.go(Speed(request.physical["speed"])),
+    MotionKind.MOVE_TO: lambda motor, request: motor.move_to(request.physical["position"], request.physical.get("max_speed")),
     MotionKind.MOVE_IN_TURN: _to_in_turn,
-    MotionKind.MOVE_BY: _by,
+    MotionKind.MOVE_BY: lambda motor, request: motor.move_by(request.physical["position"], request.physical.get("max_speed")),
 }
 #: Commands of motion: command name -> what it asks of the motor.
 MOVES: Mapping[str, Move] = {c.name: _KINDS[c.motion.kind] for c in DIALECT.motions(*_KINDS) if c.motion is not None}
@@ -169,10 +157,6 @@ def write_parameter(drive: LkDrive, request: Request) -> None:
             drive.store(name, value)
 
 
-def _set_zero(drive: LkDrive, request: Request) -> None:
-    drive.store("encoder_zero", drive.motor.encoder_raw)
-
-
 ACTS: Mapping[str, Act] = {
     "clear_errors": lambda drive, request: drive.clear_errors(),
     "motor_off": lambda drive, request: drive.motor.turn_off(),
@@ -181,7 +165,7 @@ ACTS: Mapping[str, Act] = {
     "brake": _brake,
     **{name: obeying(move) for name, move in MOVES.items()},
     "write_parameter": write_parameter,
-    "set_zero": _set_zero,
+    "set_zero": lambda drive, request: drive.store("encoder_zero", drive.motor.encoder_raw),
     "clear_turns": lambda drive, request: drive.motor.clear_turns(),
     "set_position": lambda drive, request: drive.motor.set_position(request.physical["position"]),
 }
@@ -198,11 +182,11 @@ def told_parameter(drive: LkDrive, request: Request) -> Values | None:
     return None
 
 
-def _echo(drive: LkDrive, request: Request) -> Values:
-    return dict(request.values)
-
-
-ANSWERS: Mapping[str, Answer] = {"read_parameter": told_parameter, "write_parameter": told_parameter, "set_position": _echo}
+ANSWERS: Mapping[str, Answer] = {
+    "read_parameter": told_parameter,
+    "write_parameter": told_parameter,
+    "set_position": lambda drive, request: dict(request.values),
+}
 
 
 def _supply_current(drive: LkDrive) -> float:

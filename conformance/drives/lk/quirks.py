@@ -173,16 +173,12 @@ def _written(drive: LkDrive, request: Request) -> Values:
     return {"parameter": request.values["parameter"], "status": int(request.form.name == _UNLISTED.name)}
 
 
-def _reboot(drive: LkDrive, request: Request) -> None:
-    drive.power_cycle(drive.now_ns)
-
-
 def _firmware(drive: LkDrive) -> None:
     drive.forget("read_parameter", "write_parameter")
     drive.learn(READ_PRODUCT, answer=lambda drive, request: dict(_PRODUCT))
     drive.learn(READ_RAM, answer=_read_ram)
     drive.learn(WRITE_RAM, write_parameter, _written)
-    drive.learn(REBOOT, _reboot)
+    drive.learn(REBOOT, lambda drive, request: drive.power_cycle(drive.now_ns))
 
 
 QUIRKS: tuple[Quirk, ...] = (

@@ -55,10 +55,6 @@ class Activity(StrEnum):
     START = "start"
 
 
-def _never() -> None:
-    return None
-
-
 @dataclass
 class Task:
     """A script under way. `request`: what asked for it, which its end completes; None where the drive began it by itself."""
@@ -66,7 +62,7 @@ class Task:
     kind: Activity
     script: Script
     request: Request | None = None
-    wait: Wait = _never
+    wait: Wait = lambda: None
 
 
 Behaviour = Callable[["MksCore", Request], Values | None]

@@ -83,26 +83,15 @@ def _by_pulses(drive: MksCore, request: Request) -> Number:
     return drive.motor.wanted(drive.now_ns) + pulses * drive.pulse_counts
 
 
-def _to_pulse(drive: MksCore, request: Request) -> Number:
-    return drive.memory.pulse_zero + int(request.values["position"]) * drive.pulse_counts
-
-
-def _by_counts(drive: MksCore, request: Request) -> Number:
-    return drive.motor.wanted(drive.now_ns) + int(request.values["position"])
-
-
-def _to_count(drive: MksCore, request: Request) -> Number:
-    # What the encoder shows is the shaft; an open loop may have lost steps since.
-    lost = drive.motor.lost
-    return drive.memory.zero + int(request.values["position"]) - lost
-
-
 #: Where each kind of move ends, in counts of where the shaft is meant to be.
 TARGETS: Mapping[Verb, Callable[[MksCore, Request], Number]] = {
     Verb.MOVE_RELATIVE_PULSES: _by_pulses,
-    Verb.MOVE_ABSOLUTE_PULSES: _to_pulse,
-    Verb.MOVE_RELATIVE_AXIS: _by_counts,
-    Verb.MOVE_ABSOLUTE_AXIS: _to_count,
+    Verb.MOVE_ABSOLUTE_PULSES: lambda drive, request: (
+        drive.memory.pulse_zero + int(request.values["position"]) * drive.pulse_counts
+    ),
+    Verb.MOVE_RELATIVE_AXIS: lambda drive, request: drive.motor.wanted(drive.now_ns) + int(request.values["position"]),
+    # What the encoder shows is the shaft; an open loop may have lost steps since.
+    Verb.MOVE_ABSOLUTE_AXIS: lambda drive, request: drive.memory.zero + int(request.values["position"]) - drive.motor.lost,
 }
 
 

@@ -43,33 +43,9 @@ def _carry(drive: MksCore, request: Request) -> Values:
     return {"carry": carry, "encoder": encoder}
 
 
-def _position(drive: MksCore, request: Request) -> Values:
-    return {"position": drive.axis}
-
-
 def _speed(drive: MksCore, request: Request) -> Values:
     field = mks.ACTUAL_SPEED
     return {"speed": min(max(round(drive.motor.speed(drive.now_ns)), field.low), field.high)}
-
-
-def _pulses(drive: MksCore, request: Request) -> Values:
-    return {"pulses": drive.pulses}
-
-
-def _angle_error(drive: MksCore, request: Request) -> Values:
-    return {"angle_error": round(drive.motor.error(drive.now_ns) / _ERROR_UNIT)}
-
-
-def _enabled(drive: MksCore, request: Request) -> Values:
-    return {"enabled": int(drive.enabled)}
-
-
-def _zero_status(drive: MksCore, request: Request) -> Values:
-    return {"status": drive.memory.zero_status}
-
-
-def _protection(drive: MksCore, request: Request) -> Values:
-    return {"status": int(drive.memory.protected)}
 
 
 def _status(drive: MksCore, request: Request) -> Values:
@@ -133,10 +109,6 @@ def _version(drive: MksCore, request: Request) -> Values:
     }
 
 
-def _user_id(drive: MksCore, request: Request) -> Values:
-    return {"user_id": drive.settings["user_id"]}
-
-
 def _parameter(drive: MksCore, request: Request) -> Values:
     """Return the stored values of a setting by its code, or that it cannot be read."""
     for command in drive.dialect.by_code.get(request.values["parameter"], ()):
@@ -147,17 +119,17 @@ def _parameter(drive: MksCore, request: Request) -> Values:
 
 READING: Mapping[Verb, Behaviour] = {
     Verb.READ_ENCODER_CARRY: _carry,
-    Verb.READ_POSITION: _position,
+    Verb.READ_POSITION: lambda drive, request: {"position": drive.axis},
     Verb.READ_SPEED: _speed,
-    Verb.READ_PULSES: _pulses,
+    Verb.READ_PULSES: lambda drive, request: {"pulses": drive.pulses},
     Verb.READ_IO: _io,
-    Verb.READ_ANGLE_ERROR: _angle_error,
-    Verb.READ_ENABLED: _enabled,
-    Verb.READ_ZERO_STATUS: _zero_status,
-    Verb.READ_PROTECTION: _protection,
+    Verb.READ_ANGLE_ERROR: lambda drive, request: {"angle_error": round(drive.motor.error(drive.now_ns) / _ERROR_UNIT)},
+    Verb.READ_ENABLED: lambda drive, request: {"enabled": int(drive.enabled)},
+    Verb.READ_ZERO_STATUS: lambda drive, request: {"status": drive.memory.zero_status},
+    Verb.READ_PROTECTION: lambda drive, request: {"status": int(drive.memory.protected)},
     Verb.READ_STATUS: _status,
     Verb.READ_VERSION: _version,
-    Verb.READ_USER_ID: _user_id,
+    Verb.READ_USER_ID: lambda drive, request: {"user_id": drive.settings["user_id"]},
     Verb.READ_PARAMETER: _parameter,
     Verb.WRITE_IO: _write_io,
 }

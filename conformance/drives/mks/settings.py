@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from analyzer.catalogue import Command, Verb
+from analyzer.catalogue import Verb
 from analyzer.protocols import mks_can, mks_modbus, mks_rs485
 from analyzer.protocols import mks_shared as mks
 from conformance.drives.drive import Request, Values
@@ -50,14 +50,6 @@ def _keep_pulses(drive: MksCore, pulses: int) -> None:
     drive.memory.pulse_zero = drive.motor.wanted(drive.now_ns) - pulses * drive.pulse_counts
 
 
-def _change_level(drive: MksCore, pulses: int) -> None:
-    drive.grip()
-
-
-def _tune(drive: MksCore, pulses: int) -> None:
-    drive.tune()
-
-
 def _change_limits(drive: MksCore, pulses: int) -> None:
     drive.settings["limits_homed"] = 0
 
@@ -74,22 +66,20 @@ AFTER: Mapping[Verb, Callable[[MksCore, int], None]] = {
     Verb.SET_WORK_MODE: _change_mode,
     Verb.SET_SUBDIVISION: _keep_pulses,
     Verb.SET_DIRECTION: _keep_pulses,
-    Verb.SET_ENABLE_LEVEL: _change_level,
-    Verb.SET_ADDRESS: _tune,
-    Verb.SET_CURRENT: _tune,
-    Verb.SET_MODBUS: _tune,
+    Verb.SET_ENABLE_LEVEL: lambda drive, pulses: drive.grip(),
+    **dict.fromkeys((Verb.SET_ADDRESS, Verb.SET_CURRENT, Verb.SET_MODBUS), lambda drive, pulses: drive.tune()),
     Verb.SET_HOME: _change_limits,
     Verb.SET_LIMIT_REMAP: _change_limits,
     Verb.SET_ZERO_MODE: _keep_zero,
 }
 
 
-def _every_setting() -> list[Command]:
-    dialects = (mks_rs485.DIALECT, mks_modbus.DIALECT, mks_can.DIALECT)
-    return [command for dialect in dialects for command in dialect.commands if is_setting(command)]
-
-
-SETTINGS: Mapping[Verb, Behaviour] = {command.verb: _store for command in _every_setting()}
+SETTINGS: Mapping[Verb, Behaviour] = {
+    command.verb: _store
+    for dialect in (mks_rs485.DIALECT, mks_modbus.DIALECT, mks_can.DIALECT)
+    for command in dialect.commands
+    if is_setting(command)
+}
 
 # --- restart and restore ----------------------------------------------------------------------------------------------
 
