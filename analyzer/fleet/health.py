@@ -62,8 +62,8 @@ def _of_latency(share: float) -> str:
         from transactions where latency is not null group by all having count(*) >= 10"""
 
 
-def _of_state(name: str, share: float) -> str:
-    return f"""select machine, bus, address, date, quantile_cont(abs({name}), {share}) as value, count(*) as count
+def _of_state(name: str) -> str:
+    return f"""select machine, bus, address, date, quantile_cont(abs({name}), 0.95) as value, count(*) as count
         from states where {name} is not null group by all having count(*) >= 3"""
 
 
@@ -73,8 +73,8 @@ QUANTITIES = (
     Quantity("damaged replies", "%", "transactions", _share("damaged"), 0.05, 1.5),
     Quantity("latency, median", "ms", "transactions", _of_latency(0.5), 0.2, 1.2),
     Quantity("latency, 99 %", "ms", "transactions", _of_latency(0.99), 0.5, 1.3),
-    Quantity("temperature, 95 %", "°C", "states", _of_state("temperature", 0.95), 5.0, 1.05),
-    Quantity("current, 95 %", "A", "states", _of_state("current", 0.95), 0.05, 1.2),
+    Quantity("temperature, 95 %", "°C", "states", _of_state("temperature"), 5.0, 1.05),
+    Quantity("current, 95 %", "A", "states", _of_state("current"), 0.05, 1.2),
     Quantity(
         "junk", "‰ of bytes", "captures",
         """select machine, null as bus, null as address, date, sum(frame_bytes + junk_bytes) as count,

@@ -120,12 +120,16 @@ def frame_of(line: str) -> CanFrame | None:
     found = _pattern(_SCREEN).match(line)
     if found is None or (not found[6] and len(bytes.fromhex(found[7] or "")) != int(found[5])):
         return None
-    _, name, mark, ident, length, remote, text = found.groups()
+    return _framed(found, None, found[2])
+
+
+def _framed(found: re.Match[str], t_ns: int | None, port: str) -> CanFrame:
+    _, _, mark, ident, length, remote, text = found.groups()
     bits = int(ident, 16)
     error = len(ident) > _EXTENDED_DIGITS and bool(bits & _ERROR_FLAG)
     extended = len(ident) > _EXTENDED_DIGITS and not error
     data = bytes.fromhex(text or "")
-    return CanFrame(None, name, bits & CAN_ID_MASK, data, _ROLES[mark], extended, bool(remote), error, len(length) > 1)
+    return CanFrame(t_ns, port, bits & CAN_ID_MASK, data, _ROLES[mark], extended, bool(remote), error, len(length) > 1)
 
 
 def _pieces(text: bytes) -> Iterator[tuple[int, int, str, CanBlock | None]]:
@@ -178,18 +182,14 @@ def _screen(source: Source, line: str, number: int, time_of: Callable[[str], int
         if line.strip():
             source.problem(f"{_EXPECTED}, got {quote(line.strip())!r}", line=number)
         return None
-    printed, name, mark, ident, length, remote, text = found.groups()
-    data = bytes.fromhex(text or "")
-    if not remote and len(data) != int(length):
-        source.problem(f"expected {length} data bytes, got {len(data)}: {quote(line.strip())!r}", line=number)
+    printed, name, length, text = found.group(1, 2, 5, 7)
+    size = len(bytes.fromhex(text or ""))
+    if not found[6] and size != int(length):
+        source.problem(f"expected {length} data bytes, got {size}: {quote(line.strip())!r}", line=number)
         return None
     try:
         t_ns = time_of(printed) if printed else None
     except ValueError:
         t_ns = None
         source.problem(f"expected a time, got {quote(printed)!r}; the frame is kept", line=number)
-    bits = int(ident, 16)
-    error = len(ident) > _EXTENDED_DIGITS and bool(bits & _ERROR_FLAG)
-    extended = len(ident) > _EXTENDED_DIGITS and not error
-    port = source.port(name)
-    return CanFrame(t_ns, port, bits & CAN_ID_MASK, data, _ROLES[mark], extended, bool(remote), error, len(length) > 1)
+    return _framed(found, t_ns, source.port(name))

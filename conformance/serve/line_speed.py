@@ -8,19 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import struct
 import termios
 
-_TCGETS2 = 0x802C542A
-#: c_iflag, c_oflag, c_cflag, c_lflag, c_line, c_cc[19], c_ispeed, c_ospeed
-_TERMIOS2 = struct.Struct("<4IB19s2I")
+from analyzer.live.reader_serial import TCGETS2, TERMIOS2
+
 _CODES = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
 
 
 def line_speed(descriptor: int) -> int | None:
     """Return the output speed of a terminal in bits per second, None where it has none or does not say."""
     with contextlib.suppress(OSError):
-        return int(_TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size)))[-1]) or None
+        return int(TERMIOS2.unpack(fcntl.ioctl(descriptor, TCGETS2, bytes(TERMIOS2.size)))[-1]) or None
     # Not Linux, or one where that call has another number.
     with contextlib.suppress(OSError, termios.error):
         return _CODES.get(termios.tcgetattr(descriptor)[5]) or None
