@@ -285,14 +285,15 @@ class Pipeline:
             for frame in block.frames(start, stop):
                 self._feed_can(self._port(frame), frame)
 
-        # The first frame opens the bus, if it is a new one.
-        one_by_one(0, 1)
+        # The first frame of a bus opens it.
+        at = 0 if block.port in self.ports else 1
+        one_by_one(0, at)
         port = self.ports[block.port]
         if self.options.timed:
-            offsets = port.bytes_in - int(block.sizes[0]) + block.sizes.cumsum() - block.sizes
-            self._feed_runs(port, block, 1, len(block), offsets, one_by_one)
+            offsets = port.bytes_in - int(block.sizes[:at].sum()) + block.sizes.cumsum() - block.sizes
+            self._feed_runs(port, block, at, len(block), offsets, one_by_one)
         else:
-            one_by_one(1, len(block))
+            one_by_one(at, len(block))
 
     # --- by columns -----------------------------------------------------------------------------------------------
 

@@ -73,12 +73,15 @@ def compressed(data: bytes | memoryview) -> bytes:
 
 
 class Indexed(NamedTuple):
-    """The index records of a chunk. `channels`: of each record; `begins`: where it begins; `counts`: its messages."""
+    """The index records of a chunk. `channels`: of each record; `begins`: where it begins; `counts`: its messages.
+
+    Numbers stand in arrays: lists would pass to another process number by number.
+    """
 
     data: bytes
-    channels: list[int]
-    begins: list[int]
-    counts: list[int]
+    channels: array[int]
+    begins: array[int]
+    counts: array[int]
 
 
 class Chunk:
@@ -151,14 +154,15 @@ class Chunk:
         if self.many:
             return self._indexed_together()
         parts: list[bytes] = []
-        begins: list[int] = []
+        begins = array("Q")
         place = 0
         for channel, logged in self.index.items():
             entries = logged.tobytes()
             parts += (INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)), entries)
             begins.append(place)
             place += INDEX_HEAD.size + len(entries)
-        return Indexed(b"".join(parts), list(self.index), begins, [len(logged) // 2 for logged in self.index.values()])
+        counts = array("Q", (len(logged) // 2 for logged in self.index.values()))
+        return Indexed(b"".join(parts), array("Q", self.index), begins, counts)
 
     def _indexed_together(self) -> Indexed:
         import numpy as np
@@ -169,7 +173,8 @@ class Chunk:
             entries = np.array(logged).astype(np.int64).reshape(-1, 2)
             self.many.append((np.full(len(entries), channel, dtype=np.uint16), entries))
         channels, entries = self.many[0] if len(self.many) == 1 else map(np.concatenate, zip(*self.many, strict=True))
-        return Indexed(*index_records(channels, entries, self.index))
+        data, *numbers = index_records(channels, entries, self.index)
+        return Indexed(data, *(array("Q", each) for each in numbers))
 
 
 class Packed(NamedTuple):

@@ -9,12 +9,16 @@ from __future__ import annotations
 import io
 import pickle
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any
 
 from analyzer import __version__
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.records import Lane
+
+#: Groups of lanes that are kept.
+_GROUPS = 16
 
 
 class Table:
@@ -30,6 +34,11 @@ class Table:
             for command in (*dialect.commands, *dialect.fallbacks.values()):
                 self.objects += [command, *command.request_forms, *command.reply_forms]
         self.numbers = {id(each): number for number, each in enumerate(self.objects)}
+        #: What tells of some lanes, and the lanes that are told of: a capture mostly has the same from block to block.
+        self.told: Callable[[tuple[Lane, ...]], bytes] = lru_cache(_GROUPS)(lambda lanes: dumped(lanes, self))
+        self.lanes: Callable[[bytes], tuple[Lane, ...]] = lru_cache(_GROUPS)(
+            lambda told: TableUnpickler(io.BytesIO(told), self).load()
+        )
 
     @property
     def digest(self) -> str:

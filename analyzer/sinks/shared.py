@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analyzer.records import Lane
 from analyzer.sinks.object_table import Table, TablePickler, TableUnpickler
 
 #: Bytes of a slot, and from how many on something stands in one.
-_SIZE, _LARGE = 3 << 20, 4 << 10
+_SIZE, _LARGE = 4 << 20, 4 << 10
 _ALIGNED = 64
 _NUMBER = 4
 _NONE = (1 << 8 * _NUMBER) - 1
@@ -93,7 +94,7 @@ class _Pickler(TablePickler):
         self._at, self._end = (0, 0) if number is None else (number * _SIZE, (number + 1) * _SIZE)
 
     def persistent_id(self, obj: Any) -> Any:
-        """Return the number of an object of the catalogue, and where bytes or a column stand."""
+        """Return the number of an object of the catalogue, where bytes or a column stand, or what tells of lanes."""
         if type(obj) is np.ndarray:
             if obj.nbytes < _LARGE or not obj.flags.c_contiguous:
                 return None
@@ -104,6 +105,8 @@ class _Pickler(TablePickler):
         if type(obj) is bytes:
             place = self._put(np.frombuffer(obj, dtype=np.uint8)) if len(obj) >= _LARGE else None
             return None if place is None else (place, "", len(obj))
+        if type(obj) is tuple and obj and type(obj[0]) is Lane:
+            return self._shared.table.told(obj)
         return super().persistent_id(obj)
 
     def _put(self, codes: NDArray[np.uint8]) -> int | None:
@@ -118,15 +121,18 @@ class _Pickler(TablePickler):
 class _Unpickler(TableUnpickler):
     def __init__(self, stream: io.BytesIO, shared: Shared, slot: Slot | None) -> None:
         super().__init__(stream, shared.table)
+        self._shared = shared
         self._codes = shared.codes
         self._first = 0
         if slot is not None:
             self._codes, self._first = np.asarray(slot), slot.number * _SIZE
 
     def persistent_load(self, pid: Any) -> Any:
-        """Return an object of the catalogue, bytes, or a column that stands where it stood."""
+        """Return an object of the catalogue, lanes, bytes, or a column that stands where it stood."""
         if isinstance(pid, int):
             return super().persistent_load(pid)
+        if isinstance(pid, bytes):
+            return self._shared.table.lanes(pid)
         place, kind, shape = pid
         if not kind:
             return self._codes[place - self._first : place - self._first + shape].tobytes()
