@@ -130,19 +130,25 @@ def _in_slot(number: int) -> Slots:
     return lambda dialect, package, own: [EMPTY] * (number - 1) + [_move(dialect, own)]
 
 
-def _among_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+def _amid_others(dialect: Dialect, package: Command, own: int, slots: Mapping[int, Slot]) -> list[Slot]:
+    """Return slots by their numbers, and moves of other drives in all others."""
     assert package.slots is not None
-    others = [_move(dialect, a, _OTHER) for a in others_of(dialect, own, package.slots.count - 1)]
-    return [others[0], _move(dialect, own), *others[1:]]
+    others = iter(others_of(dialect, own, package.slots.count - len(slots)))
+    numbers = range(1, package.slots.count + 1)
+    return [slots[n] if n in slots else _move(dialect, next(others), _OTHER) for n in numbers]
+
+
+def _among_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+    return _amid_others(dialect, package, own, {2: _move(dialect, own)})
 
 
 def _behind_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     assert package.slots is not None
-    return [*(_move(dialect, a, _OTHER) for a in others_of(dialect, own, package.slots.count - 1)), _move(dialect, own)]
+    return _amid_others(dialect, package, own, {package.slots.count: _move(dialect, own)})
 
 
 def _two_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
-    return [_move(dialect, own), EMPTY, _move(dialect, own, _OTHER)]
+    return _amid_others(dialect, package, own, {1: _move(dialect, own), 3: _move(dialect, own, _OTHER)})
 
 
 def _two_kinds_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot]:
@@ -151,9 +157,14 @@ def _two_kinds_of_one(dialect: Dialect, package: Command, own: int) -> list[Slot
     return [_move(dialect, own), {"address": own, **pulses}, EMPTY, EMPTY, {"address": own, **pulses}]
 
 
-def _behind_no_motion(first: Callable[[Dialect], Slot]) -> Slots:
-    """Return a slot of something that is no motion, and a move behind it."""
-    return lambda dialect, package, own: [{"address": own, **first(dialect)}, EMPTY, _move(dialect, own)]
+def _behind_no_motion(first: Callable[[Dialect], Slot], numbers: tuple[int, int]) -> Slots:
+    """Return a slot of something that is no motion, and a move behind it, in slots of these numbers."""
+
+    def slots(dialect: Dialect, package: Command, own: int) -> list[Slot]:
+        pair = ({"address": own, **first(dialect)}, _move(dialect, own))
+        return _amid_others(dialect, package, own, dict(zip(numbers, pair, strict=True)))
+
+    return slots
 
 
 def _a_read(dialect: Dialect) -> Slot:
@@ -220,16 +231,16 @@ _ROWS: tuple[tuple[str, Slots, int, str, str, Certainty], ...] = (
     *(
         (
             f"behind_{kind}",
-            _behind_no_motion(first),
+            _behind_no_motion(first, numbers),
             0,
             f"Of two slots for one drive only the first is executed, where that is {what} and the second a move too.",
             "a move",
             Certainty.CERTAIN,
         )
-        for kind, what, first in (
-            ("read", "a read", _a_read),
-            ("setting", "a setting", _enabling(1)),
-            ("refused", "a command that is refused", _enabling(_NO_CHOICE)),
+        for kind, what, first, numbers in (
+            ("read", "a read", _a_read, (4, 5)),
+            ("setting", "a setting", _enabling(1), (2, 4)),
+            ("refused", "a command that is refused", _enabling(_NO_CHOICE), (1, 5)),
         )
     ),
     ("others", _for_others, 0, "A package for other drives is not executed.", "a move", Certainty.CERTAIN),

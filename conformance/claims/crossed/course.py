@@ -340,6 +340,8 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
     lasts_ns, refused = on.steady_ns, _refused(probe, begun)
     during: list[Look] = []
     stopped = stopping = None
+    if not refused:
+        reads = _status_in_each_leg(probe, reads, begun, on, slack_ns)
     if runs and not refused:
         during += looks.on_the_way(probe, reads, _LOOK_NS, _ends(begun, lasts_ns, slack_ns) + _STEADY_NS)
         stopped = last = probe.ask(probe.dialect.stops_of(command)[0], {"acceleration": row.acceleration}, quiet_ns=0)
@@ -364,6 +366,24 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
     return Tried(
         row, command, begun, stopped, refused, damaged, told, of_stop, before, tuple(during), after, on, stopping, slack_ns
     )
+
+
+def _status_in_each_leg(
+    probe: Probe, reads: Iterator[Command], begun: Exchange, on: Course, slack_ns: float
+) -> Iterator[Command]:
+    """Yield reads, and the status first when the shaft has surely begun to rise, to keep its speed, or to fall."""
+    assert begun.reply is not None  # it was taken
+    since_ns = begun.reply.first_ns + slack_ns + _LAG_NS
+    begin = (leg.begins_ns for leg in on.legs[:-1] if leg.lasts_ns > TOLD_LATE_NS)
+    due = [since_ns + (begins_ns + TOLD_LATE_NS) * (1 + ramp.SLOW_QUIRK) for begins_ns in begin]
+    while True:
+        passed = [due_ns for due_ns in due if due_ns <= probe.gate.now_ns()]
+        if passed:
+            due = due[len(passed) :]
+            yield probe.command(Verb.READ_STATUS)
+            yield probe.command(Verb.READ_POSITION)
+        else:
+            yield next(reads)
 
 
 def _refused(probe: Probe, exchange: Exchange) -> bool:

@@ -233,6 +233,16 @@ HEARING: Rows = {
             "of two slots for an address the last is executed",
             slots(lambda own, all_, w: mks_frames.mine(own, all_)[-1:]),
         ),
+        Row(
+            "package-compares-with-first",
+            "all slots for an address are executed that is not that of the first slot",
+            slots(lambda own, all_, w: mks_frames.mine(own, all_[:1]) or mks_frames.mine(own, all_)),
+        ),
+        Row(
+            "package-compares-neighbours",
+            "a slot is executed if the one before it is for another drive",
+            slots(mks_frames.behind_others),
+        ),
         Row("package-next-slot", "the slot behind the own one is executed", slots(mks_frames.behind_mine)),
         Row(
             "package-first-slot-only",

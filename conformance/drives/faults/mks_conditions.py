@@ -101,6 +101,16 @@ def _slows_to_a_speed(drive: MksCore) -> bool:
     return drive.memory.run is not None and drive.motor.phase(drive.now_ns) is Phase.SLOWING_DOWN
 
 
+def _moving_by(of: Verb, when: Condition) -> Condition:
+    """Return whether a condition holds on the way of a move by a command."""
+
+    def holds(drive: MksCore) -> bool:
+        asked = drive.task.request if drive.task is not None else None
+        return asked is not None and asked.command.verb is of and when(drive)
+
+    return holds
+
+
 def told_when(when: Condition, of: Verb, **values: int) -> Change:
     """Tell something else in a condition."""
     return result(lambda drive, command, sent, found: {**found, **values} if when(mks(drive)) else found, of)
@@ -421,6 +431,16 @@ TOLD: Rows = {
             "F1 reads 2 while a run goes over to a lower speed",
             told_when(_slows_to_a_speed, Verb.READ_STATUS, status=2),
         ),
+        Row(
+            "falling-pulses-full",
+            "F1 reads 4 while a move by FE slows down",
+            told_when(_moving_by(Verb.MOVE_ABSOLUTE_PULSES, _falls), Verb.READ_STATUS, status=4),
+        ),
+        Row(
+            "rising-pulses-stopped",
+            "F1 reads 1 while a move by FD speeds up",
+            told_when(_moving_by(Verb.MOVE_RELATIVE_PULSES, _rises), Verb.READ_STATUS, status=1),
+        ),
         Row("in-place-on-its-way", "PEND is 1 on the way of F4 and F5", result(_in_place_on_its_way, Verb.READ_IO), CAN),
         Row("off-while-turning", "3A reads 0 while the shaft turns", told_when(_turns, Verb.READ_ENABLED, enabled=0)),
         Row("protected-while-turning", "3E reads 1 while the shaft turns", told_when(_turns, Verb.READ_PROTECTION, status=1)),
@@ -485,6 +505,12 @@ def _beyond(drive: Drive, command: Command, values: Values) -> Values:
     """Go farther than was asked where there is no ramp."""
     name = "pulses" if "pulses" in values else "position"
     return values if values["acceleration"] else values | {name: values[name] + 60}
+
+
+def _slow_when_fast(drive: Drive, command: Command, values: Values) -> Values:
+    """Stop a fast shaft by a ramp where it is to stand at once."""
+    fast = _faster(_VERY_FAST)(mks(drive)) and not values["acceleration"]
+    return values | {"acceleration": _HALF_BYTE} if fast else values
 
 
 def _as_sent_at_128(drive: Drive, command: Command, values: Values) -> Values:
@@ -1104,6 +1130,7 @@ DOING: Rows = {
         Row("home-over-motion-undone", "91 says that it begins over a motion, and is lost", undone_when(_turns, Verb.HOME)),
         Row("home-over-motion-refused", "91 is refused while the shaft turns", refused_when(_turns, Verb.HOME)),
         Row("fast-stop-ignored", "stops are ignored above 1000 rpm", undone_when(_faster(_VERY_FAST), _ENDS)),
+        Row("fast-at-once-by-ramp", "stops with acceleration 0 are slow above 1000 rpm", request(_slow_when_fast, STOPS)),
         Row("rising-stop-ignored", "stops are ignored while the shaft speeds up", undone_when(_rises, _ENDS)),
         Row(
             "falling-emergency-ignored", "F7 does nothing while the shaft slows down", undone_when(_falls, Verb.EMERGENCY_STOP)

@@ -220,6 +220,12 @@ def mine(address: int, every: list[Slot]) -> list[Slot]:
     return [slot for slot in every if slot.address == address]
 
 
+def behind_others(address: int, every: list[Slot], wanted: list[Slot]) -> list[Slot]:
+    """Return the drive's own slots but for those that stand behind another own one."""
+    before = (0, *(slot.address for slot in every))
+    return [slot for last, slot in zip(before, every, strict=False) if slot.address == address != last]
+
+
 def behind_mine(address: int, every: list[Slot], wanted: list[Slot]) -> list[Slot]:
     """Return the slot behind the drive's own one."""
     places = [n for n, slot in enumerate(every) if slot.address == address]
