@@ -1,12 +1,17 @@
 """Makes the tables of the order in which claims run on a real line (`conformance/suite/telling/DIALECT.json`), by measurement.
 
-    python -m benchmarks.order [--dialect D] [--known FILE]
+    python -m benchmarks.order [--dialect D] [--known FILE] [--search ROUNDS] [--new PATTERN]
 
 First the seconds of each claim, and of each motion that several claims judge, by the rules of a real drive, on an ideal one.
 Then, again and again, the claim that adds most for a second: known faults that no claim before it refutes, commands and aspects
 that no claim before it looks at. Claims that judge the same recordings are weighed together. A short run leaves out a claim
-whose faults those after it refute, too. `--known`: which claims refute which fault, a line each as in
-`tests/conformance/golden/faults.jsonl` (the default); may be given again, and what the files say of a fault is put together.
+whose faults those after it refute, too.
+
+`--known`: which claims refute which fault, a line each; `faults.jsonl` and `order.jsonl` of `tests/conformance/golden` by
+default. It may be given again, and what the files say of a fault is put together. The first of these files knows the likeliest
+claims of a fault alone. So `--search` tries the claims of a short run against each fault that none of them is known to refute,
+and those of them that share recordings also against what one alone is known to refute. It keeps what is found in the second
+file, and chooses again, in so many rounds. `--new`: claims that are tried with both, for nothing is known of them yet.
 """
 
 from __future__ import annotations
@@ -15,7 +20,8 @@ import argparse
 import json
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Collection, Hashable, Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -27,14 +33,19 @@ from benchmarks.run_time import TARGETS, everything, in_a_group, real, specifica
 from conformance.claim import Claim, Outcome
 from conformance.drives.can_bits import frame_bits
 from conformance.gate.gate import Gate
-from conformance.suite import order
+from conformance.suite import engine, order
 from conformance.suite.dry_run import StandInRig
 from conformance.suite.order import Cost
+from conformance.suite.rig_emulated import EmulatedRig
 from conformance.suite.target import Target
 from conformance.talk.probe import Recording
 
 FOLDER = Path(order.__file__).with_name("telling")
 GOLDEN = Path(__file__).parents[1] / "tests" / "conformance" / "golden" / "faults.jsonl"
+#: What was searched for beside it.
+SEARCHED = GOLDEN.with_name("order.jsonl")
+#: The claims that refute each fault of a dialect.
+Refuted = dict[str, set[str]]
 #: What a command and an aspect that were not looked at yet are worth, beside a fault: more of it crowds faults out.
 _NEW_PAIR = 0.03
 #: How long the list is, in seconds: more than a short run, for those that may send less or have a slower line.
@@ -115,14 +126,19 @@ def measured(target: Target) -> tuple[Cost, Cost, dict[str, Measured]]:
     return Cost(round(started + _FINDING, 2), 0), Cost(round(scanned, 2), 0), found
 
 
-def greedy(costs: Mapping[str, Measured], refuted_by: Mapping[str, set[str]], before: float = 0.0) -> list[str]:
-    """Return claims in the order of what they add for a second, of a run whose first one begins after so many seconds."""
+def greedy(
+    costs: Mapping[str, Measured], refuted_by: Mapping[str, set[str]], before: float = 0.0, until: float = _LIST_SECONDS
+) -> list[str]:
+    """Return claims in the order of what they add for a second, of a run whose first one begins after so many seconds.
+
+    `until`: for how many seconds of the run.
+    """
     news: dict[str, set[Hashable]] = {name: set(each.claim.covers) for name, each in sorted(costs.items())}
     for fault, claims in refuted_by.items():
         for claim in claims & news.keys():
             news[claim].add(fault)
     found = _Found(costs, news, before)
-    while found.passed < _LIST_SECONDS:
+    while found.passed < until:
         names, rate = found.best()
         if not names:
             break
@@ -221,20 +237,54 @@ class _Found:
                 self._waiting[name] = alone
 
 
-def make(target: Target, known: Iterable[Mapping[str, object]]) -> dict[str, Cost]:
-    """Write the table of a target's dialect; return the claims that come first."""
+def make(target: Target, refuted_by: Refuted, rounds: int, new: Sequence[str]) -> dict[str, Cost]:
+    """Write the table of a target's dialect, after so many searches; return the claims that come first."""
     start, alone, costs = measured(target)
-    ids = {name for name, each in costs.items() if not each.claim.emulated and not each.claim.by_name}
-    refuted_by: dict[str, set[str]] = defaultdict(set)
-    for row in known:
-        if row["dialect"] == target.dialect.name:
-            refuted_by[str(row["fault"])] |= ids.intersection(row["refuted"])  # type: ignore[arg-type]
-    first = greedy({name: costs[name] for name in ids}, refuted_by, start.waits + alone.waits)
+    plain = {name: each for name, each in costs.items() if not each.claim.emulated and not each.claim.by_name}
+    before = start.waits + alone.waits
+    unknown = [name for name in plain if any(fnmatch(name, pattern) for pattern in new)]
+    for _ in range(rounds):
+        chosen = greedy(plain, refuted_by, before, order.SHORT_SECONDS)
+        shared = [name for name in chosen if plain[name].parts]
+        finders = {f: len(claims.intersection(chosen)) for f, claims in refuted_by.items() if claims & plain.keys()}
+        for names, count in (((*chosen, *unknown), 0), ((*shared, *unknown), 1)):
+            claims = [plain[name].claim for name in dict.fromkeys(names)]
+            _try(target, claims, refuted_by, [fault for fault, found in finders.items() if found == count])
+    first = greedy(plain, refuted_by, before)
     write(target, start, alone, first, costs)
     # What a claim costs depends on those before it, so it is measured again where it stands now.
     _, _, costs = measured(target)
     write(target, start, alone, first, costs)
     return {name: costs[name].own for name in first}
+
+
+def _try(target: Target, claims: Sequence[Claim], refuted_by: Refuted, faults: Iterable[str]) -> None:
+    """Try claims against faults; keep which refute which."""
+    rows = {(dialect, fault): refuted for dialect, fault, refuted in map(_row, _lines(SEARCHED))}
+    for fault in faults:
+        rig = EmulatedRig(specification(target, f"{in_a_group(target)},fault={fault}"))
+        found = {v.claim.id for v in engine.run(claims, rig) if v.outcome is Outcome.REFUTED}
+        refuted_by[fault] |= found
+        rows[target.dialect.name, fault] = found | rows.get((target.dialect.name, fault), set())
+    facts = ({"dialect": d, "fault": f, "refuted": sorted(refuted)} for (d, f), refuted in sorted(rows.items()) if refuted)
+    SEARCHED.write_text("".join(f"{json.dumps(fact)}\n" for fact in facts))
+
+
+def _lines(file: Path) -> list[str]:
+    return file.read_text().splitlines() if file.is_file() else []
+
+
+def _row(line: str) -> tuple[str, str, set[str]]:
+    row = json.loads(line)
+    return row["dialect"], row["fault"], set(row["refuted"])
+
+
+def known(files: Iterable[Path]) -> dict[str, Refuted]:
+    """Return which claims refute which fault, by dialect, as files have it together."""
+    found: dict[str, Refuted] = defaultdict(lambda: defaultdict(set))
+    for dialect, fault, refuted in (_row(line) for file in files for line in _lines(file)):
+        found[dialect][fault] |= refuted
+    return found
 
 
 def write(target: Target, start: Cost, alone: Cost, first: Collection[str], costs: Mapping[str, Measured]) -> None:
@@ -280,13 +330,15 @@ def as_text(table: Mapping[str, object]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--dialect", help="only this one")
-    parser.add_argument("--known", action="append", type=Path, default=[], help=f"default {GOLDEN.name}")
+    parser.add_argument("--known", action="append", type=Path, default=[], help=f"default {GOLDEN.name}, {SEARCHED.name}")
+    parser.add_argument("--search", type=int, default=0, metavar="ROUNDS")
+    parser.add_argument("--new", action="append", default=[], metavar="PATTERN")
     arguments = parser.parse_args()
-    known = [json.loads(line) for file in arguments.known or [GOLDEN] for line in file.read_text().splitlines()]
+    refuted_by = known(arguments.known or (GOLDEN, SEARCHED))
     for text in TARGETS:
         target = real(text)
         if arguments.dialect in (None, target.dialect.name):
-            first = make(target, known)
+            first = make(target, refuted_by[target.dialect.name], arguments.search, arguments.new)
             seconds = sum(cost.seconds(target.rate) for cost in first.values())
             print(f"{target.dialect.name}: {len(first)} claims in {seconds:.0f} s come first", flush=True)
     return 0

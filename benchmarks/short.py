@@ -3,14 +3,13 @@
     python -m benchmarks.short [--dialect D] [--every 5] [--at 0] [--jobs 2] [--allow all|read|RISKS] [--missed]
 
 It prints for each dialect how many faults a short run refutes, and how long the first refutation takes. It counts only faults
-that show on hardware without hands on the drive (by `tests/conformance/golden/faults.jsonl`). `--every N` takes each Nth
-fault, `--at K` those that begin with another one; `--every 1` takes some minutes for each dialect.
+that show on hardware without hands on the drive, as `benchmarks.order` knows them. `--every N` takes each Nth fault, `--at K`
+those that begin with another one; `--every 1` takes some minutes for each dialect.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,7 +18,7 @@ from statistics import median
 from typing import NamedTuple
 
 from analyzer.catalogue import Risk
-from benchmarks.order import GOLDEN
+from benchmarks.order import GOLDEN, SEARCHED, known
 from benchmarks.run_time import TARGETS, everything, in_a_group, real, specification, timed
 from conformance.claim import NotStopped, Outcome, RigFault
 from conformance.gate.permissions import parse_allow
@@ -59,8 +58,7 @@ def on_hardware(dialect: str) -> list[str]:
     """Return the faults of a dialect that a claim without hands refutes."""
     target = next(real(text) for text in TARGETS if text.startswith(dialect))
     plain = {c.id for c in suite.every_claim(target) if not c.emulated and not c.by_name}
-    rows = (json.loads(line) for line in GOLDEN.read_text().splitlines())
-    return [row["fault"] for row in rows if row["dialect"] == dialect and plain.intersection(row["refuted"])]
+    return [fault for fault, refuted in known((GOLDEN, SEARCHED))[dialect].items() if plain & refuted]
 
 
 def main() -> int:

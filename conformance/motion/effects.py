@@ -94,11 +94,10 @@ class Observable(ABC):
         probe.wait(self.settle_ns)
 
     def done(self, probe: Probe, change: Change) -> bool:
-        """Wait and say whether the drive has done a change.
+        """Say whether the drive has done a change that was sent `settle_ns` ago.
 
         Raises Refuted where what is read is neither from before nor from after.
         """
-        self.settle(probe)
         got = self.read(probe)
         if self.is_done(got, change):
             return True

@@ -25,8 +25,8 @@ from analyzer import dialects
 from analyzer.catalogue import Risk
 from conformance.claim import Claim
 
-#: How long a short run may take, in seconds, and how much of it is planned: a port takes a little longer than its bits.
-SHORT_SECONDS, PLANNED = 90.0, 0.95
+#: How long a short run may take, and of that to put back what its last claims left, in seconds.
+SHORT_SECONDS, ENDING_SECONDS = 90.0, 1.5
 #: The share of a short run that one claim may take.
 LONGEST = 0.25
 #: By how much a claim may come later so that it stands with others that need the drive ready to move, in seconds.

@@ -38,8 +38,6 @@ from conformance.talk.probe import ALL_QUIRKS
 if TYPE_CHECKING:
     from multiprocessing.pool import Pool
 
-#: How long a run may take to put back what its last claims left.
-_ENDING_SECONDS = 1.5
 #: How much of a run says how much slower its port is than what was measured.
 _TELLING_SECONDS = 5.0
 #: Claims that a worker takes at once.
@@ -89,7 +87,7 @@ class Plan:
         alone = self.allowance is not None and self.allowance.alone
         before = order.start_seconds(target.dialect.name, target.rate, alone=alone and not target.emulated)
         before += sum(order.seconds(c, target.rate) for c in proving_claims(self, target))
-        return order.fitting(can_run, target.rate, order.SHORT_SECONDS * order.PLANNED - before)
+        return order.fitting(can_run, target.rate, order.SHORT_SECONDS - order.ENDING_SECONDS - before)
 
     def seconds(self, target: Target) -> dict[str, float]:
         """Return how long each claim will take, by id: on a real line what was measured, each alike on an emulated one."""
@@ -233,7 +231,7 @@ def _in_time(claims: Iterable[Claim], target: Target, rig: ClaimRig) -> Iterator
         now_ns = rig.gate.now_ns()
         slower = max(1.0, (now_ns - first_ns) / 1e9 / planned) if planned > _TELLING_SECONDS else 1.0
         own = order.seconds(claim, target.rate)
-        if (now_ns - rig.began_ns) / 1e9 + own * slower + _ENDING_SECONDS > order.SHORT_SECONDS:
+        if (now_ns - rig.began_ns) / 1e9 + own * slower + order.ENDING_SECONDS > order.SHORT_SECONDS:
             return
         planned += own
         yield claim

@@ -53,7 +53,7 @@ _STEPS: Mapping[str, float] = {
 }
 _UNIT = re.compile(r"(?:x )?(?:(\d+(?:\.\d+)?) )?([\w/]+)")
 #: A silence is so long at least, and so many times the latency of the slowest reply longer.
-_LEAST_SILENCE_NS, _SILENCE_LATENCIES = 60_000_000, 5
+_LEAST_SILENCE_NS, _SILENCE_LATENCIES = 30_000_000, 5
 #: A second reply follows the first one within so long, and so many times the latency.
 _LEAST_QUIET_NS, _QUIET_LATENCIES = 8_000_000, 2
 

@@ -276,7 +276,8 @@ def sound(rows: tuple[Tried, ...]) -> list[Tried]:
 
 def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
     """Carry out the rows of a command, those aside that were carried out already, and return what was seen."""
-    first, rows = looks.divided(probe, command, first_of, table(probe.dialect))
+    own = (row for row in table(probe.dialect) if row.command == command.name)
+    first, rows = looks.divided(lambda: first_of(probe, command), own)
     return (*first, *_carried_out(probe, rows)) if rows else first
 
 

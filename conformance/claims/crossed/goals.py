@@ -260,7 +260,8 @@ def samples(probe: Probe, looks: tuple[Look, ...]) -> list[Sample]:
 
 def crossed(probe: Probe, command: Command) -> tuple[Tried, ...]:
     """Carry out the rows of a command, those aside that were carried out already, and return what was seen."""
-    first, rows = looks.divided(probe, command, first_of, table(probe.dialect))
+    own = (row for row in table(probe.dialect) if row.command == command.name)
+    first, rows = looks.divided(lambda: first_of(probe, command), own)
     # Behind what does not stop no row can begin.
     stood = all(tried.stood for tried in first)
     return (*first, *_carried_out(probe, rows)) if rows and stood else first

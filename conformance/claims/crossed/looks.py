@@ -7,16 +7,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from analyzer.catalogue import Command, Risk, Verb
-from conformance.claim import Inconclusive
+from conformance.claim import Inconclusive, NotRun
 from conformance.gate.gate import Refused
 from conformance.motion.course import Span
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import Probe
-
-
-class _OfCommand(Protocol):
-    @property
-    def command(self) -> str: ...
 
 
 class _Tried(Protocol):
@@ -29,7 +24,7 @@ _END = 2
 #: How often a read is asked at most that the line damages.
 _ASKED = 4
 
-Row = TypeVar("Row", bound=_OfCommand)
+Row = TypeVar("Row")
 Tried = TypeVar("Tried", bound=_Tried)
 
 
@@ -86,14 +81,12 @@ def damaged(traffic: Sequence[Exchange], told: Collection[int] = (), *, ends: bo
     return any(exchange.damaged for exchange in asked)
 
 
-def divided(
-    probe: Probe, command: Command, first_of: Callable[[Probe, Command], tuple[Tried, ...]], table: Iterable[Row]
-) -> tuple[tuple[Tried, ...], list[Row]]:
-    """Return what the first rows of a command showed, and the other rows of it in a table."""
+def divided(first_of: Callable[[], tuple[Tried, ...]], rows: Iterable[Row]) -> tuple[tuple[Tried, ...], list[Row]]:
+    """Return what the first of some rows showed, and the other ones."""
     try:
-        first = first_of(probe, command)
-    except (Inconclusive, Refused):
+        first = first_of()
+    except (Inconclusive, NotRun, Refused):
         # It was another motion perhaps.
         first = ()
     known = {tried.row for tried in first}
-    return first, [row for row in table if row.command == command.name and row not in known]
+    return first, [row for row in rows if row not in known]

@@ -9,18 +9,20 @@ Rules kept here:
 - A stop is held against the way of its ramp, from where the shaft was when it came; nothing is asked before its end is told.
 - Nothing is stopped at once above 150 rpm.
 - A row that the user's bounds do not allow is left out.
+- A few rows come first, for runs that have time for them alone.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive
+from conformance.claims.crossed import looks
 from conformance.claims.crossed.course import motions_of
 from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import expect_between, expect_row_taken, of_motion
@@ -125,6 +127,16 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
     return tuple(sorted(rows, key=lambda row: (row.mode, row)))
 
 
+def first_rows(dialect: Dialect) -> tuple[Row, ...]:
+    """Return few rows of the table, in which each motion, mode and way meets a ramp and the emergency stop."""
+
+    def shows(row: Row) -> set[Any]:
+        at_once = row.stop == _EMERGENCY
+        return {*enumerate(row), (row.command, at_once), (row.mode, row.way, at_once)}
+
+    return covering.few(table(dialect), shows, lambda row: 1)
+
+
 def disablings(dialect: Dialect) -> tuple[Row, ...]:
     """Return a row of each move that disabling ends, in one mode and way; a run has a claim of its own."""
     modes, moves = (
@@ -136,11 +148,19 @@ def disablings(dialect: Dialect) -> tuple[Row, ...]:
 
 
 def stopped(probe: Probe, rows_of: Rows) -> tuple[Tried, ...]:
-    """Carry out rows and return what was seen."""
+    """Carry out rows, those of the table aside that were carried out first, and return what was seen."""
+    rows = rows_of(probe.dialect)
+    if rows_of is not table:
+        return _carried_out(probe, rows)
+    first, others = looks.divided(lambda: probe.recorded(stopped, first_rows), rows)
+    return (*first, *_carried_out(probe, others))
+
+
+def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
     found: list[Tried] = []
     ready = ""
     refused: Refused | None = None
-    for row in rows_of(probe.dialect):
+    for row in rows:
         try:
             if ready != row.mode:
                 motion.ready_to_move(probe, row.mode, subdivision=SUBDIVISION)
@@ -293,9 +313,13 @@ def _at_once(probe: Probe, command: Command, run: Command) -> None:
 @_of_stops(each=_in_an_emergency, name="{command}/ends-{run}", refuted_by="a shaft that goes on, or slows down")
 def _emergency(probe: Probe, command: Command, run: Command) -> None:
     """The emergency stop ends {run} at once, either way, in each mode; the shaft stays there, and no end of {run} is told."""
-    _expect_stopped(probe, command, lambda row: row.command == run.name and row.stop == _EMERGENCY)
+    _judge_emergency(probe, command, run, table)
+
+
+def _judge_emergency(probe: Probe, command: Command, run: Command, rows_of: Rows) -> None:
+    _expect_stopped(probe, command, lambda row: row.command == run.name and row.stop == _EMERGENCY, rows_of)
     # What was ended in one row would have come to its end in a later one.
-    ends = sum(tried.ends for tried in probe.recorded(stopped, table) if tried.row.command == run.name)
+    ends = sum(tried.ends for tried in probe.recorded(stopped, rows_of) if tried.row.command == run.name)
     text = f"the end of {run.name} is told although a stop ended it"
     probe.expect(f"{ends} more often", holds=ends <= 0, expected="as often as a stop by a ramp ended it", refutes=text)
 
@@ -322,9 +346,13 @@ def _counts_pulses(dialect: Dialect) -> Iterator[Case]:
 @_of_stops(each=_counts_pulses, name="{command}/behind-stops", refuted_by="a count that is not where the shaft stands")
 def _pulses_behind(probe: Probe, command: Command) -> None:
     """Behind every stop of every motion {command} has changed as far as the shaft has turned, and the same way."""
+    _judge_pulses(probe, command, table)
+
+
+def _judge_pulses(probe: Probe, command: Command, rows_of: Rows) -> None:
     turn = declared.units_per_turn(probe.dialect, probe.command(Verb.MOVE_RELATIVE_PULSES), SUBDIVISION)
     sense = 0.0
-    for tried in probe.recorded(stopped, table):
+    for tried in probe.recorded(stopped, rows_of):
         if tried.refused or not tried.sense or not _stands(probe, tried):
             continue
         counted = (tried.pulses[1] - tried.pulses[0]) * 360 / turn
@@ -340,3 +368,24 @@ def _pulses_behind(probe: Probe, command: Command) -> None:
             expected=f"{went:.5g} degrees: {tried.row}",
             refutes=text,
         )
+
+
+# --- the first rows -----------------------------------------------------------------------------------------------------
+
+
+@_of_stops(each=_by_ramp, name="{command}/first-stops", refuted_by="a shaft that goes on, or stops by another ramp")
+def _first_ramps(probe: Probe, command: Command, run: Command) -> None:
+    """{command} slows {run} down by the ramp that it names, or stops it at once, in a few conditions."""
+    _expect_stopped(probe, command, lambda row: row.command == run.name and row.stop >= 0, first_rows)
+
+
+@_of_stops(each=_in_an_emergency, name="{command}/ends-{run}-first", refuted_by="a shaft that goes on, or slows down")
+def _first_emergency(probe: Probe, command: Command, run: Command) -> None:
+    """The emergency stop ends {run} at once in a few conditions; the shaft stays there, and no end of {run} is told."""
+    _judge_emergency(probe, command, run, first_rows)
+
+
+@_of_stops(each=_counts_pulses, name="{command}/behind-first-stops", refuted_by="a count that is not where the shaft stands")
+def _first_pulses(probe: Probe, command: Command) -> None:
+    """Behind stops in a few conditions {command} has changed as far as the shaft has turned, and the same way."""
+    _judge_pulses(probe, command, first_rows)

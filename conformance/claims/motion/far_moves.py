@@ -24,7 +24,7 @@ from conformance.talk.probe import MS, Probe
 #: What a field of 16 bits cannot hold.
 _WORD = 1 << 16
 #: How fast the shaft goes (rpm), how long it is watched, and how far it has to go meanwhile (degrees).
-_RPM, _BEGINS_NS, _LEAST = 2 * CALM, 400 * MS, 180
+_RPM, _BEGINS_NS, _LEAST = 4 * CALM, 240 * MS, 180
 _counted = motions(*MOVES, where=takes_counts)
 
 

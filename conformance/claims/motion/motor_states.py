@@ -157,13 +157,13 @@ def _behind_emergency(probe: Probe) -> None:
     off = declared.switching(probe.dialect, False)
     emergency: tuple[Command, dict[str, int]] = (probe.command(Verb.EMERGENCY_STOP), {})
     for what, begin, for_ns, (ends, values) in (
-        ("speeds up in a run", lambda: motion.run_at(probe, _RPM, _RAMP), 300 * MS, emergency),
-        ("speeds up in a move", lambda: motion.begin(probe, move, 720, rpm=_RPM, acceleration=_RAMP), 300 * MS, emergency),
-        ("turns at full speed", lambda: motion.run_at(probe, -_RPM, QUICK), 150 * MS, emergency),
-        ("slows down", lambda: _slow_down(probe), 200 * MS, emergency),
+        ("speeds up in a run", lambda: motion.run_at(probe, _RPM, _RAMP), 150 * MS, emergency),
+        ("speeds up in a move", lambda: motion.begin(probe, move, 720, rpm=_RPM, acceleration=_RAMP), 150 * MS, emergency),
+        ("turns at full speed", lambda: motion.run_at(probe, -_RPM, QUICK), 80 * MS, emergency),
+        ("slows down", lambda: _slow_down(probe), 100 * MS, emergency),
         ("homes", lambda: probe.ask(Verb.HOME, quiet_ns=0), 150 * MS, emergency),
-        ("turns at full speed", lambda: motion.run_at(probe, _RPM, QUICK), 150 * MS, off),
-        ("turns in a move", lambda: motion.begin(probe, move, 720, rpm=_RPM, acceleration=QUICK), 150 * MS, off),
+        ("turns at full speed", lambda: motion.run_at(probe, _RPM, QUICK), 80 * MS, off),
+        ("turns in a move", lambda: motion.begin(probe, move, 720, rpm=_RPM, acceleration=QUICK), 80 * MS, off),
     ):
         begin()
         probe.wait(for_ns)

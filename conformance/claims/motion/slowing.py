@@ -6,16 +6,18 @@ Rules kept here:
 - A run slows down by a stop with a ramp, a move before its end; it has some degrees still to go when the newer command comes.
 - A command that comes too late, behind the end, is carried out from rest: that is no other place.
 - From where a move by a distance counts the rest of the older way no manual says: both are right.
+- A few rows come first, for runs that have time for them alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
+from conformance.claims.crossed import looks
 from conformance.claims.crossed.course import motions_of
 from conformance.claims.declare import Case
 from conformance.claims.motion.motion_claim import expect_between, expect_row_taken, of_motion
@@ -89,13 +91,28 @@ def table(dialect: Dialect) -> tuple[Row, ...]:
     return tuple(Row(**row) for row in covering.rows(factors))
 
 
+def first_rows(dialect: Dialect) -> tuple[Row, ...]:
+    """Return few rows of the table, in which each motion and each thing that comes is there once, and both ways."""
+    return covering.few(table(dialect), lambda row: set(enumerate(row)), lambda row: 1)
+
+
 def slowed(probe: Probe) -> tuple[Tried, ...]:
-    """Carry out all rows and return what was seen."""
+    """Carry out all rows, those aside that were carried out first, and return what was seen."""
+    first, rows = looks.divided(lambda: probe.recorded(slowed_first), table(probe.dialect))
+    return (*first, *_carried_out(probe, rows))
+
+
+def slowed_first(probe: Probe) -> tuple[Tried, ...]:
+    """Carry out the first rows and return what was seen."""
+    return _carried_out(probe, first_rows(probe.dialect))
+
+
+def _carried_out(probe: Probe, rows: Iterable[Row]) -> tuple[Tried, ...]:
     motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     rest = motion.stand_still(probe)
     found: list[Tried] = []
     refused: Refused | None = None
-    for row in table(probe.dialect):
+    for row in rows:
         try:
             found.append(undamaged(probe, _try, row, rest=rest))
             rest = found[-1].end
@@ -186,7 +203,31 @@ def _cases(dialect: Dialect) -> Iterator[Case]:
 @of_motion(each=_cases, name="{command}/while-slowing", refuted_by="a shaft that goes on as before, or elsewhere, or a refusal")
 def _while_slowing(probe: Probe, command: Command, older: str, comes: tuple[str, ...]) -> None:
     """{command} is carried out while a motion slows down, as it is from rest."""
-    every = [t for t in probe.recorded(slowed) if t.row.comes in comes and t.row.older == (older or t.row.older)]
+    _judge(probe, command, [tried for tried in probe.recorded(slowed) if _tells(tried.row, older, comes)])
+
+
+def _first_cases(dialect: Dialect) -> Iterator[Case]:
+    """Yield those of them that the first rows tell of."""
+    for case in _cases(dialect):
+        if any(_tells(row, case["older"], case["comes"]) for row in first_rows(dialect)):
+            yield case
+
+
+@of_motion(
+    each=_first_cases,
+    name="{command}/while-slowing-first",
+    refuted_by="a shaft that goes on as before, or elsewhere, or a refusal",
+)
+def _first_while_slowing(probe: Probe, command: Command, older: str, comes: tuple[str, ...]) -> None:
+    """{command} is carried out while a motion slows down, in one condition, as it is from rest."""
+    _judge(probe, command, [tried for tried in probe.recorded(slowed_first) if _tells(tried.row, older, comes)])
+
+
+def _tells(row: Row, older: str, comes: tuple[str, ...]) -> bool:
+    return row.comes in comes and row.older == (older or row.older)
+
+
+def _judge(probe: Probe, command: Command, every: Sequence[Tried]) -> None:
     if not any(tried.sense for tried in every):
         raise Inconclusive("no motion turned the shaft")
     text = f"{command.name} is not carried out while a motion slows down"

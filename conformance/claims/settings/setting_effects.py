@@ -328,11 +328,13 @@ def _same_homing(probe: Probe, one: Homing, other: Homing) -> bool:
 
 def hears(probe: Probe, address: int) -> bool:
     """Say whether the drive obeys what is sent to an address that does not answer: it is enabled, and disabled again."""
-    seen = []
-    for wanted in (0, 1):
-        probe.ask(Verb.ENABLE, {"enabled": wanted}, address=address, until=Until.TIMEOUT, timeout_ns=40 * MS)
-        seen.append(_enabled(probe) == wanted)
-    return all(seen)
+    return all(_obeys(probe, address, wanted) for wanted in (0, 1))
+
+
+def _obeys(probe: Probe, address: int, enabled: int) -> bool:
+    # By then it would have answered, too: it has done it.
+    probe.ask(Verb.ENABLE, {"enabled": enabled}, address=address, until=Until.TIMEOUT, timeout_ns=probe.rig.quiet_ns)
+    return _enabled(probe) == enabled
 
 
 #: Groups that are tried: each drive can have the first ones, a CAN drive all.

@@ -10,7 +10,8 @@ from analyzer import dialects
 from analyzer.catalogue import Risk
 from conformance.claim import Outcome
 from conformance.claims import every
-from conformance.claims.crossed import course
+from conformance.claims.crossed import course, stops
+from conformance.claims.motion import slowing
 from conformance.drives import make
 from conformance.gate.permissions import Allowance
 from conformance.motion import ramp
@@ -52,3 +53,41 @@ def test_what_the_bounds_forbid_is_left_out_and_the_rest_is_judged():
         claim = next(c for c in every(rig.dialect) if c.id.endswith("move_relative_axis/crossed-ends"))
         verdicts[speed] = engine.run_claim(claim, rig).outcome
     assert verdicts == {300: Outcome.CONFIRMED, 10: Outcome.NOT_RUN}
+
+
+@pytest.mark.parametrize("name", ["mks-rs485", "mks-can"])
+def test_few_rows_of_stops_and_of_what_comes_meanwhile_come_first_and_once(name):
+    dialect = dialects.get(name)
+    first, rows = stops.first_rows(dialect), stops.table(dialect)
+    assert set(first) <= set(rows)
+    assert 4 * len(first) <= len(rows)
+
+    def meetings(rows):
+        return {(met, row.stop == -1) for row in rows for met in (row.command, (row.mode, row.way))}
+
+    assert meetings(first) == meetings(rows)
+    assert {row.rpm for row in first} == {row.rpm for row in rows}
+    few = slowing.first_rows(dialect)
+    assert {row.comes for row in few} == {row.comes for row in slowing.table(dialect)}
+    rig = EmulatedRig(make.parse(f"{name}@1"))
+    claim = next(c for c in every(rig.dialect) if c.id.endswith("read_pulses/behind-stops"))
+    shown = rig.probe(claim).recorded(stops.stopped, stops.first_rows)
+    whole = rig.probe(claim).recorded(stops.stopped, stops.table)
+    assert whole[: len(shown)] == shown
+    assert sorted(tried.row for tried in whole) == sorted(rows)
+
+
+@pytest.mark.parametrize(
+    ("fault", "claim"),
+    [
+        ("fast-stop-ignored", "stop_speed/first-stops"),
+        ("closed-cw-emergency-ignored", "emergency_stop/ends-move_absolute_pulses-first"),
+        ("stops-lose-pulses", "read_pulses/behind-first-stops"),
+        ("falling-motion-undone", "move_absolute_pulses/while-slowing-first"),
+        ("moves-stay-enabled", "enable/while-slowing-first"),
+    ],
+)
+def test_the_first_rows_refute_too(fault, claim):
+    rig = EmulatedRig(make.parse(f"mks-rs485@1,fault={fault}"))
+    found = next(c for c in every(rig.dialect) if c.id == f"mks-rs485/motion/{claim}")
+    assert engine.run_claim(found, rig).outcome is Outcome.REFUTED

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from analyzer.catalogue import Risk
-from benchmarks.order import Measured, greedy
+from benchmarks.order import SEARCHED, Measured, greedy, known
 from conformance.claim import Claim, Theme
 from conformance.cli.test import time_left
 from conformance.gate.permissions import Allowance
@@ -15,6 +15,7 @@ from conformance.suite import order
 from conformance.suite import plan as suite
 from conformance.suite.plan import Plan
 from conformance.suite.target import Target, parse
+from conformance.tools import mutants
 
 _PLACES = {
     "mks-rs485@1,model=42D": "serial:none,baud=38400",
@@ -41,6 +42,15 @@ def test_a_table_names_claims_that_there_are_and_knows_nearly_all_kinds(target: 
     possible = [claim for claim in claims if not claim.emulated and not claim.by_name]
     unknown = [claim.id for claim in possible if order.kind(claim) not in known.kinds]
     assert len(unknown) <= _UNKNOWN_SHARE * len(possible), f"make the tables anew (benchmarks/order.py): {unknown}"
+
+
+@each_target
+def test_what_was_searched_for_is_of_faults_and_claims_that_there_are(target: Target) -> None:
+    claims = {claim.id for claim in suite.every_claim(target)}
+    faults = {fault.name for fault in mutants.faults_of(target.dialect)}
+    for fault, refuted in known((SEARCHED,))[target.dialect.name].items():
+        assert fault in faults
+        assert refuted <= claims, fault
 
 
 @each_target
