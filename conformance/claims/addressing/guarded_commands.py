@@ -171,10 +171,6 @@ def _another_group(probe: Probe) -> int:
     return next(group for group in setting_effects.GROUPS[2:] if group not in (probe.address, probe.rig.group))
 
 
-def _is_in_another_group(probe: Probe) -> float:
-    return float(setting_effects.hears(probe, _another_group(probe)))
-
-
 def _forget_zero(probe: Probe) -> object:
     return probe.do(Verb.SET_ZERO_MODE, {"zero_mode": 0, "set_zero": 0, "zero_speed": 0, "zero_direction": 0})
 
@@ -234,7 +230,7 @@ _TO_MANY: Mapping[str, tuple[Guarded, Mapping[str, Any]]] = {
         Guarded(
             motion.ready_to_move,
             lambda probe, command: {"group_address": _another_group(probe)},
-            _is_in_another_group,
+            lambda probe: float(setting_effects.hears(probe, _another_group(probe))),
             sends=(Verb.ENABLE,),
         ),
         {"settings": ("group_address",)},

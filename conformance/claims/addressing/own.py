@@ -67,10 +67,6 @@ def _every(dialect: Dialect, own: int) -> Iterable[int]:
     return (*range(min(last, _BYTE) + 1), *range(_BYTE, last + 1, 31))
 
 
-def _zero(dialect: Dialect, own: int) -> Iterable[int]:
-    return (0,)
-
-
 Addresses = Callable[[Dialect, int], Iterable[int]]
 
 
@@ -85,7 +81,7 @@ def _classes(dialect: Dialect) -> Iterator[Case]:
     if dialect.addresses[1] > _BYTE:
         rows.append(("low_byte", "an address with the drive's low byte", _same_low_byte, False))
     if dialect.broadcast is None:
-        rows.append(("zero", "the address 0", _zero, False))
+        rows.append(("zero", "the address 0", lambda dialect, own: (0,), False))
     for kind, what, addresses, emulated in rows:
         yield Case(dialect, given={"kind": kind, "what": what, "addresses": addresses}, facts={"emulated": emulated})
 

@@ -138,10 +138,6 @@ def _amid_others(dialect: Dialect, package: Command, own: int, slots: Mapping[in
     return [slots[n] if n in slots else _move(dialect, next(others), _OTHER) for n in numbers]
 
 
-def _among_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
-    return _amid_others(dialect, package, own, {2: _move(dialect, own)})
-
-
 def _behind_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     assert package.slots is not None
     return _amid_others(dialect, package, own, {package.slots.count: _move(dialect, own)})
@@ -167,10 +163,6 @@ def _behind_no_motion(first: Callable[[Dialect], Slot], numbers: tuple[int, int]
     return slots
 
 
-def _a_read(dialect: Dialect) -> Slot:
-    return {"command": plain_read(dialect).name}
-
-
 def _enabling(value: int) -> Callable[[Dialect], Slot]:
     return lambda dialect: {"command": dialect.by_verb[Verb.ENABLE].name, "enabled": value}
 
@@ -178,10 +170,6 @@ def _enabling(value: int) -> Callable[[Dialect], Slot]:
 def _for_others(dialect: Dialect, package: Command, own: int) -> list[Slot]:
     assert package.slots is not None
     return [_move(dialect, a) for a in others_of(dialect, own, package.slots.count)]
-
-
-def _for_all(dialect: Dialect, package: Command, own: int) -> list[Slot]:
-    return [_move(dialect, dialect.broadcast or 0)]
 
 
 def _for_all_last(dialect: Dialect, package: Command, own: int) -> list[Slot]:
@@ -198,7 +186,7 @@ def _unused(dialect: Dialect, package: Command, own: int) -> list[Slot]:
 _ROWS: tuple[tuple[str, Slots, int, str, str, Certainty], ...] = (
     (
         "own_slot",
-        _among_others,
+        lambda dialect, package, own: _amid_others(dialect, package, own, {2: _move(dialect, own)}),
         _ONE,
         "Of a package for five drives each executes its own slot.",
         "no move, or that of another slot",
@@ -238,7 +226,7 @@ _ROWS: tuple[tuple[str, Slots, int, str, str, Certainty], ...] = (
             Certainty.CERTAIN,
         )
         for kind, what, first, numbers in (
-            ("read", "a read", _a_read, (4, 5)),
+            ("read", "a read", lambda dialect: {"command": plain_read(dialect).name}, (4, 5)),
             ("setting", "a setting", _enabling(1), (2, 4)),
             ("refused", "a command that is refused", _enabling(_NO_CHOICE), (1, 5)),
         )
@@ -246,7 +234,7 @@ _ROWS: tuple[tuple[str, Slots, int, str, str, Certainty], ...] = (
     ("others", _for_others, 0, "A package for other drives is not executed.", "a move", Certainty.CERTAIN),
     (
         "broadcast_slot",
-        _for_all,
+        lambda dialect, package, own: [_move(dialect, dialect.broadcast or 0)],
         0,
         "A slot with the address 0 is not executed: a slot names one drive.",
         "a move",

@@ -31,11 +31,7 @@ _BLIND = 0.1
 _OPEN_DEGREES = 14 * COUNT
 
 
-def _all_rows(probe: Probe, command: Command) -> tuple[Tried, ...]:
-    return probe.recorded(crossed, command)
-
-
-_of_all = partial(of_rows, _all_rows)
+_of_all = partial(of_rows, lambda probe, command: probe.recorded(crossed, command))
 
 
 @_of_all(each=cases, name="{command}/crossed-taken", refuted_by="a refusal, or no answer")

@@ -305,13 +305,9 @@ def _wrong_home(probe: Probe, command: Command) -> None:
     _expect_stays(probe, command, before)
 
 
-def _broadcasting(dialect: Dialect) -> Iterable[Case]:
-    return commands(Verb.RUN_SPEED)(dialect) if dialect.family == "mks" and dialect.broadcast is not None else ()
-
-
 @of_motion(
     theme=Theme.FRAMING,
-    each=_broadcasting,
+    each=lambda dialect: commands(Verb.RUN_SPEED)(dialect) if dialect.family == "mks" and dialect.broadcast is not None else (),
     name="broadcast/wrong_check",
     refuted_by="a shaft that turns",
     risks=lambda case: _read_as(case).union(*(c.command.all_risks for c in by_bus(case.dialect) if c.command)),

@@ -49,14 +49,10 @@ def fields(dialect: Dialect) -> tuple[str, ...]:
     return tuple(dict.fromkeys(n for c in found for f in c.request_forms for n in f.layout.named))
 
 
-def _fields(case: Case) -> tuple[str, ...]:
-    return fields(case.dialect)
-
-
 def _of_homing(
     refuted_by: str, *, each: Cases = _homings, **facts: Any
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    facts = {"emulated": True, "risks": risks_by(*SETS_HOME), "settings": _fields, **facts}
+    facts = {"emulated": True, "risks": risks_by(*SETS_HOME), "settings": lambda case: fields(case.dialect), **facts}
     return of_motion(each=each, refuted_by=refuted_by, **facts)
 
 

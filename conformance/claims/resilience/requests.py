@@ -209,14 +209,10 @@ def _power_cycle_in_frame(probe: Probe) -> Exchange:
     return _power_cycle(probe)
 
 
-def _long_idle(probe: Probe) -> Exchange:
-    return probe.listen(_LONG_IDLE_NS)
-
-
 def _events(dialect: Dialect) -> Iterator[Case]:
     """Yield what a drive must answer after: name, in words, what does it, whether it needs an emulated drive."""
     rows: list[tuple[str, str, Sends, bool]] = [
-        ("idle/day", "a day of silence", _long_idle, True),
+        ("idle/day", "a day of silence", lambda probe: probe.listen(_LONG_IDLE_NS), True),
         ("power/back", "power off and on", _power_cycle, True),
     ]
     if not isinstance(dialect.link, CanLink):

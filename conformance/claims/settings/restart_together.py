@@ -69,10 +69,6 @@ def _to_all(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchan
     return _to(probe, probe.dialect.broadcast, command, values)
 
 
-def _to_group(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
-    return _to(probe, ways.group_of(probe.dialect, probe.address), command, values)
-
-
 def _to(probe: Probe, address: int, command: Command, values: Mapping[str, int]) -> Exchange:
     return ways.send_to(probe, address, Change(command, dict(values), 0, 0), _SILENT_NS)
 
@@ -89,7 +85,7 @@ _WAYS = (
     _Way(
         "restart-group",
         "to the group",
-        _to_group,
+        lambda probe, command, values: _to(probe, ways.group_of(probe.dialect, probe.address), command, values),
         lambda dialect: Verb.SET_GROUP_ADDRESS in dialect.by_verb,
         ways.join,
         ("group_address",),

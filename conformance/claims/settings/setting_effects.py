@@ -57,10 +57,6 @@ _SPEED_SHARE = 0.1
 Seen = Any
 
 
-def _equal(probe: Probe, one: Seen, other: Seen) -> bool:
-    return bool(one == other)
-
-
 def _words(seen: Seen) -> str:
     return " ".join(f"{k}={v}" for k, v in seen.items()) if isinstance(seen, Mapping) else str(seen)
 
@@ -78,7 +74,7 @@ class SettingEffect:
     see: Callable[[Probe], Seen]
     values: tuple[Mapping[str, int], ...] = ()
     ready: Callable[[Probe], None] = lambda probe: None
-    same: Callable[[Probe, Seen, Seen], bool] = _equal
+    same: Callable[[Probe, Seen, Seen], bool] = lambda probe, one, other: bool(one == other)
     words: Callable[[Seen], str] = _words
     expected: Callable[[Dialect, Mapping[str, int]], Seen] | None = None
     sends: tuple[tuple[Verb, Mapping[str, int]], ...] = ()
@@ -353,10 +349,6 @@ def _group(probe: Probe) -> str:
     return f"hears {' and '.join(heard) or 'none'} of the groups that are tried"
 
 
-def _expected_group(dialect: Dialect, values: Mapping[str, int]) -> str:
-    return f"hears {values['group_address']:#x} of the groups that are tried"
-
-
 _MOVE = (Verb.MOVE_RELATIVE_PULSES, {"direction": 0, "speed": 60, "acceleration": STEEP, "pulses": PULSES})
 _ON, _OFF = (Verb.ENABLE, {"enabled": 1}), (Verb.ENABLE, {"enabled": 0})
 
@@ -398,7 +390,7 @@ BY_VERB: Mapping[Verb, SettingEffect] = {
     Verb.SET_GROUP_ADDRESS: SettingEffect(
         see=_group,
         ready=motion.ready_to_move,
-        expected=_expected_group,
+        expected=lambda dialect, values: f"hears {values['group_address']:#x} of the groups that are tried",
         moves=True,
         alone=True,
         sends=(_ON, _OFF),

@@ -93,10 +93,6 @@ def _full_and_fast(drive: MksCore) -> bool:
     return abs(_rpm(drive)) > _FAST and drive.motor.phase(drive.now_ns) is Phase.FULL_SPEED
 
 
-def _turns_open(drive: MksCore) -> bool:
-    return "open" in drive.mode and _turns(drive)
-
-
 def _slows_to_a_speed(drive: MksCore) -> bool:
     return drive.memory.run is not None and drive.motor.phase(drive.now_ns) is Phase.SLOWING_DOWN
 
@@ -424,7 +420,7 @@ TOLD: Rows = {
         Row(
             "open-status-0",
             "F1 reads 0 while the shaft turns in an open mode",
-            told_when(_turns_open, Verb.READ_STATUS, status=0),
+            told_when(lambda drive: "open" in drive.mode and _turns(drive), Verb.READ_STATUS, status=0),
         ),
         Row(
             "slower-status-2",
@@ -808,10 +804,6 @@ def _status_of_before_off(drive: MksCore) -> None:
     drive.behaviours |= {Verb.ENABLE: switch, Verb.READ_STATUS: tell}
 
 
-def _locked(drive: MksCore) -> bool:
-    return bool(drive.settings["key_lock"])
-
-
 def _disabled_later(drive: MksCore, request: Request) -> Values | None:
     return dict(OK) if not request.values["enabled"] and drive.doing(Activity.MOVE) else None
 
@@ -853,10 +845,6 @@ def _let_go_ccw(drive: MksCore) -> None:
     if drive.settings["home_direction"] == mks_shared.ConfigDirection.CCW:
         drive.memory.enabled = False
         drive.grip()
-
-
-def _calibrates(drive: MksCore) -> bool:
-    return drive.doing(Activity.CALIBRATE)
 
 
 def _is_off(drive: MksCore) -> bool:
@@ -1143,7 +1131,7 @@ DOING: Rows = {
         Row(
             "locked-keys-refuse-fe",
             "settings that lock the keys leave FE refused",
-            refused_when(_locked, Verb.MOVE_ABSOLUTE_PULSES),
+            refused_when(lambda drive: bool(drive.settings["key_lock"]), Verb.MOVE_ABSOLUTE_PULSES),
             SERIAL,
         ),
         Row("moves-stay-enabled", "F3 00 does nothing during a move", before(Verb.ENABLE, _disabled_later)),
@@ -1347,7 +1335,7 @@ DOING: Rows = {
         Row(
             "calibration-goes-on",
             "F7 says success while the motor calibrates, and does not end it",
-            undone_when(_calibrates, Verb.EMERGENCY_STOP),
+            undone_when(lambda drive: drive.doing(Activity.CALIBRATE), Verb.EMERGENCY_STOP),
         ),
         Row("zero-refused-while-off", "92 is refused while the motor is off", refused_when(_is_off, Verb.SET_ZERO)),
         Row(
