@@ -232,7 +232,7 @@ _MENTION = re.compile(
     r"\s*(?P<bytes>(?:(?:0x)?[0-9A-F]{2}\b[\s,]*){0,8})",
     re.IGNORECASE,
 )
-_BYTE = re.compile(r"(?:0x)?[0-9A-F]{2}\b", re.IGNORECASE)
+_MENTIONED_BYTE = re.compile(r"(?:0x)?[0-9A-F]{2}\b", re.IGNORECASE)
 
 
 def _parted(line: str) -> Iterator[str]:
@@ -246,7 +246,7 @@ def _parted(line: str) -> Iterator[str]:
     begin = 0
     for each in found:
         size = int(next(filter(None, (each["count"], each["dlc"], each["length"])), "0"))
-        data = _BYTE.findall(each["bytes"])[:size]
+        data = _MENTIONED_BYTE.findall(each["bytes"])[:size]
         role = role_in_text(line[begin : each.start()])
         begin = each.end()
         head = line[each.start() : each.start("bytes")].strip()

@@ -319,6 +319,11 @@ def test_a_broken_can_line_is_a_problem_with_its_line(tmp_path: Path) -> None:
     assert [str(p) for p in source.problems] == ["line 3: expected a CAN frame, got 'ID: 0x01 Data: F6 0G F8'"]
 
 
+def test_bytes_of_a_can_line_may_all_be_short(tmp_path: Path) -> None:
+    records = read(tmp_path, "ID: 0x01 DLC: 3 Data: 1 2 A\nID: 0x01 DLC: 1 Data: 5\n")[1]
+    assert data_of(records) == ["001#01020A", "001#05"]
+
+
 def test_a_length_that_is_not_that_of_the_bytes_is_a_problem(tmp_path: Path) -> None:
     source, records = read(tmp_path, "ID: 0x01 DLC: 3 Data: F6 01 F8\nID: 0x01 DLC: 4 Data: F6 01 F8\n")
     assert data_of(records) == ["001#F601F8"]
