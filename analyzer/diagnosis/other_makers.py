@@ -95,10 +95,6 @@ def _modbus_ascii(data: bytes) -> bool:
     return sum(bytes.fromhex(whole[1].decode())) & 0xFF == 0 if whole is not None else _ASCII_END.fullmatch(data) is not None
 
 
-def _battery(data: bytes) -> bool:
-    return len(data) >= 6 and data[0] == 0x7E and data[-1] == 0x0D
-
-
 def _jbd(data: bytes) -> bool:
     size = len(data)
     whole = size >= 7 and data[0] == 0xDD and data[-1] == 0x77 and data[3] == size - 7
@@ -127,10 +123,6 @@ def _m_bus(data: bytes) -> bool:
 
 def _meter(data: bytes) -> bool:
     return len(data) >= 12 and data[0] == data[7] == 0x68 and data[-1] == 0x16 and sum(data[:-2]) & 0xFF == data[-2]
-
-
-def _fins(data: bytes) -> bool:
-    return data.startswith(b"FINS") and len(data) >= 8
 
 
 def _tpkt(data: bytes) -> bool:
@@ -186,7 +178,7 @@ MAKES = (
     Make("an RMD motor on RS485 (3E, a count of 8, a CRC)", _rmd, 1, "LK motors have sums and no CRC: " + _UART),
     Make("a VESC (02 ... 03)", _vesc, 4, "Use its own tool: " + _UART),
     Make("a Trinamic module (TMCL, nine bytes)", _tmcl, 4, "Use its own library: " + _UART),
-    Make("a battery (7E ... 0D)", _battery, 2, _PROTOCOL),
+    Make("a battery (7E ... 0D)", lambda data: len(data) >= 6 and data[0] == 0x7E and data[-1] == 0x0D, 2, _PROTOCOL),
     Make("a battery of JBD (DD ... 77)", _jbd, 1, _PROTOCOL),
     Make("a battery of JK (4E 57)", _jk, 1, _PROTOCOL),
     Make("a battery of Daly (A5, thirteen bytes)", _daly, 1, _PROTOCOL),
@@ -194,7 +186,7 @@ MAKES = (
     Make("a meter on M-Bus (10 ... 16, 68 ... 16)", _m_bus, 1, _PROTOCOL),
     Make("BACnet MS/TP (55 FF)", _bacnet, 1, "Switch the device to Modbus, if it has both; else use a BACnet tool"),
     Make("a HART transmitter (FF FF ... 02 or 82)", _hart, 1, "Use a HART tool and its modem; " + _UART),
-    Make("a controller of Omron (FINS)", _fins, 1, _SERVICE),
+    Make("a controller of Omron (FINS)", lambda data: data.startswith(b"FINS") and len(data) >= 8, 1, _SERVICE),
     Make("a controller of Siemens (S7, which begins a connection by 03 00)", _tpkt, 1, _SERVICE),
     Make("Modbus ASCII", _modbus_ascii, 1, "Set both sides to Modbus RTU"),
 )

@@ -85,10 +85,6 @@ def _note(port: PortStatus, event: Mapping[str, Any]) -> str:
     return str(event["text"])
 
 
-def _speed(port: PortStatus, event: Mapping[str, Any]) -> str:
-    return str(event["text"])
-
-
 def _remember(port: PortStatus, gap: Gap) -> None:
     port.gap_count += 1
     if len(port.gaps) < REMEMBERED:
@@ -157,15 +153,11 @@ def _closed(port: PortStatus, event: Mapping[str, Any]) -> str:
     return ""
 
 
-def _failed(port: PortStatus, event: Mapping[str, Any]) -> str:
-    return str(event["reason"])
-
-
 _HANDLERS = {
-    "failed": _failed,
+    "failed": lambda port, event: str(event["reason"]),
     "open": _open,
     "note": _note,
-    "speed": _speed,
+    "speed": lambda port, event: str(event["text"]),
     "lost": _lost,
     "back": _back,
     "overrun": _overrun,

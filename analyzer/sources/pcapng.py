@@ -13,6 +13,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError
@@ -276,27 +277,18 @@ def _give(
         yield taken
 
 
-def _enhanced(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
-    number, high, low, stored, original = struct.unpack_from(section.order + "LLLLL", body)
+def _packet(source: Source, section: _Section, body: bytes, *, old: bool = False) -> Iterator[Record]:
+    """Yield what an enhanced packet holds, or one of the kind before it, whose count of drops and options are passed over."""
+    head = struct.unpack_from(section.order + ("HHLLLL" if old else "LLLLL"), body)
+    number, (high, low, stored, original) = head[0], head[-4:]
     _tell_cut(source, stored, original)
     interface = section.interface(number)
     if stored > len(body) - 20:
         source.problem(f"a record of {stored} bytes in a block that has {len(body) - 20}")
         return
-    options = _options(section, body[20 + stored + -stored % 4 :]) if len(body) > 20 + stored + 3 else {}
+    options = _options(section, body[20 + stored + -stored % 4 :]) if not old and len(body) > 20 + stored + 3 else {}
     t_ns = interface.t_ns(high, low) if interface is not None else None
     yield from _give(source, interface, number, t_ns, body[20 : 20 + stored], options, section.order)
-
-
-def _old(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
-    number, _, high, low, stored, original = struct.unpack_from(section.order + "HHLLLL", body)
-    _tell_cut(source, stored, original)
-    interface = section.interface(number)
-    if stored > len(body) - 20:
-        source.problem(f"a record of {stored} bytes in a block that has {len(body) - 20}")
-        return
-    t_ns = interface.t_ns(high, low) if interface is not None else None
-    yield from _give(source, interface, number, t_ns, body[20 : 20 + stored], {}, section.order)
 
 
 def _simple(source: Source, section: _Section, body: bytes) -> Iterator[Record]:
@@ -316,7 +308,7 @@ def _tell_cut(source: Source, stored: int, original: int) -> None:
 _HANDLERS: dict[int, Callable[[Source, _Section, bytes], Iterator[Record]]] = {
     _SECTION: _begin_section,
     _INTERFACE: _begin_interface,
-    _ENHANCED: _enhanced,
+    _ENHANCED: _packet,
     _SIMPLE: _simple,
-    _OLD: _old,
+    _OLD: partial(_packet, old=True),
 }

@@ -116,10 +116,6 @@ _LISTED = re.compile(r"[\[{(]\s*(?:0|[1-9]\d?)(?:\s*,\s*(?:0|[1-9]\d?)){3,}\s*,?
 _EITHER, _LARGEST = re.compile(r"0[xX][0-9A-Fa-f]{1,2}|\d{1,3}"), 0xFF
 
 
-def _quoted(text: str) -> Written | None:
-    return read(text.translate(_QUOTES))
-
-
 def _literal(text: str) -> Written | None:
     if len(text) > _LITERAL_LIMIT:
         return None
@@ -171,7 +167,7 @@ _WAYS: tuple[tuple[re.Pattern[str], Callable[[str], Written | None]], ...] = tup
         (r"b'.*'|b\".*\"", _literal),
         (r"'(?:[^'\\]|\\.)*+'", _escaped),
         (r'"(?:[^"\\]|\\.)*+"', _escaped),
-        (r"(?:(['\"])(?:0[xX])?[0-9A-Fa-f]{1,2}\1[\s,;]*){2,}", _quoted),
+        (r"(?:(['\"])(?:0[xX])?[0-9A-Fa-f]{1,2}\1[\s,;]*){2,}", lambda text: read(text.translate(_QUOTES))),
         (r"(?:[\[<{(]\s*(?:(?:0[xX])?[0-9A-Fa-f]{1,2}|\d{3})\s*[\]>})]\s*){2,}", _each),
         (rf"[0-9A-Fa-f]{{1,2}}(?:{_GAP}[0-9A-Fa-f]{{1,2}})*[\s,;:|_-]*", _bare),
         (r"(?:(?:0[xX]|\\[xX]|\$|16#|&[hH])[0-9A-Fa-f]{1,2}[\s,;:|-]*)+", _marked),
