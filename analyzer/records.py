@@ -220,10 +220,9 @@ class Lane:
         return not self._has_data or self.codec.valid(own)
 
     def message(self, frame: Frame) -> Message:
-        """Return the message of a frame of this lane."""
+        """Return the message of a frame of this lane whose data are valid."""
         data = frame.data[self.start : self.stop]
-        violations = self.codec.broken(data)
-        return Message(frame, self.role, self.address, self.command, self.form, data, violations)
+        return Message(frame, self.role, self.address, self.command, self.form, data)
 
 
 class Finding(msgspec.Struct, frozen=True, gc=False):

@@ -15,6 +15,7 @@ from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Comment
 from analyzer.sinks.forked import available
 from analyzer.sinks.mcap_log import McapLog
+from analyzer.sinks.object_table import Table
 from analyzer.sinks.process import SinkProcess
 from analyzer.sinks.summary import Summary
 from tests.collect import crc, sum8
@@ -49,7 +50,7 @@ def read(path):
 def run(path, in_process):
     with path.open("wb") as stream:
         sinks = [McapLog(stream, byte_ns=260_416), Summary()] if not in_process else None
-        process = SinkProcess(CHOSEN, lambda: (McapLog(stream, byte_ns=260_416), Summary())) if in_process else None
+        process = SinkProcess(Table(CHOSEN), lambda: (McapLog(stream, byte_ns=260_416), Summary())) if in_process else None
         pipeline = Pipeline(CHOSEN, (process,) if process else sinks, Options(byte_ns=260_416))
         pipeline.run(items())
         if process is None:
@@ -78,7 +79,7 @@ class _Full(io.RawIOBase):
 
 
 def test_what_goes_wrong_there_is_raised_here():
-    process = SinkProcess(CHOSEN, lambda: (McapLog(_Full()), Summary()))
+    process = SinkProcess(Table(CHOSEN), lambda: (McapLog(_Full()), Summary()))
     with pytest.raises(OSError, match="No space left"):
         process.call(0, "flush")
     process.abandon()
@@ -86,7 +87,7 @@ def test_what_goes_wrong_there_is_raised_here():
 
 def test_a_worker_that_is_killed_is_an_error_and_no_hang(tmp_path):
     with (tmp_path / "x.mcap").open("wb") as stream:
-        process = SinkProcess(CHOSEN, lambda: (McapLog(stream), Summary()))
+        process = SinkProcess(Table(CHOSEN), lambda: (McapLog(stream), Summary()))
         os.kill(process._worker.process, signal.SIGKILL)
         pipeline = Pipeline(CHOSEN, (process,))
         with pytest.raises(OSError, match="died"):

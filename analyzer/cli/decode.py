@@ -33,6 +33,7 @@ from analyzer.table.extras import needed
 from analyzer.values import printable
 
 if TYPE_CHECKING:
+    from analyzer.sinks.object_table import Table
     from analyzer.sinks.parquet import ParquetTables
     from analyzer.sinks.process import SinkProcess
     from analyzer.sinks.workers import Workers
@@ -110,6 +111,13 @@ def run(arguments: argparse.Namespace) -> int:
     return decode_many(found, arguments, decode_one)
 
 
+def _table(reading: OpenCapture) -> Table:
+    """Return the objects that processes tell each other of; most often no other dialect comes up, and none is loaded."""
+    from analyzer.sinks.object_table import Table
+
+    return Table(reading.dialects, lambda: reading.possible)
+
+
 class _Sinks:
     """The log and the summary of a capture. Where it is long, other processes have a share of the work.
 
@@ -134,7 +142,7 @@ class _Sinks:
         if several and source.in_blocks and isinstance(output, Output):
             from analyzer.sinks.workers import MOST, Workers
 
-            source.workers = self._workers = Workers(min(jobs - 1, MOST), reading.possible)
+            source.workers = self._workers = Workers(min(jobs - 1, MOST), _table(reading))
 
         def make() -> tuple[McapLog | ParquetTables, Summary]:
             if isinstance(output, OutputFolder):
@@ -150,7 +158,7 @@ class _Sinks:
         if several and self._workers is None:
             from analyzer.sinks.process import SinkProcess
 
-            self._process = SinkProcess(reading.possible, make)
+            self._process = SinkProcess(_table(reading), make)
             self.given = (self._process,)
         else:
             self._log, self._summary = make()

@@ -12,7 +12,7 @@ from rich.cells import cell_len
 
 from analyzer.cli.reading import OpenCapture
 from analyzer.records import Finding
-from analyzer.reference.explanation_text import COLOURS
+from analyzer.reference.columns import COLOURS
 from analyzer.sinks.summary import Summary
 from analyzer.values import counted, identifier, printable
 

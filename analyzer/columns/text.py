@@ -25,7 +25,7 @@ from analyzer.columns.groups import ranks, taken
 ROOM = 31
 _GROUP = 10_000
 #: Four digits as one word.
-_DIGITS = np.frombuffer(b"".join(b"%04d" % n for n in range(_GROUP)), dtype=np.uint32)
+_DIGITS = np.ascontiguousarray(np.indices((10, 10, 10, 10), np.uint8).reshape(4, _GROUP).T + ord("0")).view(np.uint32)[:, 0]
 #: Digits of numbers that always fit into such a word.
 _SMALL_DIGITS = 9
 _MINUS = ord("-")

@@ -189,15 +189,11 @@ def _lane(*about: Any) -> Lane:
 class _Pickler(TablePickler):
     """Writes lanes as what they are made of."""
 
-    def __init__(self, stream: io.BytesIO, table: Table) -> None:
-        super().__init__(stream, table)
-        self._dialects = {d.name: d for d in table.dialects}
-
     def reducer_override(self, obj: Any) -> Any:
         """Return how an object is made again."""
         if isinstance(obj, Lane):
-            dialect = self._dialects[obj.dialect]
-            return _lane, (dialect, obj.topic, obj.role, obj.address, obj.command, obj.form, obj.start, obj.stop)
+            about = (obj.topic, obj.role, obj.address, obj.command, obj.form, obj.start, obj.stop)
+            return _lane, (self._table.dialect(obj.dialect), *about)
         return NotImplemented
 
 

@@ -7,8 +7,12 @@ import sys
 from collections.abc import Iterable, Sequence
 from textwrap import wrap
 
+from analyzer.records import Severity
+
 #: Reference pages keep to this width wherever they are shown, so that their output is stable.
 WIDTH = 100
+#: The style of each severity.
+COLOURS = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
 _GAP = "  "
 _STYLES = {"bold": "1", "red": "31", "yellow": "33", "cyan": "36"}
 

@@ -21,13 +21,12 @@ from analyzer.decoder import slots_of
 from analyzer.dialects import code_text
 from analyzer.findings import RULES
 from analyzer.layout import Field, FieldKind, ReadLayout
-from analyzer.records import Message, Severity
-from analyzer.reference.columns import columns, styled
+from analyzer.records import Message
+from analyzer.reference.columns import COLOURS, columns, styled
 from analyzer.reference.explanation import Explanation
 from analyzer.reference.hex_frame import write_frame
 from analyzer.values import range_text, value_text
 
-COLOURS = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
 _BYTES_A_ROW = 8
 _CHOICES_SHOWN = 6
 

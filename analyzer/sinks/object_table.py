@@ -11,6 +11,7 @@ import pickle
 import zlib
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from threading import Lock
 from typing import Any
 
 from analyzer import __version__
@@ -22,23 +23,56 @@ _GROUPS = 16
 
 
 class Table:
-    """The objects of some dialects, numbered."""
+    """The objects of some dialects, numbered. `later`: all dialects that may come up; others than the first are loaded then."""
 
-    def __init__(self, dialects: Sequence[Dialect]) -> None:
-        self.dialects = tuple(dialects)
+    def __init__(self, dialects: Sequence[Dialect], later: Callable[[], Sequence[Dialect]] = tuple) -> None:
+        self.dialects: tuple[Dialect, ...] = ()
         self.objects: list[Dialect | Command | Form] = []
-        for dialect in dialects:
-            self.objects.append(dialect)
-            if dialect.exception is not None:
-                self.objects.append(dialect.exception)
-            for command in (*dialect.commands, *dialect.fallbacks.values()):
-                self.objects += [command, *command.request_forms, *command.reply_forms]
-        self.numbers = {id(each): number for number, each in enumerate(self.objects)}
+        self._numbers: dict[int, int] = {}
+        self._later = later
+        self._loading = Lock()
+        self._add(dialects)
         #: What tells of some lanes, and the lanes that are told of: a capture mostly has the same from block to block.
         self.told: Callable[[tuple[Lane, ...]], bytes] = lru_cache(_GROUPS)(lambda lanes: dumped(lanes, self))
         self.lanes: Callable[[bytes], tuple[Lane, ...]] = lru_cache(_GROUPS)(
             lambda told: TableUnpickler(io.BytesIO(told), self).load()
         )
+
+    def _add(self, dialects: Sequence[Dialect]) -> None:
+        for dialect in dialects:
+            if id(dialect) in self._numbers:
+                continue
+            self.dialects += (dialect,)
+            own: list[Dialect | Command | Form] = [dialect]
+            if dialect.exception is not None:
+                own.append(dialect.exception)
+            for command in (*dialect.commands, *dialect.fallbacks.values()):
+                own += [command, *command.request_forms, *command.reply_forms]
+            self._numbers |= {id(each): number for number, each in enumerate(own, len(self.objects))}
+            self.objects += own
+
+    def _load(self) -> None:
+        with self._loading:
+            self._add(self._later())
+            self._later = tuple
+
+    def number(self, what: Dialect | Command | Form) -> int | None:
+        """Return the number of an object, None for one of no dialect."""
+        if id(what) not in self._numbers:
+            self._load()
+        return self._numbers.get(id(what))
+
+    def object(self, number: int) -> Dialect | Command | Form:
+        """Return the object of a number."""
+        if number >= len(self.objects):
+            self._load()
+        return self.objects[number]
+
+    def dialect(self, name: str) -> Dialect:
+        """Return a dialect by its name."""
+        if all(each.name != name for each in self.dialects):
+            self._load()
+        return next(each for each in self.dialects if each.name == name)
 
     @property
     def digest(self) -> str:
@@ -52,19 +86,18 @@ class TablePickler(pickle.Pickler):
 
     def __init__(self, stream: io.BytesIO, table: Table) -> None:
         super().__init__(stream, pickle.HIGHEST_PROTOCOL)
-        self._numbers = table.numbers
-        self._dialects = {dialect.name: dialect for dialect in table.dialects}
+        self._table = table
 
     def reducer_override(self, obj: Any) -> Any:
         """Return how a lane is made."""
         if not isinstance(obj, Lane):
             return NotImplemented
         about = (obj.role, obj.address, obj.command, obj.form, obj.start, obj.stop, obj.topic)
-        return _lane, (self._dialects[obj.dialect], *about)
+        return _lane, (self._table.dialect(obj.dialect), *about)
 
     def persistent_id(self, obj: Any) -> int | None:
         """Return the number of an object of the catalogue."""
-        return self._numbers.get(id(obj)) if isinstance(obj, (Dialect, Command, Form)) else None
+        return self._table.number(obj) if isinstance(obj, (Dialect, Command, Form)) else None
 
 
 class TableUnpickler(pickle.Unpickler):
@@ -72,11 +105,11 @@ class TableUnpickler(pickle.Unpickler):
 
     def __init__(self, stream: io.BytesIO, table: Table) -> None:
         super().__init__(stream)
-        self._objects = table.objects
+        self._table = table
 
     def persistent_load(self, pid: Any) -> Any:
         """Return an object of the catalogue by its number."""
-        return self._objects[pid]
+        return self._table.object(pid)
 
 
 def _lane(dialect: Dialect, role: Role, address: int, command: Command, form: Form, start: int, stop: int, topic: str) -> Lane:

@@ -40,11 +40,12 @@ _BATCH = 1 << 16
 class SinkProcess:
     """A sink that passes everything on to sinks in another process.
 
-    `make`: called in the worker, returns the sinks there. `call` runs a method of one of them and returns its result.
+    `table`: of all dialects that may come up. `make`: called in the worker, returns the sinks there. `call` runs a method of
+    one of them and returns its result.
     """
 
-    def __init__(self, dialects: Sequence[Dialect], make: Callable[[], Sequence[Sink]]) -> None:
-        self._table = Table(dialects)
+    def __init__(self, table: Table, make: Callable[[], Sequence[Sink]]) -> None:
+        self._table = table
         #: By lane, and by who sent it where the capture marks that.
         self._lanes: dict[object, int] = {}
         self._parts: list[bytes] = []
@@ -135,9 +136,8 @@ class SinkProcess:
     def _add_lane(self, lane: Lane, frame: Frame) -> int:
         number = len(self._lanes)
         self._lanes[id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role)] = number
-        numbers = self._table.numbers
         about = (frame.dialect, lane.role, lane.address, lane.command, lane.form, lane.start, lane.stop, lane.topic)
-        assert id(lane.command) in numbers  # lanes are of the dialects that the pipeline was made with
+        assert self._table.number(lane.command) is not None  # lanes are of the dialects that the pipeline was made with
         self._other(("lane", (about, frame.port, frame.role, None if frame.can is None else frame.can.id)))
         return number
 

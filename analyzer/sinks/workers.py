@@ -14,14 +14,13 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from importlib import import_module
 from queue import SimpleQueue
 from threading import Lock
 from typing import Any, Generic, TypeVar
 
-from analyzer.catalogue import Dialect
 from analyzer.sinks.forked import Ends, Forked
 from analyzer.sinks.mcap_chunk import Batch, Packed
 from analyzer.sinks.object_table import Table
@@ -79,9 +78,9 @@ class Task(Generic[R]):
 
 
 class Workers:
-    """Does tasks in `count` other processes. `dialects`: all that may come up."""
+    """Does tasks in `count` other processes. `table`: of all dialects that may come up."""
 
-    def __init__(self, count: int, dialects: Sequence[Dialect]) -> None:
+    def __init__(self, count: int, table: Table) -> None:
         #: How the workers that died ended.
         self.died: list[str] = []
         #: Tasks of each kind that may wait.
@@ -89,7 +88,7 @@ class Workers:
         self._most = count * _AT_ONCE
         # What is loaded before the workers begin, they share.
         import_module("analyzer.columns.rows")
-        self._shared = Shared(Table(dialects), _SLOTS + _SLOTS_EACH * count)
+        self._shared = Shared(table, _SLOTS + _SLOTS_EACH * count)
         self._workers = [_Worker(self._shared) for _ in range(count)]
         self._free: SimpleQueue[_Worker] = SimpleQueue()
         for worker in self._workers * _AT_ONCE:

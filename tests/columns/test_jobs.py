@@ -19,6 +19,7 @@ from analyzer.sinks.forked import available
 from analyzer.sinks.mcap_chunk import Batch, Run
 from analyzer.sinks.mcap_file import McapFile
 from analyzer.sinks.mcap_log import McapLog
+from analyzer.sinks.object_table import Table
 from analyzer.sinks.workers import Workers
 from analyzer.sources import stream
 from benchmarks.framing_noise import damage
@@ -112,7 +113,7 @@ def written(packer=None, spoil=lambda number: None):
 def test_a_long_log_is_the_same(monkeypatch):
     monkeypatch.setattr(mcap_file, "ROWS", 300)
     alone = written()
-    assert written(Workers(2, [MKS])) == alone
+    assert written(Workers(2, Table([MKS]))) == alone
     assert len(messages(alone)) > 2000
 
 
@@ -125,7 +126,7 @@ def test_blocks_that_follow_each_other_share_a_chunk(monkeypatch):
 
 @pytest.mark.parametrize("killed", [1, 2])
 def test_what_a_dead_worker_was_to_do_is_done(killed):
-    workers = Workers(2, [MKS])
+    workers = Workers(2, Table([MKS]))
 
     def spoil(number):
         if number == 1:
@@ -137,14 +138,14 @@ def test_what_a_dead_worker_was_to_do_is_done(killed):
 
 
 def test_an_error_in_a_worker_is_raised_here():
-    workers = Workers(1, [MKS])
+    workers = Workers(1, Table([MKS]))
     with pytest.raises(IndexError):
         workers.submit(Batch([Run(0, 0, 1)])).result()
     workers.shutdown(at_once=True)
 
 
 def test_an_abandoned_log_leaves_no_process():
-    workers = Workers(2, [MKS])
+    workers = Workers(2, Table([MKS]))
     log = McapLog(McapFile(io.BytesIO(), profile="", library="", packer=workers))
     pipeline = Pipeline([MKS], [log])
     for item in traffic():
