@@ -69,6 +69,15 @@ def storable(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
+def is_host(text: str) -> bool:
+    """Say whether a text can name a host. Looking up one that cannot, as `a..b`, fails as no other look-up does."""
+    try:
+        text.encode("idna")
+    except UnicodeError:
+        return False
+    return True
+
+
 def counted(count: int, noun: str, nouns: str = "") -> str:
     """Return a count with its noun: 1 frame, 2 frames. `nouns`: the plural of one that takes no s."""
     return f"{count} {noun}" if count == 1 else f"{count} {nouns or noun + 's'}"

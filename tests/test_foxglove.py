@@ -210,7 +210,7 @@ def test_places(text, place):
     assert place.loopback == (place.host != "0.0.0.0")
 
 
-@pytest.mark.parametrize("text", ["127.0.0.1:x", "h:70000", "ws://h:1", "a b:1", "h:-1"])
+@pytest.mark.parametrize("text", ["127.0.0.1:x", "h:70000", "ws://h:1", "a b:1", "h:-1", "a..b:1", "\udcff:1"])
 def test_what_is_no_place(text):
     with pytest.raises(UsageError, match="HOST:PORT"):
         read_place(text)

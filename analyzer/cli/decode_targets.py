@@ -53,11 +53,10 @@ def _make_folders(folder: Path) -> None:
 def captures(arguments: argparse.Namespace) -> list[Capture]:
     """Return the captures with their targets. Raises UsageError where a target cannot be written."""
     given = [each for word in arguments.files for each in _found(word, arguments)]
-    taken: set[Path] = set()
+    taken: dict[Path, int] = {}
     found = []
     for path, below in given:
         target = _target(path, below, arguments, len(given), taken)
-        taken.add(target)
         found.append(Capture(path, target, _size(path), below is not None))
     return found
 
@@ -146,8 +145,11 @@ def _identity(folder: Path) -> tuple[int, int]:
     return about.st_dev, about.st_ino
 
 
-def _target(path: str, below: Path | None, arguments: argparse.Namespace, count: int, taken: set[Path]) -> Path:
-    """Return the log of a capture, or the folder of its tables: another one than those that are taken."""
+def _target(path: str, below: Path | None, arguments: argparse.Namespace, count: int, taken: dict[Path, int]) -> Path:
+    """Return the log of a capture, or the folder of its tables: another one than those that are taken, and take it.
+
+    `taken`: each with the number that the last log of its name has.
+    """
     end = "." + arguments.to
     if arguments.output is None:
         if path == "-":
@@ -165,10 +167,12 @@ def _target(path: str, below: Path | None, arguments: argparse.Namespace, count:
             target = target / (below or Path()) / (Path("standard_input" if path == "-" else path).name + end)
         elif count > 1:
             raise UsageError(f"-o {arguments.output} is one file for {count} captures; give a folder")
-    first, number = target, 1
+    first, number = target, taken.get(target, 0)
     while target in taken:
         number += 1
         target = first.with_name(f"{first.stem}-{number}{end}")
+    taken[target] = 1
+    taken[first] = max(1, number)
     if target is not first:
         print(
             f"note: {printable(str(first))} is the log of another capture: {printable(path)} goes to {printable(target.name)}",

@@ -170,14 +170,16 @@ def record(
     )
     with handled(_Ending(supervisor, display.say)):
         supervisor.start()
-        display.begin(supervisor)
+        # First: a reader of what is shown may stall.
         thread = threading.Thread(target=supervisor.run, name="supervisor")
         thread.start()
         try:
+            display.begin(supervisor)
             display.watch(supervisor, thread)
         finally:
             supervisor.stop("the display broke off")
             thread.join()
+            display.tell_notes()
     summary = summarize(supervisor)
     display.end(summary)
     if display.unprinted is not None:

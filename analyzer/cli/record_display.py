@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 import sys
 import threading
 import time
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 _SECOND_S = 1.0
 #: Decoding that lags less keeps up: it works in portions.
 _BEHIND_NS = 1_000_000_000
-#: How often the live table is drawn.
-_TABLE_S = 0.25
+#: How often the live table is drawn, and notes are looked for.
+_LOOK_S = 0.25
 
 
 def make_display(*, json: bool = False, view: bool = False) -> Display:
@@ -86,7 +87,8 @@ class Display:
     """Shows a recording: a line a second on standard output, notes on standard error. Subclasses show it in other ways.
 
     `unprinted`: why a line could not be printed, of several the first; None where all were.
-    `note` and `snapshot` are called from the supervisor's thread, the others from the main one.
+    `note` and `snapshot` are called from the supervisor's thread, the others from the main one. That alone prints: a reader
+    of our output that stalls holds up no recording.
     """
 
     #: Causes that were told.
@@ -94,6 +96,10 @@ class Display:
     #: The line that was shown last.
     _shown = ""
     unprinted: OSError | None = None
+
+    def __init__(self) -> None:
+        #: Bus and text of each note that was not told yet.
+        self._notes: queue.SimpleQueue[tuple[str, str]] = queue.SimpleQueue()
 
     def _out(self, text: str) -> None:
         """Print a line in one write. A recording goes on though the reader of its output has gone, or its disk is full."""
@@ -103,7 +109,15 @@ class Display:
             self.unprinted = self.unprinted or error
 
     def note(self, bus: str, text: str) -> None:
-        """Tell what happened, on one bus or on all."""
+        """Take what happened, on one bus or on all; `tell_notes` tells it."""
+        self._notes.put((bus, text))
+
+    def tell_notes(self) -> None:
+        """Tell all that has been noted."""
+        while not self._notes.empty():
+            self._tell(*self._notes.get())
+
+    def _tell(self, bus: str, text: str) -> None:
         print(printable(f"{bus}: {text}" if bus else text) + "\n", end="", file=sys.stderr, flush=True)
 
     def snapshot(self, snapshot: Snapshot) -> None:
@@ -128,7 +142,8 @@ class Display:
     def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
         due = time.monotonic() + _SECOND_S
         while thread.is_alive():
-            thread.join(max(0.0, due - time.monotonic()))
+            thread.join(min(_LOOK_S, max(0.0, due - time.monotonic())))
+            self.tell_notes()
             if time.monotonic() >= due and thread.is_alive():
                 due = max(due + _SECOND_S, time.monotonic())
                 self.line(supervisor)
@@ -165,10 +180,9 @@ class JsonDisplay(Display):
     """The same as lines of JSON, each with an "event": begin, counts, note, end."""
 
     def _print(self, event: str, **about: Any) -> None:
-        # In one write: two threads that say something at once must not share a line.
         self._out(msgspec.json.encode({"event": event, **about}).decode())
 
-    def note(self, bus: str, text: str) -> None:
+    def _tell(self, bus: str, text: str) -> None:
         self._print("note", bus=bus, text=text)
 
     def begin(self, supervisor: Supervisor) -> None:
@@ -206,9 +220,10 @@ class TableDisplay(Display):
     def __init__(self) -> None:
         from analyzer.cli.console import Console
 
+        super().__init__()
         self._console = Console(highlight=False)
 
-    def note(self, bus: str, text: str) -> None:
+    def _tell(self, bus: str, text: str) -> None:
         """Print a note above the table."""
         from rich.text import Text
 
@@ -219,8 +234,9 @@ class TableDisplay(Display):
 
         with Live(console=self._console, auto_refresh=False, transient=True) as live:
             while thread.is_alive():
+                self.tell_notes()
                 live.update(self._table(supervisor), refresh=True)
-                thread.join(_TABLE_S)
+                thread.join(_LOOK_S)
 
     def _table(self, supervisor: Supervisor) -> Table:
         from rich.table import Table
@@ -252,23 +268,14 @@ class TableDisplay(Display):
 
 
 class ViewDisplay(Display):
-    """The terminal view; messages wait until it is closed."""
+    """The terminal view, which shows events by itself; notes wait until it is closed."""
 
     def __init__(self) -> None:
         from analyzer.view.live import SnapshotQueue
 
+        super().__init__()
         self._snapshots = SnapshotQueue()
-        self._lock = threading.Lock()
-        self._notes: list[tuple[str, str]] = []
         self._open = True
-
-    def note(self, bus: str, text: str) -> None:
-        """Keep a note for later; the view shows events by itself."""
-        with self._lock:
-            if self._open:
-                self._notes.append((bus, text))
-                return
-        super().note(bus, text)
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Pass it on."""
@@ -295,10 +302,8 @@ class ViewDisplay(Display):
         except Exception as error:
             report(error)
             why = "see above"
-        with self._lock:
-            self._open = False
-        for bus, text in self._notes:
-            super().note(bus, text)
+        self._open = False
+        self.tell_notes()
         if why not in ("quit", "ended"):
             self.note("", f"the view failed ({why}); the recording continues, Ctrl-C ends it")
         elif thread.is_alive():

@@ -1,11 +1,16 @@
 """Signals that end a program: Ctrl-C (SIGINT), SIGTERM and SIGHUP, and how a command ends in order at one of them.
 
 Signals reach the main thread alone. In another thread nothing is taken over, and nothing changes.
+
+Whoever reads our output may stall (`| less`, a terminal that stands still). Python takes a write up again behind a signal, so
+one that waits for such a reader would wait on for ever. A stream that takes nothing when a signal arrives is given up.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
+import select
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from types import FrameType
@@ -21,6 +26,8 @@ ENDING = {
 }
 
 
+#: The output and the errors, as descriptors, and milliseconds in which a reader that has not stalled takes something.
+_STREAMS, _STALLED_MS = (1, 2), 500
 #: The last of these signals that a handler took since a command began.
 _last = signal.SIGINT
 
@@ -48,6 +55,8 @@ def handled(handler: Any) -> Iterator[None]:
     def taken(number: int, frame: FrameType | None) -> None:
         global _last
         _last = signal.Signals(number)
+        # Before: a handler says things, too.
+        _leave_stalled()
         handler(number, frame)
 
     before: dict[int, Any] = {}
@@ -60,6 +69,17 @@ def handled(handler: Any) -> Iterator[None]:
     finally:
         for number, old in before.items():
             signal.signal(number, old)
+
+
+def _leave_stalled() -> None:
+    """Send nowhere what is written to a stream whose reader has stalled, also what waits for it now."""
+    for stream in _STREAMS if hasattr(select, "poll") else ():
+        waiting = select.poll()
+        waiting.register(stream, select.POLLOUT)
+        if not waiting.poll(_STALLED_MS):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream)
+            os.close(nowhere)
 
 
 class _Stop(BaseException):

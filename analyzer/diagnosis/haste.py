@@ -142,8 +142,8 @@ def _paused(chain: Sequence[Exchange]) -> Iterator[tuple[int, Exchange, bool]]:
         yield from ((early, each, False) for early, each in closed if each is not chain[0])
         left = [row for row in left if row not in closed]
         left.append((pause, exchange))
-        # A reply can come in several reads.
-        whole = dict.fromkeys((*(turn.data for turn in exchange.received), exchange.data))
+        # A reply can come in several reads. Where nothing came, none of those that wait is asked about it.
+        whole = dict.fromkeys((*(turn.data for turn in exchange.received), exchange.data)) if exchange.received else ()
         for data in whole:
             own = next((row for row in left if _can_be(data, row[1].request)), None)
             if own is not None:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 
 from analyzer.catalogue import Role
 from analyzer.errors import UsageError
-from analyzer.values import quote
+from analyzer.values import is_host, quote
 
 #: Baud rate of a serial line where none is given: the default of the MKS drives.
 DEFAULT_BAUD = 38400
@@ -173,7 +173,7 @@ def _serial(text: str, place: str, options: dict[str, str]) -> Endpoint:
 
 def _tcp(text: str, place: str, options: dict[str, str]) -> Endpoint:
     match = _HOST_PORT.fullmatch(place)
-    if match is None or not 0 < int(match["port"]) <= 0xFFFF:
+    if match is None or not 0 < int(match["port"]) <= 0xFFFF or not is_host(match["host"] or ""):
         raise UsageError(f"{quote(text)}: got {quote(place)}, expected tcp:HOST:PORT with a port 1..65535")
     baud = options.pop("baud", None)
     speed = None if baud is None else _speed(text, "baud", baud)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from analyzer.errors import UsageError
 from analyzer.sinks.mcap_file import LogFile, McapFile
-from analyzer.values import quote
+from analyzer.values import is_host, quote
 
 HOST = "127.0.0.1"
 PORT = 8765
@@ -56,7 +56,7 @@ def read_place(text: str) -> Place:
     host = host.strip("[]")
     if port and not (port.isascii() and port.isdigit() and int(port) <= 65535):
         raise UsageError(f"foxglove: expected HOST:PORT with a port of 0..65535, got {quote(text)}")
-    if any(c.isspace() or c in "/?#@" for c in host):
+    if any(c.isspace() or c in "/?#@" for c in host) or not is_host(host):
         raise UsageError(f"foxglove: expected HOST:PORT such as 127.0.0.1:8765, got {quote(text)}")
     return Place(host or HOST, int(port) if port else PORT)
 

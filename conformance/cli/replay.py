@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_on_argument(parser)
     parser.add_argument(
         "--speed",
-        type=number("a factor above 0", float, lambda factor: 0 < factor <= 1e6),
+        type=number("a factor of 1e-6 to 1e6", float, lambda factor: 1e-6 <= factor <= 1e6),
         default=1.0,
         metavar="X",
         help="2 is twice as fast (default 1)",

@@ -13,7 +13,7 @@ import socket
 from collections.abc import Callable, Sequence
 
 from analyzer.errors import UsageError
-from analyzer.values import quote
+from analyzer.values import is_host, quote
 
 LOOPBACK = "127.0.0.1"
 _ENDPOINT = re.compile(r"(?:(?P<host>\[[0-9A-Fa-f:.%]+\]|[^:\[\]]*):)?(?P<port>\d{1,5})")
@@ -32,7 +32,7 @@ def parse_endpoint(text: str) -> tuple[str, int]:
     Raises UsageError for anything else.
     """
     match = _ENDPOINT.fullmatch(text.strip())
-    if match is None or int(match["port"]) > 0xFFFF:
+    if match is None or int(match["port"]) > 0xFFFF or not is_host(match["host"] or ""):
         raise UsageError(f"got {quote(text)}, expected HOST:PORT with a port 0..65535")
     return (match["host"] or "").strip("[]") or LOOPBACK, int(match["port"])
 

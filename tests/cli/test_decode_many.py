@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import shutil
@@ -16,6 +17,7 @@ from mcap.reader import make_reader
 
 from analyzer.cli import decode as command
 from analyzer.cli import decode_many, main
+from analyzer.cli.decode_targets import captures
 from analyzer.cli.signals import handled
 from analyzer.errors import UnreadableError
 from analyzer.sinks.forked import available
@@ -126,6 +128,21 @@ def test_no_two_share_a_log(week, tmp_path, capsys):
     assert main(["decode", *files, "-o", str(flat)]) == 0
     assert tree(flat) == ["mks_can.asc-2.mcap", "mks_can.asc.mcap"] or len(tree(flat)) == 2
     assert "is the log of another capture" in capsys.readouterr().err
+
+
+def test_each_of_many_captures_of_one_name_finds_its_log_at_once(tmp_path, monkeypatch):
+    tried, with_name = 0, Path.with_name
+
+    def counting(path, name):
+        nonlocal tried
+        tried += 1
+        return with_name(path, name)
+
+    monkeypatch.setattr(Path, "with_name", counting)
+    found = captures(argparse.Namespace(files=["a/x-2", *["a/x"] * 100], output=str(tmp_path), to="mcap", force=False))
+    assert [each.target.name for each in found[:4]] == ["x-2.mcap", "x.mcap", "x-3.mcap", "x-4.mcap"]
+    assert len({each.target for each in found}) == 101
+    assert tried <= 110
 
 
 @JOBS

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import select
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from types import SimpleNamespace
 
@@ -69,3 +73,38 @@ def test_what_nohup_has_a_program_ignore_stays_ignored() -> None:
         assert not interrupt.asked
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+#: A command that takes a signal for the end of its work, as most do, and says something on both streams.
+_SAYS = """
+import sys
+from analyzer.cli.signals import handled
+asked = []
+def said(number, frame):
+    asked.append(number)
+    sys.stderr.write("it ends")
+    sys.stderr.flush()
+with handled(said):
+    for stream in (sys.stdout, sys.stderr):
+        stream.write("more than a pipe takes" * 100_000)
+        stream.flush()
+"""
+
+
+@pytest.mark.skipif(not hasattr(select, "poll"), reason="a system that does not tell whether a pipe is full")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_reader_that_has_stalled_holds_up_no_end(number: int) -> None:
+    """A write that waits for it is taken up again behind the handler."""
+    with subprocess.Popen([sys.executable, "-c", _SAYS], stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
+        assert process.stdout is not None
+        # It has begun. From here on nothing is read.
+        assert process.stdout.read(1) == b"m"
+        status = None
+        # A signal that comes before the pipe is full changes nothing.
+        for _ in range(30):
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.send_signal(number)
+                status = process.wait(2)
+                break
+        process.kill()
+        assert status == 0

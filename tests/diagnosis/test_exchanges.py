@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import pytest
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Role
+from analyzer.diagnosis import haste
 from analyzer.diagnosis.scene import Confidence
 from analyzer.encoder import build
 from analyzer.records import CanFrame, Chunk
@@ -464,3 +465,17 @@ def test_only_the_last_of_requests_that_follow_each_other_at_once_is_answered(re
     assert ("too_fast" in causes) is too_fast
     # Whom the host has not let answer is not looked for.
     assert not ("wrong_address" in causes and too_fast)
+
+
+def test_requests_of_which_none_is_answered_are_not_compared_with_what_did_not_come(monkeypatch):
+    asked, awaited = 0, haste.awaited
+
+    def counting(message):
+        nonlocal asked
+        asked += 1
+        return awaited(message)
+
+    monkeypatch.setattr(haste, "awaited", counting)
+    frames = [bytes((0xFA, address, code)) for address, code in product(range(1, 101), (0x31, 0x32))]
+    diagnosed(rows_of_requests([(f + bytes([sum(f) & 0xFF])).hex() for f in frames], REPLIES_OF_THREE[2:], 10, rounds=1))
+    assert len(frames) <= asked <= 3 * len(frames)

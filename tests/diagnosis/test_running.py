@@ -96,6 +96,7 @@ def test_a_recording_prints_a_cause_once(capsys: pytest.CaptureFixture[str]):
     for display in (Display(), JsonDisplay()):
         for snapshot in (first, second):
             display.snapshot(snapshot)
+        display.tell_notes()
     output = capsys.readouterr()
     assert output.err == "1. The adapter echoes.\n   next: switch it off\n"
     assert [json.loads(line)["text"] for line in output.out.splitlines()] == feed.causes["echo"]

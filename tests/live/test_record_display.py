@@ -6,10 +6,12 @@ import errno
 import io
 import json
 import sys
+import threading
 from types import SimpleNamespace
 
 import pytest
 
+from analyzer.cli.record import record
 from analyzer.cli.record_display import Display, JsonDisplay, behind
 from analyzer.live.port_status import PortStatus
 from analyzer.live.snapshot import BusCounts, Snapshot
@@ -32,8 +34,13 @@ def test_a_line_is_one_write_so_that_two_threads_never_share_a_line(monkeypatch)
     out, errors = Writes(), Writes()
     monkeypatch.setattr(sys, "stdout", out)
     monkeypatch.setattr(sys, "stderr", errors)
-    JsonDisplay().note("left", "cannot store")
-    Display().note("left", "cannot store")
+    for display in (JsonDisplay(), Display()):
+        display.note("left", "cannot store")
+    # What another thread notes waits for the one that prints: a reader that stalls holds up that one alone.
+    assert out.each == errors.each == []
+    for display in (JsonDisplay(), Display()):
+        display.note("left", "cannot store")
+        display.tell_notes()
     assert [json.loads(text) for text in out.each] == [{"event": "note", "bus": "left", "text": "cannot store"}]
     assert out.each[0].endswith("}\n")
     assert errors.each == ["left: cannot store\n"]
@@ -45,7 +52,10 @@ def test_a_reader_of_the_output_that_has_gone_does_not_end_a_recording(monkeypat
             raise BrokenPipeError
 
     monkeypatch.setattr(sys, "stdout", Gone())
-    JsonDisplay().note("left", "cannot store")
+    display = JsonDisplay()
+    display.note("left", "cannot store")
+    display.tell_notes()
+    assert isinstance(display.unprinted, BrokenPipeError)
     Display().begin(SimpleNamespace(tallies={}, config=SimpleNamespace(log="x.mcap")))
 
 
@@ -107,3 +117,38 @@ def test_it_says_by_how_much_decoding_is_behind(monkeypatch):
     assert (told["behind"], told["behind_frames"]) == (2.5, 130)
     supervisor.snapshot = Snapshot(0, 1, buses=buses, behind_ns=900_000_000)
     assert behind(supervisor) == (0.0, 0)
+
+
+def test_a_recording_runs_before_anything_is_shown_and_all_notes_are_told(monkeypatch, capsys):
+    runs = threading.Event()
+
+    class Recorder:
+        reason = ""
+
+        def __init__(self, config, on_note, **options):
+            self.note = on_note
+
+        def start(self):
+            self.note("left", "is slow to open")
+
+        def run(self):
+            runs.set()
+            self.note("left", "was closed")
+
+        def stop(self, reason):
+            pass
+
+    class Shown(Display):
+        def begin(self, supervisor):
+            # A reader that stalls would hold this up for ever.
+            assert runs.wait(60)
+
+        def end(self, summary):
+            self._out("the end")
+
+    monkeypatch.setattr("analyzer.live.supervisor.Supervisor", Recorder)
+    monkeypatch.setattr("analyzer.cli.record_report.summarize", lambda supervisor: SimpleNamespace(lost=0))
+    assert record(None, Shown()) == 0
+    told = capsys.readouterr()
+    assert told.err == "left: is slow to open\nleft: was closed\n"
+    assert told.out == "the end\n"

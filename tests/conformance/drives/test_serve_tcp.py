@@ -145,7 +145,7 @@ def test_endpoints(text: str, expected: tuple[str, int]) -> None:
     assert parse_endpoint(text) == expected
 
 
-@pytest.mark.parametrize("text", ["", "host", "host:", "host:70000", "host:x", "a:b:1"])
+@pytest.mark.parametrize("text", ["", "host", "host:", "host:70000", "host:x", "a:b:1", "a..b:1"])
 def test_what_is_no_endpoint(text: str) -> None:
     with pytest.raises(UsageError, match="expected HOST:PORT"):
         parse_endpoint(text)

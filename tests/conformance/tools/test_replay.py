@@ -434,6 +434,13 @@ def test_on_can(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "10 same bytes" in out
 
 
+@pytest.mark.parametrize("speed", ["1e-320", "0", "-1", "nan", "inf", "1e7"])
+def test_a_speed_by_which_no_time_can_be_divided(speed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit):
+        run(log(tmp_path / "poll.log", *polls(2)), "--dry-run", f"--speed={speed}")
+    assert "expected a factor of 1e-6 to 1e6" in capsys.readouterr().err
+
+
 def test_a_dry_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = log(tmp_path / "poll.log", *polls(3), (1.0, ">", RUN))
     assert run(path, "--dry-run") == 2
