@@ -313,7 +313,7 @@ b'\xfb\x010\x00\x00\x00\x01 \x00M'
 7
 """,
         f"- > {_READ}",
-        f"- ? {_READ_REPLY}",
+        f"- < {_READ_REPLY}",
         f"- > {_RUN}",
     ),
     _paste(

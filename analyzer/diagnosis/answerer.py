@@ -1,15 +1,16 @@
-"""Replies with another address, or another function, than the request.
+"""Replies with another address, or another function, than the request; and two replies to one request.
 
 A late reply looks the same. So a unit that still owes a reply to an earlier request is not suspected.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 
-from analyzer.catalogue import Role
+from analyzer.catalogue import Risk, Role
 from analyzer.diagnosis.exchanges import Exchange, Turn, awaited, chains
-from analyzer.diagnosis.scene import Confidence, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import SILENT, Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown, whole
 from analyzer.link import FUNCTIONS, READS, modbus_crc
 from analyzer.values import counted
 
@@ -18,6 +19,61 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect what differs between requests and what comes at once."""
     yield from _other_address(scene)
     yield from _other_function(scene)
+    yield from _two_answer(scene)
+
+
+def _two_answer(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect two drives of one address: each read is answered a second time at once, with another value.
+
+    A firmware that answers twice says the same twice, or answers some commands once.
+    """
+    troubles = {t.piece: t for t in scene.of("duplicate_reply", "unsolicited_reply") if t.piece is not None}
+    reads: Counter[int] = Counter()
+    twice: dict[int, list[tuple[Piece, Piece]]] = {}
+    asked: Piece | None = None
+    replies: list[Piece] = []
+    for piece in scene.pieces:
+        message = piece.message
+        if piece.is_request and message is not None and message.command is not None:
+            asked = piece if message.command.all_risks == {Risk.READ} else None
+            replies.clear()
+            continue
+        if asked is None or asked.message is None or message is None or not (piece.is_reply and piece.sound):
+            continue
+        replies.append(piece)
+        address = asked.message.address
+        if piece.asked_by == asked.sequence:
+            reads[address] += 1
+        elif len(replies) == _BOTH and piece in troubles and _same_form(*replies) and piece.t_ns - asked.t_ns < _AT_ONCE_NS:
+            twice.setdefault(address, []).append((replies[0], piece))
+    late = {t.piece.message.address for t in scene.of(*SILENT) if t.piece is not None and t.piece.message is not None}
+    for address, pairs in twice.items():
+        differ = sum(one.data != other.data for one, other in pairs)
+        if address in late or not differ or 2 * len(pairs) <= reads[address] or (len(pairs) == 1 and not scene.directed):
+            continue
+        one, other = pairs[0]
+        others = reads.total() - reads[address]
+        sure = Confidence.CERTAIN if differ > 1 and others > 1 else Confidence.LIKELY
+        yield Suspicion(
+            "duplicate_address", Confidence.POSSIBLE if len(pairs) == 1 else sure, [troubles[piece] for _, piece in pairs],
+            f"Two drives have the address {address}, and answer one after the other.",
+            f"{whole(one)} at byte {one.offset} and {whole(other)} answer one request; "
+            f"{len(pairs)} of {counted(reads[address], 'read')} of address {address} are answered twice"
+            + (f", none of {others} of others" if others and len(twice) == 1 else ""),
+            f"Disconnect one drive after the other and ask address {address} again; give each drive its own address",
+            tuple(Shown(piece.offset, whole(piece)) for _, piece in pairs),
+        )  # fmt: skip
+
+
+def _same_form(one: Piece, other: Piece) -> bool:
+    """Say whether two replies are of one drive and one command; a register whose request is closed is no longer named."""
+    head = 1 if one.can is not None else _HEAD
+    same = one.message is not None and other.message is not None and one.message.address == other.message.address
+    return same and len(one.data) == len(other.data) and one.data[:head] == other.data[:head]
+
+
+#: Bytes of a reply on a serial bus that tell its drive and its command; two replies; how soon both come.
+_HEAD, _BOTH, _AT_ONCE_NS = 3, 2, 100_000_000
 
 
 def _other_function(scene: Scene) -> Iterator[Suspicion]:

@@ -104,6 +104,7 @@ def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list
         return
     yield from _wrong_identifier(scene, standard, checked)
     yield from _padded(scene, standard, checked)
+    yield from _with_identifier(scene, standard)
     yield from _other_length(scene, standard, checked)
 
 
@@ -278,6 +279,25 @@ def _padded(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[D
         f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(found), 'frame')}",
         f"Send {shown(right, can.id)}",
         tuple(Shown(p.offset, shown(p.data, c.id), shown(r, c.id)) for p, c, r, _ in found),
+    )  # fmt: skip
+
+
+def _with_identifier(scene: Scene, frames: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:
+    """Suspect requests that have the identifier once more as their first byte, as the manual writes its examples."""
+    found = [
+        (p, can) for p, can in frames
+        if len(p.data) > _LEAST and p.data[0] == can.id & 0xFF and not p.is_reply
+        and (reading := scene.reader.best(p.data[1:], can.id, Role.REQUEST)) is not None and reading.listed
+    ]  # fmt: skip
+    if len(found) < _LEAST or len(found) * 2 < len(frames):
+        return
+    piece, can = found[0]
+    yield Suspicion(
+        "wrong_length", Confidence.CERTAIN, scene.of("damaged", "unanswered", "silent_address"),
+        "The data begin with the identifier, which a frame on CAN carries already: they are a byte too long.",
+        f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(found), 'frame')}",
+        f"Send the code first: {shown(piece.data[1:], can.id)}",
+        tuple(Shown(p.offset, shown(p.data, c.id), shown(p.data[1:], c.id)) for p, c in found),
     )  # fmt: skip
 
 

@@ -195,16 +195,23 @@ def _summed(failing: Failing) -> bool:
     """Say whether the last byte is the sum of those before: then the sum is there, and a byte of the fields is not."""
     data, stretch = _data(failing), failing.trouble.stretch
     can_id = stretch.can_id if stretch is not None else None
-    # A frame of CAN is not cut on its way; its sum is that of its identifier, too.
-    short = _sent_short(failing) if can_id is None else len(failing.right) == len(data) + 1 > _SHORT_CAN
+    # A frame of CAN is not cut on its way; its sum is that of its identifier, too. So with a log where each has its line.
+    alone = stretch is not None and stretch.opens and stretch.ends
+    short = alone and _is_short(failing) if can_id is None else len(failing.right) == len(data) + 1 > _SHORT_CAN
     return short and (sum(data[:-1]) + (can_id or 0)) & 0xFF == data[-1]
 
 
 def _sent_short(failing: Failing) -> bool:
     """Say whether the host has sent a serial request that is a byte short, and has fields."""
-    data, stretch = _data(failing), failing.trouble.stretch
+    stretch = failing.trouble.stretch
     of_host = stretch is not None and stretch.can_id is None and stretch.direction is Role.REQUEST
-    return of_host and len(failing.right) == len(data) + 1 and len(data) > _HEAD and not _is_counted(failing)
+    return of_host and _is_short(failing)
+
+
+def _is_short(failing: Failing) -> bool:
+    """Say whether a request with fields lacks a byte, which its head does not tell to be the sum."""
+    data = _data(failing)
+    return len(failing.right) == len(data) + 1 and len(data) > _HEAD and not _is_counted(failing)
 
 
 def _is_counted(failing: Failing) -> bool:

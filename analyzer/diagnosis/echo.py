@@ -25,15 +25,20 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect an echo."""
     repeated = scene.repeated
     # What the capture says was sent is no echo: it was sent again.
-    came = [e for e in scene.of("host_echo") if e not in repeated and scene.direction(e.offset) is not Role.REQUEST]
+    back = [e for e in scene.of("host_echo") if e not in repeated and scene.direction(e.offset) is not Role.REQUEST]
     if scene.directed and not scene.shows_sent:
         # A host that receives the same again and again has sent nothing that could come back.
-        came = []
-    whole = [(e, "" if e.piece is None else shown(e.piece.data)) for e in came]
-    sides = [burst.direction for burst in scene.bursts] if scene.directed else []
-    exchanges = sum(pair == (Role.REQUEST, Role.REPLY) for pair in pairwise(sides))
+        back = []
+    whole = [(e, "" if e.piece is None else shown(e.piece.data)) for e in back]
     found = whole + [(t, shown(sent)) for t, sent in _received(scene) if t not in [w for w, _ in whole]]
     found += [] if found else _glued(scene)
+    offsets = {trouble.offset for trouble, _ in found}
+    exchanges = sum(
+        (sent.direction, came.direction) == (Role.REQUEST, Role.REPLY)
+        # A reply that is its request by the manual tells neither.
+        and (sent.data != came.data or came.offset in offsets or not found)
+        for sent, came in (pairwise(scene.bursts) if scene.directed else ())
+    )
     if not found:
         changed = list(_changed(scene))
         yield from _damaged(
@@ -143,6 +148,9 @@ def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
             continue
         if burst.data.startswith(sent.data) and len(sent.data) >= _LEAST:
             yield trouble, sent.data
+        elif burst.data.startswith(sent.data[1:]) and (len(sent.data) > _ONCE or _replied(scene, burst, len(sent.data) - 1)):
+            # The receiver is switched on within the first byte, or the host has thrown it away.
+            yield trouble, sent.data[1:]
         elif sent.data.startswith(burst.data):
             cut.append((trouble, burst.data))
         else:
@@ -178,6 +186,11 @@ def _after(scene: Scene, trouble: Trouble) -> Stretch | None:
 def _unsound(burst: Stretch) -> bool:
     """Say whether the pipeline took a sending for no frame, so that it could not see its echo."""
     return not any(piece.sound for piece in burst.pieces)
+
+
+def _replied(scene: Scene, burst: Stretch, at: int) -> bool:
+    """Say whether the reply to what was sent before stands at a place in bytes."""
+    return any(reply.stands(burst.data, at) for reply in replies_to(scene.asked_before(burst.offset)))
 
 
 def _may_be_reply(scene: Scene, burst: Stretch) -> bool:

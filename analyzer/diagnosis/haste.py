@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 from analyzer.diagnosis.exchanges import Exchange, Turn, awaited, chains
-from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown, whole
 from analyzer.link import FUNCTIONS, modbus_crc
 from analyzer.records import Message
 from analyzer.values import counted
@@ -22,7 +22,67 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect requests that come too soon."""
     yield from _at_once(scene)
     yield from _too_fast(scene)
-    yield from _in_bursts(scene)
+    in_bursts = list(_in_bursts(scene))
+    yield from in_bursts or _one_of_row(scene)
+
+
+def _one_of_row(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a host that sends several requests before anything comes, where one reply comes for each such row.
+
+    Where it is not that of the last, the host has not waited for it, whatever the times. Alone the same requests are answered.
+    """
+    hasty: list[tuple[list[Piece], list[Piece]]] = []
+    answered: set[tuple[int, str]] = set()
+    rows = 0
+    for asked, replies in _piece_rows(scene):
+        own = [piece for piece in asked if any(_is_reply_to(reply, piece) for reply in replies)]
+        answered |= {_asked_for(piece.message) for piece in own}
+        if len(asked) == 1 and not own:
+            # One that is sent alone is not answered, either.
+            return
+        rows += len(asked) > 1
+        soon = scene.timed and asked[-1].t_ns - asked[0].t_ns < _SOON_NS
+        if len(asked) > 1 and len(own) == len(replies) == 1 and (soon or (own[0] is not asked[-1] and not scene.timed)):
+            hasty.append((asked, [piece for piece in asked if piece is not own[0]]))
+    failing = [piece for _, left in hasty for piece in left]
+    if len(hasty) < _OFTEN or 2 * len(hasty) <= rows or not any(_asked_for(p.message) in answered for p in failing):
+        return
+    (one, other, *_), _ = hasty[0]
+    addresses = {piece.message.address for piece in failing if piece.message is not None}
+    yield Suspicion(
+        "too_fast", Confidence.LIKELY,
+        [t for t in scene.of("unanswered", "silent_address", "late_reply", "unsolicited_reply")
+         if t.piece is not None and t.piece.message is not None and t.piece.message.address in addresses],
+        "The host sends several requests without waiting for their replies: one of them is answered.",
+        f"{whole(other)} at byte {other.offset} follows {whole(one)} before anything comes; "
+        f"{counted(len(failing), 'request')} without a reply in {counted(len(hasty), 'row')}",
+        "Send one request, wait for its reply or the timeout, then send the next",
+        tuple(Shown(piece.offset, whole(piece)) for piece in failing),
+    )  # fmt: skip
+
+
+def _piece_rows(scene: Scene) -> Iterator[tuple[list[Piece], list[Piece]]]:
+    """Yield different requests that follow each other before anything comes, and the replies that come before the next one."""
+    asked: list[Piece] = []
+    replies: list[Piece] = []
+    for piece in scene.pieces:
+        if not piece.sound or not (piece.is_request or piece.is_reply):
+            asked.clear()
+        elif piece.is_reply:
+            replies.append(piece)
+        else:
+            if replies:
+                if asked and len({_asked_for(p.message) for p in asked}) == len(asked):
+                    yield asked, replies
+                asked, replies = [], []
+            asked.append(piece)
+    if asked and replies and len({_asked_for(p.message) for p in asked}) == len(asked):
+        yield asked, replies
+
+
+def _is_reply_to(reply: Piece, request: Piece) -> bool:
+    """Say whether a reply is one to a request; a register whose request is closed is no longer named."""
+    return _asked_for(reply.message) == _asked_for(request.message) or _answers(reply, request)
 
 
 def _too_fast(scene: Scene) -> Iterator[Suspicion]:

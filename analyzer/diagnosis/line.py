@@ -212,8 +212,12 @@ def _said(way: Way, garbled: Sequence[Trouble]) -> Suspicion:
 def _back(reader: Reader, garbled: Sequence[Garbled], cause: str, line: Line) -> Way:
     """Return what a way explains, frame after frame of each stretch."""
     fits: list[Fit] = []
-    for number, each in enumerate(garbled):
-        if number == _TRIED and not fits:
+    # What is short tells something only beside another frame.
+    short: list[Fit] = []
+    tried: set[bytes] = set()
+    for each in garbled:
+        tried.add(each.data)
+        if len(tried) > _TRIED and not fits:
             break
         frames: Counter[bytes] = Counter()
         at = missed = 0
@@ -226,9 +230,12 @@ def _back(reader: Reader, garbled: Sequence[Garbled], cause: str, line: Line) ->
                 continue
             frames[found[0]] += found[1]
             at = start + found[1]
+        own = [Fit(each.trouble, each.data, frame, taken) for frame, taken in frames.items()]
         if fits or frames.total() >= LEAST:
-            fits += [Fit(each.trouble, each.data, frame, taken) for frame, taken in frames.items()]
-    return Way(cause, line.ratio, fits)
+            fits += own
+        elif frames.total() == len(each.data):
+            short += own
+    return Way(cause, line.ratio, [*short, *fits] if fits else [])
 
 
 def _places(data: bytes) -> Iterator[int]:

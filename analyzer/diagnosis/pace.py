@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import Exchange, Placed, Turn, awaited, chains, placed
-from analyzer.diagnosis.scene import Confidence, Piece, Read, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import Confidence, Piece, Read, Scene, Shown, Suspicion, Trouble, shown, whole
 from analyzer.link import READS
 from analyzer.values import counted
 
@@ -30,6 +30,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     yield from _across(scene)
     yield from _in_parts(scene)
     if not chains(scene):
+        yield from _late_on_can(scene)
         return
     for part in (_late, _misaligned, _split, _split_replies):
         yield from part(scene)
@@ -44,8 +45,11 @@ def _late(scene: Scene) -> Iterator[Suspicion]:
         return
     first = late[0]
     back = counted(first.back, "request")
+    # A host that sends several and then reads all of their replies may mean to do so.
+    several = any(len(exchange.received) > 1 for chain in chains(scene) for exchange in chain)
+    steady = len({p.back for p in late}) == 1 and not several
     yield Suspicion(
-        "late_reply", Confidence.CERTAIN,
+        "late_reply", Confidence.CERTAIN if steady else Confidence.POSSIBLE,
         scene.of("unanswered", "unsolicited_reply", "late_reply", "duplicate_reply", "silent_address")
         or [Trouble("late_reply", p.read.offset) for p in late],
         f"Each reply answers an earlier request: the host is {back} ahead of what it reads.",
@@ -53,6 +57,39 @@ def _late(scene: Scene) -> Iterator[Suspicion]:
         "Wait longer for each reply (adapters hold bytes back up to 16 ms), and clear the input once before the next request",
         tuple(Shown(p.read.offset, shown(p.read.data)) for p in late),
     )  # fmt: skip
+
+
+def _late_on_can(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect replies that come one by one, each behind the next request to the drive and long after its own."""
+    asked: dict[int, Piece] = {}
+    last: dict[int, Piece] = {}
+    late: list[Piece] = []
+    replies = 0
+    for piece in scene.pieces:
+        if piece.message is None or piece.can is None:
+            continue
+        if piece.is_request:
+            asked[piece.sequence] = last[piece.message.address] = piece
+        elif piece.asked_by in asked:
+            replies += 1
+            own, newer = asked[piece.asked_by], last[asked[piece.asked_by].message.address]  # type: ignore[union-attr]
+            if own is not newer and piece.t_ns - own.t_ns > _BEHIND_NS and newer.t_ns - own.t_ns > _BEHIND_NS:
+                late.append(piece)
+    if not scene.timed or len(late) < _LATE or 2 * len(late) <= replies:
+        return
+    yield Suspicion(
+        "late_reply", Confidence.LIKELY,
+        scene.of("unanswered", "unsolicited_reply", "late_reply", "duplicate_reply", "silent_address")
+        or [Trouble("late_reply", piece.offset, None, piece) for piece in late],
+        "Each reply answers an earlier request: the host has sent the next one before it came.",
+        f"{whole(late[0])} at byte {late[0].offset} comes behind the next request; {counted(len(late), 'time')}",
+        "Wait longer for each reply, and take those whose code is that of the request",
+        tuple(Shown(piece.offset, whole(piece)) for piece in late),
+    )  # fmt: skip
+
+
+#: A host that has sent the next request so much later has waited for the reply, and given it up.
+_BEHIND_NS = 5_000_000
 
 
 def _not_asked(scene: Scene, placed_: Placed) -> bool:

@@ -37,7 +37,8 @@ def _second_reply(scene: Scene) -> Iterator[Suspicion]:
     found: list[Trouble] = []
     once: set[str] = set()
     again: set[str] = set()
-    troubles = {t.piece: t for t in scene.of("duplicate_reply", "unsolicited_reply") if t.piece is not None}
+    unasked = scene.of("duplicate_reply", "unsolicited_reply")
+    troubles = {t.piece: t for t in unasked if t.piece is not None and t not in scene.explained}
     last: Piece | None = None
     for piece in scene.pieces:
         message = piece.message

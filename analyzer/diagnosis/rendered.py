@@ -70,6 +70,9 @@ def of_what_was_sent(scene: Scene, garbled: Sequence[Garbled]) -> Iterator[Way]:
                 for trouble, data, _ in garbled:
                     # A start that is missing is that of all bytes.
                     at = data.find(came[:ALIKE], 0, ALIKE if line.missed else _STRAY + ALIKE)
+                    if at < 0 and line.inverted and came[-_SAME:] in data:
+                        # An edge before the first byte shifts those that follow, up to a byte that looks like a pause.
+                        at = 0
                     if data != frame and at >= 0 and (same := _common(came, data[at:])):
                         fits[trouble] = Fit(trouble, data[at:], frame, same)
         yield Way(cause, line.ratio, list(fits.values()))

@@ -79,10 +79,9 @@ def _two_masters(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
     own: list[bytes] = []
     others = _of_same_form(scene)
     for piece in scene.pieces:
-        # A register or a length that the manual does not have makes a request no less one, where a CRC says so.
-        if piece in others or not piece.is_request or not (piece.sound or (piece.can is None and modbus_crc(piece.data) == 0)):
-            continue
         direction = scene.direction(piece.offset)
+        if piece in others or not _asks(scene, piece, direction):
+            continue
         if direction is Role.REQUEST:
             own.append(piece.data)
         elif direction is Role.REPLY and piece.data not in own[-2:]:
@@ -107,6 +106,16 @@ def _two_masters(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
         "Let one host speak alone: disconnect the other, or have it ask through the first",
         (*(Shown(p.offset, shown(p.data)) for p in others), *frames),
     )  # fmt: skip
+
+
+def _asks(scene: Scene, piece: Piece, direction: Role) -> bool:
+    """Say whether a piece is a request, whoever sent it."""
+    if piece.can is not None or not piece.is_request:
+        # What the host receives is taken for a reply, where the bytes alone do not tell: as one it has a wrong length.
+        taken = direction is Role.REPLY and piece.can is None and "wrong_length" in piece.rules
+        return piece.is_request or (taken and scene.reader.best(piece.data, role=Role.REQUEST) is not None)
+    # A register or a length that the manual does not have makes a request no less one, where a CRC says so.
+    return piece.sound or modbus_crc(piece.data) == 0
 
 
 def _of_same_form(scene: Scene) -> list[Piece]:

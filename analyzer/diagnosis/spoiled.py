@@ -273,7 +273,9 @@ def _glitch(scene: Scene, part: _Part, before: _Part | None, behind: _Part | Non
     if len(data) > (_GLITCH_BYTES if pulse else _STRAY_BYTES):
         return None
     whole_burst = stretch.opens and stretch.ends and data == stretch.data
-    if not pulse and whole_burst:
+    asked = scene.asked_before(stretch.offset)
+    # The end of the request before it is an echo whose start is missing.
+    if not pulse and (whole_burst or (asked is not None and len(data) > 1 and asked.data.endswith(data))):
         return None
     opens = stretch.opens and stretch.data.startswith(data)
     ends = stretch.ends and stretch.data.endswith(data)

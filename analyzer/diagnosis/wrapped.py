@@ -69,6 +69,44 @@ def _flow_control(reader: Reader, data: bytes) -> bytes | None:
     return None
 
 
+def _question_marks(reader: Reader, data: bytes) -> bytes | None:
+    """Put bytes from 80 on back for which an encoding without them has put question marks: heads, codes, and checks."""
+    if not 2 < len(data) <= _LONGEST or _MARK not in data or not data.isascii():
+        return None
+    for dialect in reader.dialects:
+        size = len(dialect.link.completed(data)) - len(data)
+        heads = [first for first in dialect.link.first_bytes if first > _ASCII]
+        codes = [command.code for command in dialect.commands if _ASCII < command.code <= 0xFF]
+        ways = [[byte] if byte != _MARK[0] else heads if not at else codes for at, byte in enumerate(data[:-size])]
+        if sum(len(way) != 1 for way in ways) > 2:
+            continue
+        for body in map(bytes, product(*ways)):
+            frame = dialect.link.completed(body)
+            marked = bytes(byte if byte <= _ASCII else _MARK[0] for byte in frame)
+            if marked == data and (reading := reader.best(frame)) is not None and reading.listed:
+                return frame
+    return None
+
+
+#: What an encoding puts for what it has not, and its last byte.
+_MARK, _ASCII = b"?", 0x7F
+
+
+def _of_can(reader: Reader, data: bytes) -> bytes | None:
+    """Return the native frame where bytes are an identifier and the data of a frame on CAN, with the sum over both."""
+    # A low identifier: E0 and up are the heads of another product.
+    can = 2 < len(data) <= _LONGEST and data[0] <= _ASCII
+    reading = Reader.of_bus("can").best(data[1:], data[0], Role.REQUEST) if can else None
+    if reading is None or not reading.listed or reader.best(data) is not None:
+        return None
+    native = next((d.link.completed(_HEAD + data[:-1]) for d in reader.dialects if _HEAD[0] in d.link.first_bytes), b"")
+    return native if reader.best(native) is not None else b""
+
+
+#: The head of a request of the native dialect.
+_HEAD = b"\xfa"
+
+
 def _letters(reader: Reader, data: bytes) -> bytes | None:
     if not _HEX.fullmatch(data):
         return None
@@ -125,8 +163,16 @@ DRESSES = (
         "text_mode", _encoded, "Bytes from 80 on are encoded as UTF-8 text: each becomes two.",
         "Write bytes, not strings",
     ),
+    Dress(
+        "text_mode", _question_marks, "Bytes are encoded as ASCII text: each from 80 on becomes 3F, a question mark.",
+        "Write and read bytes, not strings", 2,
+    ),
     _LINE_ENDS,
     _FLOW_CONTROL,
+    Dress(
+        "wrong_dialect", _of_can, "These are frames of the CAN manual on a serial line: identifier, data, and their sum.",
+        "Send the frames of the RS485 manual, which begin with FA and count it in their sum", 2,
+    ),
     Dress(
         "tcp_framing", _tcp, "The frame has the header of Modbus TCP and no CRC: an RTU drive does not take it.",
         "Switch the program or the gateway to Modbus RTU (over TCP: to RTU conversion)",

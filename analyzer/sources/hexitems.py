@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from enum import StrEnum
 
-from analyzer.sources.marks import LETTERS, SIGNS, WORDS
+from analyzer.sources.marks import ACTIONS, LETTERS, SIGNS, WORDS
 from analyzer.sources.stamps import ANY, DAYS
 
 
@@ -19,6 +19,7 @@ class When(StrEnum):
 
 #: Words and signs that say who sent, and what may stand behind them.
 WORDS_PATTERN = "|".join(sorted(WORDS, key=len, reverse=True))
+_RECEIVED = "|".join(sorted((word for word, way in ACTIONS.items() if way < 0), key=len, reverse=True))
 _letters = "|".join(LETTERS)
 SIGNS_PATTERN = "|".join(re.escape(sign) for sign in sorted(SIGNS, key=len, reverse=True))
 _END = r"(?![0-9A-Za-z_]|::)"
@@ -61,6 +62,10 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
             "(",
             rf"\s*(?:[$>\s]*)(?:[A-Za-z_]\w*\.)*(?P<call>{WORDS_PATTERN})(?!\w*{_VALUES})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"']))?",
         ),
+        # `>>> ser.read(64)`: a console prints below it what it returns.
+        (When.UNMARKED, ">>>", rf"\s*>>>\s*(?:[A-Za-z_]\w*\.)+(?P<call>{_RECEIVED})\w{{0,12}}\([\w.=, ]{{0,40}}\)\s*$"),
+        # `Serial1.write: FA 1 30 2B`.
+        (When.ANY, ".", rf"\s*(?:[A-Za-z_]\w*\.)+(?P<call>{WORDS_PATTERN})(?:\(\))?\s*[:=]\s*{_BYTES}"),
         # Who sends to whom: `PC=>MOT`, `COM>TCP`, `[host <- drive]`.
         (When.UNMARKED, "", rf"\s*[\[(]?{_ENDS}"),
         (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{WORDS_PATTERN})(?:_?{CONTENT})?(?:\(\):)?{_END}{DECORATION}"),
@@ -96,7 +101,7 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         ),
         # A counter before a mark.
         (When.UNMARKED, "", rf"\s*#?\d{{1,9}}\s*[-.):]\s*(?=[<>\[(]*(?:{WORDS_PATTERN}){_END})"),
-        (When.UNMARKED, "|", rf"\s*\d{{1,9}}\s*\|\s*(?=\d{{1,4}}[-:/.]\d|[|\s]*(?:{WORDS_PATTERN}){_END})"),
+        (When.ANY, ".", rf"\s*\d{{1,9}}\s*\|\s*(?=\d{{1,4}}[-:/.]\d|[|\s]*(?:{WORDS_PATTERN}){_END})"),
         # A declaration: `uint8_t run[] = {`.
         (
             When.UNMARKED,

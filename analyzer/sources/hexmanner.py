@@ -208,8 +208,8 @@ class Manner(NamedTuple):
             role = role_of(_words(found["call"])) if found["call"] is not None else line.role
             data = bytes((int(found["digit"], 16),))
             line = line._replace(shape=Shape.TRAFFIC, data=data, role=role, radix=Radix.HEX)
-        if self.short and line.shape is Shape.BROKEN and _SHORT.fullmatch(text) is not None:
-            data = bytes(int(digit, 16) for digit in text.split())
+        if self.short and line.shape is Shape.BROKEN and _SHORT.fullmatch(line.text) is not None:
+            data = bytes(int(digit, 16) for digit in line.text.split())
             line = line._replace(shape=Shape.TRAFFIC, data=data, radix=Radix.EITHER)
         if self.lettered and line.data and line.sign in _HEX_LETTERS:
             line = line._replace(data=bytes((int(line.sign, 16),)) + line.data, sign="")

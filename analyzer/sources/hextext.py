@@ -60,6 +60,9 @@ _WRAPPED = re.compile(r"(?:<[0-9A-F]{2}>)+\s*", re.IGNORECASE)
 _AGAIN = re.compile(r"\bprocessing\b\W*$", re.IGNORECASE)
 #: What separates a label from its bytes. In a sentence nothing does.
 _LABELLED = re.compile(r"[:=>|]\s*[\[({<'\"`]?\s*$")
+#: A word and its colon before bytes; and bytes behind one to the end of the line.
+_LABEL_BEFORE = re.compile(r"([^\W\d_]\w*)\s*[:=]\s*$")
+_BEHIND_LABEL = re.compile(r"(?<!\w)(?P<label>[^\W\d_]\w*)\s*[:=]\s*(?P<bytes>[\[({]?\s*(?:0[xX])?[0-9A-Fa-f]{1,2}\b.*)$")
 #: A library's word for what it had read before.
 _KEPT = re.compile(r"\b(?:old|extra|unexpected)[_ ]data\s*[:=]\s*$", re.IGNORECASE)
 #: Characters before bytes that are looked at for such words: with all of a long line, its cost would grow with its square.
@@ -181,6 +184,8 @@ class _Reader:
         self._passed = 0
         self._declared = False
         self._known: set[bytes] = set()
+        #: Words that stood right before frames.
+        self._labels: set[str] = set()
         self._parts: set[bytes] = set()
         #: What came from one sender since its last whole frame.
         self._joined: tuple[Role, bytes] = (Role.UNKNOWN, b"")
@@ -253,7 +258,9 @@ class _Reader:
                 self._header, self._header_ns = line, t_ns
             elif line.shape is Shape.COMMENT:
                 yield from self._words(t_ns, line)
-            elif (said := mentions(text, self._manner.brackets)) and _SPOILT.match(text, said[-1].end) is None:
+            elif (said := mentions(text, self._manner.brackets) or self._labelled(text)) and _SPOILT.match(
+                text, said[-1].end
+            ) is None:
                 yield from self._quoted(t_ns, text, said)
             else:
                 source.problem(f"expected hex bytes, got {quote(line.text.strip())!r}", line=self._lines.number)
@@ -275,6 +282,7 @@ class _Reader:
     def _words(self, t_ns: int | None, line: HexLine) -> Iterator[Chunk | Comment]:
         """Yield a line of words; in prose also the frames that it quotes."""
         said = mentions(line.text, self._manner.brackets) if not line.text.startswith("#") or self._manner.commented else []
+        said = said or self._labelled(line.text)
         if self._manner.prose and not said and _WORDS.search(line.text):
             self._above, self._below, self._unsent = role_in_text(line.text), False, unsent(line.text)
             self._above_words = frozenset(_WORDS.findall(line.text))
@@ -288,6 +296,14 @@ class _Reader:
             yield self._source.comment(t_ns, line.text)
             return
         yield from self._quoted(t_ns, line.text, said)
+
+    def _labelled(self, text: str) -> list[Quotation]:
+        """Return bytes behind a word that stood before frames: too few, or without a letter, to be a frame by themselves."""
+        found = _BEHIND_LABEL.search(text) if self._labels else None
+        data = bytes_of(found["bytes"]) if found is not None and found["label"] in self._labels else None
+        if found is None or not data:
+            return []
+        return [Quotation(found.start("bytes") + 1, data, role_in_text(text[: found.start("bytes")]), len(text))]
 
     def _better(self, text: str, line: HexLine) -> list[Quotation]:
         """Return what a line of words speaks of, where that is more than the bytes behind its last mark."""
@@ -314,6 +330,8 @@ class _Reader:
         yield self._source.comment(t_ns, f"{where}: {text}")
         alone = all(_LABEL.fullmatch(word) or word in self._above_words for word in _WORDS.findall(text))
         for each in frames:
+            if (label := _LABEL_BEFORE.search(text, max(0, each.column - 1 - _NEAR), each.column - 1)) is not None:
+                self._labels.add(label[1])
             role = self._marks(self._above) if each.role is Role.UNKNOWN and alone else each.role
             self._know(each.data, role)
             self._marks(role)
@@ -385,7 +403,11 @@ class _Reader:
     def _end_parts(self) -> Iterator[Chunk | Comment]:
         """Yield the frame of the fields or rows so far."""
         if self._rows:
-            yield Chunk(None, self._source.port(), bytes(self._rows), self._marks(self._above), True)
+            role, t_ns = self._above, None
+            if self._header is not None and not self._collected:
+                # A mark and perhaps a time, alone on the line above the dump.
+                role, t_ns, self._header = self._header.role, self._header_ns, None
+            yield Chunk(t_ns, self._source.port(), bytes(self._rows), self._marks(role), True)
             self._rows.clear()
         rows, self._fields = self._fields, []
         if is_frame(rows):
@@ -424,8 +446,10 @@ class _Reader:
         yield msgspec.structs.replace(self._chunk(t_ns, line, line.data), torn=True)
 
     def _is_reprint(self, t_ns: int | None, line: HexLine) -> bool:
-        """Say whether another layer of a program prints at once what the line before has."""
+        """Say whether a program prints at once what the line before has, or a console how many bytes it has sent."""
         before = self._printed
+        if before is not None and before[1] is Role.REQUEST and not line.marked and line.data.hex() == str(len(before[0])):
+            return True
         self._printed = (line.data, line.role, (line.sign, line.worded, line.passed), t_ns)
         # Of single bytes the layers take turns: one prints each bit by bit.
         layers = before is not None and "binary" in (before[2][0], line.sign)

@@ -46,6 +46,8 @@ _RUN = re.compile(
     r"|(?P<slashed>(?<![\w:\\.])(?:\\[0-9A-Fa-f]{2}(?!\w|\.\w)){3,})"
     # Each byte in brackets.
     rf"|(?P<each>(?:\[{_ITEM}\]\s*){{2,}}|(?:<\s?{_ITEM}\s?>\s*){{2,}}|(?:\{{{_ITEM}\}}\s*){{2,}})"
+    # Behind a label to the end of the line, without their zeros, as Arduino prints them.
+    r"|(?P<short>(?<=[:=>] )(?=[0-9A-Fa-f ]*\b[0-9A-Fa-f]\b)[0-9A-Fa-f]{1,2}(?: [0-9A-Fa-f]{1,2}){3,}(?=\s*$))"
     # `10-15-0-204`, as modbus_tk prints it.
     rf"|(?P<dashed>(?:{_NOTHING_BEFORE}(?=[\d-]*\d{{3}})|(?:(?<=[<-]-)|(?<=(?:<-|->)[ \t]))(?=(?:\d{{1,3}}-)*\d\b))"
     r"\d{1,3}(?:-\d{1,3}){2,}(?![\w.-]))"
@@ -58,6 +60,8 @@ _RUN = re.compile(
     rf"|(?P<digits>{_NOTHING_BEFORE}(?=[0-9A-Fa-f]*\d)(?=\d*[A-Fa-f])(?:[0-9A-Fa-f]{{2}}){{4,}}(?![\w/-]))"
 )
 _LETTER = re.compile(r"[A-Fa-f]|0[xX]|\\x")
+_LABEL = re.compile(r"[^\W\d_]\s*[:=]\s*$")
+_TWO_WITH_LETTER = re.compile(r"\b(?=\w?[A-Fa-f])\w\w\b")
 _NETWORK_CARD = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")
 _TIME = re.compile(r"[0-2]\d:[0-5]\d:[0-5]\d(?::\d+)*")
 _UNLETTERED, _LEAST, _LEAST_DIRECT = 5, 3, 2
@@ -197,7 +201,13 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
         return "" if len(data) >= _LEAST else None
     if kind == "list":
         sure = lettered or any(value >= _THREE_DIGITS for value in data) or _BYTES_WORD.search(before) is not None
-        return "" if len(data) > _LEAST and sure else None
+        # Numbers of a sentence stand in brackets, too. Behind a label they are a frame, though it is short.
+        least = _LEAST if _LABEL.search(before) is not None and text.lower().count("0x") == len(data) else _LEAST + 1
+        return "" if len(data) >= least and sure else None
+    if kind == "short":
+        # Words of two letters, and numbers in a list, are not both in one text.
+        sure = _TWO_WITH_LETTER.search(text) is not None and any(c.isdigit() for c in text)
+        return "" if sure and text in (text.upper(), text.lower()) else None
     # Words of two letters are none in capitals.
     if text != text.upper() and not any(c.isdigit() for c in text):
         return None

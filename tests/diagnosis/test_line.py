@@ -9,7 +9,7 @@ from analyzer.diagnosis.bits import Line, Rows, levels, read, unread
 from analyzer.diagnosis.reader import Reader
 from analyzer.records import Chunk
 from benchmarks import troubles
-from tests.diagnosis.spoiled_line import STEPS, both, received
+from tests.diagnosis.spoiled_line import STEPS, Format, both, received
 from tests.diagnosis.spoiled_line import levels as on_the_line
 from tests.diagnosis.test_diagnosis import (
     LK_READS,
@@ -362,3 +362,17 @@ def test_bytes_before_each_frame_of_an_unbroken_recording():
 
 def joined(rows, before, behind):
     return Chunk(None, "bus", b"".join(before + data + behind for _, data in rows), Role.UNKNOWN, False)
+
+
+def test_short_frames_that_a_receiver_with_a_parity_reads():
+    replies = [NATIVE.link.completed(bytes((0xFB, 1, 0x31, 0, 0, 0, 0, 0, n))) for n in (0x3E, 0x12, 0x30, 0x16)]
+    request = build(NATIVE, "read_position", 1)
+    rows = [received(on_the_line(data), form=Format(8, even=True)) for reply in replies for data in (request, reply)]
+    assert len(rows[0]) < len(request)
+    assert first(*rows) == "wrong_parity"
+
+
+def test_an_inverted_reply_behind_an_edge():
+    sent, reply = modbus("03 10 00 51 00 01 02 00 09"), modbus("03 10 00 51 00 01")
+    came = received(on_the_line(reply), inverted=True)
+    assert first((">", sent), ("<", b"\0\xec" + came[1:] + b"\0")) == "inverted_lines"

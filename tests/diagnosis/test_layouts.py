@@ -1,0 +1,195 @@
+"""Causes in the layouts of logs: what a drive and a host do wrong is named the same however it is written down."""
+
+from __future__ import annotations
+
+import pytest
+
+from analyzer.link import modbus_crc
+from tests.diagnosis.test_log_forms import FORMS, pairs
+from tests.diagnosis.test_pastes import diagnosed
+
+
+def native(*body, head=0xFA):
+    return bytes((head, *body, (head + sum(body)) & 0xFF))
+
+
+def reply(*body):
+    return native(*body, head=0xFB)
+
+
+def lk(code, address, *data):
+    head = bytes((0x3E, code, address, len(data)))
+    return head + bytes((sum(head) & 0xFF,)) + bytes((*data, sum(data) & 0xFF)[: len(data) + bool(data)])
+
+
+def unit(*body):
+    return bytes(body) + modbus_crc(bytes(body)).to_bytes(2, "little")
+
+
+def exchanges(*rows):
+    return [row for sent, came in rows for row in ((">", sent), *(("<", each) for each in came))]
+
+
+POSITION, SPEED, STATUS = native(4, 0x31), native(4, 0x32), native(4, 0xF1)
+POSITIONS = [reply(4, 0x31, 0, 0, 0, 0, n, 7 * n) for n in range(1, 9)]
+OTHERS = [reply(4, 0x31, 0, 0, 0, 9, n, 5) for n in range(1, 9)]
+STATES = [lk(0x92, 6, n, 3, 0, 0, 0, 0, 0, 0) for n in range(1, 9)]
+READ = unit(7, 4, 0, 0x31, 0, 3)
+VALUES = [unit(7, 4, 6, 0, 0, 0, 0, n, 9) for n in range(1, 9)]
+#: Rows of a log, and what is wrong.
+STORIES = {
+    "clean": (exchanges(*((POSITION, [came]) for came in POSITIONS), (STATUS, [reply(4, 0xF1, 1)])), None),
+    "clean lk": (exchanges(*((lk(0x92, 6), [came]) for came in STATES)), None),
+    "two whole replies": (
+        exchanges(
+            *((POSITION, pair) for pair in zip(POSITIONS[:4], OTHERS[:4], strict=True)),
+            (native(5, 0x31), [reply(5, 0x31, *[0] * 5, 9)]),
+        ),
+        "duplicate_address",
+    ),
+    "two whole replies of a unit": (
+        exchanges(*((READ, pair) for pair in zip(VALUES[:3], VALUES[5:], strict=True))),
+        "duplicate_address",
+    ),
+    "two whole replies lk": (
+        exchanges(*((lk(0x92, 6), pair) for pair in zip(STATES[:3], STATES[5:], strict=True))),
+        "duplicate_address",
+    ),
+    "one of three": (
+        exchanges(
+            *(row for came in POSITIONS[:3] for row in ((POSITION, []), (SPEED, []), (STATUS, [came]))),
+            (SPEED, [reply(4, 0x32, 0, 9)]),
+        ),
+        "too_fast",
+    ),
+    "a second host": (
+        exchanges(*((lk(0x92, 6), [came, lk(0x9A, 2), lk(0x9A, 2, 30, 0xC4, 9, 0, 0, 0, 0)]) for came in STATES[:3])),
+        "two_masters",
+    ),
+    "an echo without its start": (exchanges(*((POSITION, [POSITION[1:] + came]) for came in POSITIONS[:3])), "echo"),
+    "a write of several that comes back": (
+        exchanges(*((write, [write]) for write in (unit(7, 0x10, 0, 0xF6, 0, 2, 4, 0, 9, 1, 44), unit(7, 6, 0, 0xF3, 0, 1)))),
+        "echo",
+    ),
+    "a byte of the fields is missing": (
+        exchanges(*((native(4, 0xFD, 0, speed, 0, 0, 0x19, speed), []) for speed in (70, 120, 200))),
+        "wrong_length",
+    ),
+    "question marks": (
+        exchanges(*((f.translate(bytes((*range(128), *b"?" * 128))), []) for f in (POSITION, STATUS, native(4, 0xF3, 1)))),
+        "text_mode",
+    ),
+    "frames of can": (
+        exchanges(*((bytes((4, *body, (4 + sum(body)) & 0xFF)), []) for body in ((0x31,), (0xF3, 1), (0xF6, 1, 44, 5)))),
+        "wrong_dialect",
+    ),
+}
+#: Layouts that show who sent; of the others, which show it too, the forms of a library stand in for its kin.
+CHOSEN = (
+    "docklight", "modbus-poll", "csv", "json", "python", "lists", "arduino", "strace", "digits", "sentences", "table", "braces",
+    "blocks", "socat", "buffers",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("story", STORIES)
+@pytest.mark.parametrize("form", CHOSEN)
+def test_a_cause_in_a_layout(form, story):
+    rows, cause = STORIES[story]
+    found = diagnosed("".join(f"{FORMS[form](mark, number // 8, data)}\n" for number, (mark, data) in enumerate(rows)))
+    assert (found.causes[0].suspicion.cause if found.causes else None) == cause
+    assert found.verdict == ("trouble" if cause else "ok")
+
+
+def causes(text):
+    return [each.suspicion.cause for each in diagnosed(text).causes]
+
+
+# --- layouts that tell less ----------------------------------------------------------------------------------------------
+
+
+def test_a_console_prints_below_a_call_what_it_returns():
+    move = native(4, 0xFD, 1, 44, 5, 0, 0, 25, 0)
+    sent = exchanges(*((POSITION, [POSITION + came]) for came in POSITIONS[:2]), (move, [move + reply(4, 0xFD, 1)]))
+    text = "".join(f">>> port.write({d!r})\n{len(d)}\n" if mark == ">" else f">>> port.read(64)\n{d!r}\n" for mark, d in sent)
+    assert causes(text) == ["echo"]
+    assert diagnosed(text.replace(repr(move), "X").replace("X + ", "")).verdict == "trouble"
+
+
+@pytest.mark.parametrize("label", ["Serial2.write: {}", "port.write = {}", "to the motor: {}", "drv> cmd: {}"])
+def test_bytes_without_their_zeros_behind_any_word(label):
+    frames = (native(4, 0x31), native(4, 0xF3, 1), native(4, 0xF6, 1, 44, 5))
+    text = "".join(
+        f"10:00:0{n}.000 -> {label.format(' '.join(f'{b:X}' for b in f[1:-1] and (*f[:-1], sum(f[1:-1]) & 0xFF)))}\n"
+        for n, f in enumerate(frames)
+    )
+    assert causes(text) == ["wrong_checksum_rule"]
+
+
+def test_numbers_behind_a_word_are_no_bytes():
+    assert diagnosed("count: 1 2 3 4\nsizes = [0x10, 0x20]\nsteps: 5 6 7 8\n").verdict == "unknown"
+
+
+@pytest.mark.parametrize("bus", ["bus: {}", "sniff: [{}]", "wire {{{}}}"])
+def test_what_is_short_behind_a_word_that_stood_before_frames(bus):
+    rows = [(">", READ)] + [row for came in VALUES[:4] for row in (("<", came[:4]), (">", READ))]
+    shape = (lambda d: pairs(d)) if "[" not in bus and "{{" not in bus else lambda d: ", ".join(f"0x{b:02x}" for b in d)
+    text = "".join(f"10:00:0{n}.100 {bus.format(shape(data))}\n" for n, (_, data) in enumerate(rows))
+    assert causes(text)[:1] == ["reply_cut"]
+
+
+def test_a_dump_below_its_mark():
+    rows = exchanges(*((SPEED, [SPEED + reply(4, 0x32, 0, n)]) for n in (60, 61)))
+    text = "".join(f"{'Sent' if mark == '>' else 'Received'}\n  0000  {pairs(data)}\n" for mark, data in rows)
+    assert causes(text) == ["echo"]
+
+
+# --- what is not accused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        # One drive says the same twice; a late reply comes beside that of the request that was sent again.
+        exchanges(*((POSITION, [came, came]) for came in POSITIONS[:3])),
+        exchanges((POSITION, []), (POSITION, POSITIONS[:2])),
+        # A drive that reports by itself.
+        exchanges((POSITION, POSITIONS[:5])),
+    ],
+)
+def test_a_second_reply_alone_is_no_second_drive(rows):
+    text = "".join(f"10:00:0{n}.000 {mark} {pairs(data)}\n" for n, (mark, data) in enumerate(rows))
+    assert "duplicate_address" not in causes(text)
+
+
+def test_several_requests_whose_replies_all_come_later_are_not_certainly_late():
+    came = (POSITIONS[0], reply(4, 0x32, 0, 60), reply(4, 0xF1, 1))
+    rows = exchanges(*(row for _ in range(4) for row in ((POSITION, []), (SPEED, []), (STATUS, came))))
+    found = diagnosed("".join(f"{mark} {pairs(data)}\n" for mark, data in rows))
+    assert {each.suspicion.confidence for each in found.causes} <= {"possible"}
+
+
+# --- can -----------------------------------------------------------------------------------------------------------------
+
+
+def can(*rows, step_ns=100_000_000):
+    return "".join(f"({1_700_000_000 + n * step_ns / 1e9:.6f}) can0 {row}\n" for n, row in enumerate(rows))
+
+
+ASKED = ["005#3136", "005#3237", "005#F1F6"]
+OTHER_DRIVE = ["006#3137", "006#3100000000000138"]
+CAME = ["005#3100000000020038", "005#32004077", "005#F101F7"]
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        (can(*[row for n in range(4) for row in (ASKED[n % 3], *([CAME[(n - 1) % 3]] if n else []))]), "late_reply"),
+        (can(*[*ASKED, CAME[0], ASKED[1], CAME[1]] * 3, step_ns=1_000_000), "too_fast"),
+        # Several at once are answered all.
+        (can(*[*ASKED, *CAME] * 3, step_ns=1_000_000), None),
+        (can(*[ASKED[0], CAME[0], "005#3100000000040A44", *OTHER_DRIVE] * 3, step_ns=1_000_000), "duplicate_address"),
+        (can("005#05F301F9", "005#05F6012C052D"), "wrong_length"),
+    ],
+)  # fmt: skip
+def test_causes_on_can(text, found):
+    assert causes(text)[:1] == ([found] if found else [])
