@@ -725,8 +725,13 @@ def _is(message: Message, verb: Verb) -> bool:
 def _enabled_back(drive: MksCore, request: Request) -> None:
     """Enable the motor where a motion of direction 1, or of a negative number, comes."""
     if request.values.get("direction") == mks_shared.MotionDirection.CW or request.values.get("position", 0) < 0:
-        drive.memory.enabled = True
-        drive.grip()
+        _enabled(drive, request)
+
+
+def _enabled_fast(drive: MksCore, request: Request) -> None:
+    """Enable the motor where a fast motion comes."""
+    if request.values["speed"] > _FAST:
+        _enabled(drive, request)
 
 
 def _enabled(drive: MksCore, request: Request) -> None:
@@ -1073,6 +1078,7 @@ _RESTORED = (
 DOING: Rows = {
     "disabled": (
         Row("disabled-moves-backwards", "motion backwards is obeyed while disabled", before(MOTIONS, _enabled_back)),
+        Row("disabled-moves-fast", "motion above 500 rpm is obeyed while disabled", before(MOTIONS, _enabled_fast)),
         Row("zero-enables", "92 enables a motor that is off", before(Verb.SET_ZERO, _enabled)),
         Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", wrapped(Verb.ENABLE, _taking_up)),
     ),
