@@ -200,9 +200,9 @@ def _releases(probe: Probe, command: Command) -> None:
 
 @_of_protection("a motion, or an answer that says success", each=needing(Verb.SET_PROTECTION, motions(*RUNS_AND_MOVES)))
 def _protected(probe: Probe, command: Command) -> None:
-    """{command} is refused while the rotor protection holds."""
+    """{command} is refused either way while the rotor protection holds."""
     protect(probe)
-    expect_refused(probe, command, "while protected")
+    expect_refused(probe, command, "while protected", ways=(1, -1))
 
 
 @_of_protection("status 2", each=that_tell_their_end(commands(Verb.MOVE_RELATIVE_AXIS)), at_best=Certainty.LIKELY)
@@ -327,7 +327,7 @@ def _expect_left(probe: Probe, exchange: Exchange) -> None:
 
 @_without_hands("a motion, an answer that says success, or 3E that reads otherwise", each=commands(Verb.RELEASE_PROTECTION))
 def _limp(probe: Probe, command: Command) -> None:
-    """Once a motor without current is protected, 3E reads 1, every motion is refused, and 3D ends it.
+    """Once a motor without current is protected, 3E reads 1, every motion is refused either way, and 3D ends it.
 
     Moves behind 3D begin where the shaft stands.
     """
@@ -338,7 +338,7 @@ def _limp(probe: Probe, command: Command) -> None:
         _expect_free(probe, exchange, went)
     _expect_left(probe, exchange)
     for each in probe.dialect.motions(*RUNS_AND_MOVES):
-        expect_refused(probe, each, "while protected")
+        expect_refused(probe, each, "while protected", ways=(1, -1))
         _expect(probe, probe.traffic[-1], 1, f"{each.name} ends the protection")
     exchange = probe.ask(command)
     text = f"{command.name} is refused while protected"

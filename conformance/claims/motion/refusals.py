@@ -4,10 +4,12 @@ Rules kept here:
 - An MKS drive refuses (status 0; Modbus: a refused write) while the motor is disabled, protected, or in a pulse mode.
 - An LK motor that is off answers as always.
 - What is not carried out turns nothing, now or later.
+- One way is asked for slowly and the other one fast, where the user's bounds allow it.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
@@ -16,6 +18,7 @@ from conformance.claim import Inconclusive
 from conformance.claims.control_reads import judge_next
 from conformance.claims.declare import Case, motions
 from conformance.claims.motion.motion_claim import command_of, expect_not_turned, expect_stays, of_motion, risks_by
+from conformance.gate.gate import Refused
 from conformance.motion import declared, motion
 from conformance.motion.attempts import undamaged
 from conformance.motion.declared import CALM, MOVES, QUICK, SUBDIVISION
@@ -28,23 +31,35 @@ from conformance.talk.samples import sample
 _SURE = (MotionKind.RUN, *MOVES)
 #: How long is looked whether the shaft turns: at 60 rpm it would go by 17 degrees.
 _LOOKED_AT_NS = 60 * MS
+#: The speed of what is asked for downwards (rpm).
+_FAST = 900
 
 
 def _can_refuse(command: Command) -> bool:
     return bool(command.replies.failed or command.replies.failed_forms)
 
 
-def _turning(command: Command, way: int) -> dict[str, Any]:
+def _turning(command: Command, way: int, rpm: int = CALM) -> dict[str, Any]:
     """Return the way of a quarter turn, up or down, as motions are asked for."""
     signed = declared.of(command).kind in (MotionKind.RUN, MotionKind.TORQUE)
-    return {"degrees": 90.0 * way, "rpm": float(CALM * way if signed else CALM)}
+    return {"degrees": 90.0 * way, "rpm": float(rpm * way if signed else rpm)}
 
 
-def _request(dialect: Dialect, command: Command, start: int = 0, way: int = 1) -> dict[str, int]:
+def _request(dialect: Dialect, command: Command, start: int = 0, way: int = 1, rpm: int = CALM) -> dict[str, int]:
     """Return values of a request that would move the shaft a way, or do what the command does."""
     if command.motion is not None and command.motion.kind in _SURE:
-        return declared.values_of(dialect, command, **_turning(command, way), acceleration=QUICK, start=start)
+        return declared.values_of(dialect, command, **_turning(command, way, rpm), acceleration=QUICK, start=start)
     return sample(dialect, command)
+
+
+def _ask(probe: Probe, command: Command, start: int, way: int) -> tuple[Exchange, dict[str, int]]:
+    """Ask for a motion; return it with its values."""
+    calm = _request(probe.dialect, command, start, way)
+    fast = _request(probe.dialect, command, start, way, _FAST)
+    if way < 0:
+        with contextlib.suppress(Refused):
+            return probe.ask(command, fast), fast
+    return probe.ask(command, calm), calm
 
 
 def expect_refused(
@@ -54,8 +69,7 @@ def expect_refused(
     before = motion.position(probe)
     for way in ways:
         start = motion.place(probe, command) if command.motion is not None else 0
-        values = _request(probe.dialect, command, start, way)
-        exchange = probe.ask(command, values)
+        exchange, values = _ask(probe, command, start, way)
         if exchange.silent and command.replies.failed:
             # A reply can be lost; a drive that never refuses is another matter.
             need_reliable_replies(probe)

@@ -285,7 +285,7 @@ def _expect_ended(probe: Probe, stop: Command, how: str, acceleration: int = QUI
 
 @of_motion(each=_fast_stops, name=_name_of_stop, refuted_by="a shaft that goes on, or slows down", risks=risks_of("run"))
 def _when_fast(probe: Probe, command: Command, run: Command) -> None:
-    """{command} stops {run} at once at 1200 rpm, either way; no end of what an emergency stop ended is told later."""
+    """{command} stops {run} at once at 1200 rpm, either way; an emergency stop leaves the end of {run} untold."""
     motion.prepare(probe, run)
     since = len(probe.traffic)
     for way in (-1, 1):

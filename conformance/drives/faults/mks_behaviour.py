@@ -115,13 +115,14 @@ def before(of: Of, act: Callable[[MksCore, Request], Values | None]) -> Change:
     return wrapped(of, wrap)
 
 
-def with_state(of: Of, **state: bool) -> Change:
-    """Act as if the drive's memory said otherwise."""
+def with_state(of: Of, when: Callable[[Values], bool] = lambda values: True, **state: bool) -> Change:
+    """Act as if the drive's memory said otherwise, where the values of the request are such."""
 
     def act(drive: MksCore, request: Request) -> None:
-        for name, value in state.items():
-            setattr(drive.memory, name, value)
-        drive.grip()
+        if when(request.values):
+            for name, value in state.items():
+                setattr(drive.memory, name, value)
+            drive.grip()
 
     return before(of, act)
 

@@ -15,7 +15,7 @@ from analyzer.link import WRITE_ONE
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
-from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned, when_home, wrapped
+from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned, when_home, with_state, wrapped
 from conformance.drives.faults.mks_frames import own
 from conformance.drives.faults.places import (
     CAN,
@@ -715,16 +715,13 @@ def _is(message: Message, verb: Verb) -> bool:
     return message.command is not None and message.command.verb is verb
 
 
-def _enabled_back(drive: MksCore, request: Request) -> None:
-    """Enable the motor where a motion of direction 1, or of a negative number, comes."""
-    if request.values.get("direction") == mks_shared.MotionDirection.CW or request.values.get("position", 0) < 0:
-        drive.memory.enabled = True
-        drive.grip()
+def _backwards(values: Values) -> bool:
+    """Say whether a motion of direction 1, or of a negative number, is asked for."""
+    return values.get("direction") == mks_shared.MotionDirection.CW or values.get("position", 0) < 0
 
 
-def _enabled(drive: MksCore, request: Request) -> None:
-    drive.memory.enabled = True
-    drive.grip()
+def _fast(values: Values) -> bool:
+    return bool(values["speed"] > _FAST)
 
 
 def _taking_up(behaviour: Behaviour) -> Behaviour:
@@ -775,7 +772,8 @@ def _open_enables(drive: MksCore) -> None:
     def act(core: MksCore, request: Request) -> Values | None:
         result = change(core, request)
         if "open" in core.mode:
-            _enabled(core, request)
+            core.memory.enabled = True
+            core.grip()
         return result
 
     drive.behaviours[Verb.SET_WORK_MODE] = act
@@ -1057,8 +1055,18 @@ _RESTORED = (
 
 DOING: Rows = {
     "disabled": (
-        Row("disabled-moves-backwards", "motion backwards is obeyed while disabled", before(MOTIONS, _enabled_back)),
-        Row("zero-enables", "92 enables a motor that is off", before(Verb.SET_ZERO, _enabled)),
+        Row(
+            "disabled-moves-backwards",
+            "motion backwards is obeyed while disabled",
+            with_state(MOTIONS, _backwards, enabled=True),
+        ),
+        Row("disabled-moves-fast", "motion above 500 rpm is obeyed while disabled", with_state(MOTIONS, _fast, enabled=True)),
+        Row("zero-enables", "92 enables a motor that is off", with_state(Verb.SET_ZERO, enabled=True)),
+        Row(
+            "protected-moves-backwards",
+            "motion backwards is obeyed while protected",
+            with_state(MOTIONS, _backwards, protected=False),
+        ),
         Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", wrapped(Verb.ENABLE, _taking_up)),
     ),
     "turned": (

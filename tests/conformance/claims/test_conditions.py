@@ -56,6 +56,8 @@ REFUTED_BY = {
     "right-limit-told-complete": "motion/set_home/end-limit-told-move_relative_pulses",
     "group-deaf-while-turning": "addressing/group/while-turning",
     "lk-while-off-backwards": "motion/run_torque/while-off",
+    "protected-moves-backwards": "motion/release_protection/limp",
+    "disabled-moves-fast": "motion/move_absolute_pulses/disabled",
     "disabled-moves-backwards": "motion/run_speed/disabled",
     "group-id-kept": "read-back/restore/set_group_address",
     "lk-speed-ramp-late": "timing/write_parameter/speed-ramp-under-way-move_multi_turn",
