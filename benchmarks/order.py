@@ -9,9 +9,9 @@ whose faults those after it refute, too.
 
 `--known`: which claims refute which fault, a line each; `faults.jsonl` and `order.jsonl` of `tests/conformance/golden` by
 default. It may be given again, and what the files say of a fault is put together. The first of these files knows the likeliest
-claims of a fault alone. So `--search` tries the claims of a short run against each fault that none of them is known to refute,
-and those of them that share recordings also against what one alone is known to refute. It keeps what is found in the second
-file, and chooses again, in so many rounds. `--new`: claims that are tried with both, for nothing is known of them yet.
+claims of a fault alone. So `--search` tries the claims of a short run against each fault that none of them is known to refute.
+From the second round on it also tries those that share recordings against what one claim alone is known to refute. It keeps
+what is found in the second file, and chooses again. `--new`: claims that are tried too, for nothing is known of them yet.
 """
 
 from __future__ import annotations
@@ -243,11 +243,11 @@ def make(target: Target, refuted_by: Refuted, rounds: int, new: Sequence[str]) -
     plain = {name: each for name, each in costs.items() if not each.claim.emulated and not each.claim.by_name}
     before = start.waits + alone.waits
     unknown = [name for name in plain if any(fnmatch(name, pattern) for pattern in new)]
-    for _ in range(rounds):
+    for again in range(rounds):
         chosen = greedy(plain, refuted_by, before, order.SHORT_SECONDS)
         shared = [name for name in chosen if plain[name].parts]
         finders = {f: len(claims.intersection(chosen)) for f, claims in refuted_by.items() if claims & plain.keys()}
-        for names, count in (((*chosen, *unknown), 0), ((*shared, *unknown), 1)):
+        for names, count in (((*chosen, *unknown), 0), ((*shared, *unknown), 1))[: 1 + bool(again)]:
             claims = [plain[name].claim for name in dict.fromkeys(names)]
             _try(target, claims, refuted_by, [fault for fault, found in finders.items() if found == count])
     first = greedy(plain, refuted_by, before)
