@@ -681,7 +681,7 @@ def _in_packages(change: Callable[[Values], Values], of: Verb, slots: Collection
 
         def note(_: Drive, every: list, chosen: list) -> list:  # type: ignore[type-arg]
             nonlocal packed
-            packed = any(every[number - 1] is slot for slot in chosen for number in slots)
+            packed = any(every[number - 1] is slot for slot in chosen for number in slots if number <= len(every))
             return chosen
 
         def apply(_: Drive, command: Command, values: Values) -> Values:
