@@ -223,12 +223,12 @@ class _Found:
             new -= own
 
     def leave_out(self, rate: float) -> None:
-        """Let claims wait that find no fault alone any more, and less for a second than what was chosen last; each once."""
+        """Let claims wait that find less alone for a second than what was chosen last finds; each once."""
         for name in [name for name in self.names if name not in self._left_out]:
             cost = self._costs[name]
             alone = {new for new in self._news[name] if self._finders[new] == 1}
             freed = cost.rest + sum(self._seconds[key] for key in cost.parts if self._users[key] == 1)
-            if not any(isinstance(new, str) for new in alone) and _worth(alone) / (freed + _LEAST) < rate:
+            if _worth(alone) / (freed + _LEAST) < rate:
                 self.names.remove(name)
                 self._left_out.add(name)
                 self.passed -= freed
