@@ -21,8 +21,8 @@ _CONTROLLER, _PROTOCOL, _NO_ACK, _BUS_OFF, _BUS_ERROR = 0x04, 0x08, 0x20, 0x40, 
 #: Where their data say what happened.
 _STATE, _TYPE, _PLACE, _SENT_COUNTER, _RECEIVED_COUNTER = 1, 2, 3, 6, 7
 _ACK_PLACES = (0x19, 0x1B)
-#: Kinds of errors: in the form or the stuffing of a frame, and in a bit that was sent.
-_FORM_OR_STUFF, _SENT_BIT = 0x02 | 0x04, 0x01 | 0x08 | 0x10
+#: Kinds of errors in the form or the stuffing of a frame.
+_FORM_OR_STUFF = 0x02 | 0x04
 _KINDS = {0x01: "single bit", 0x02: "form", 0x04: "stuff", 0x08: "dominant bit", 0x10: "recessive bit"}
 #: A sender that no node acknowledges counts by eight until it is passive, and then no further.
 _PASSIVE = range(128, 137)

@@ -19,7 +19,6 @@ from analyzer.records import Message
 _BACK = 8
 #: Exchanges that are looked at: more of the same shows nothing new.
 _MOST = 2000
-_SHORTEST = 3
 #: The shortest Modbus request without its CRC, and eModbus's codes of errors in a reply.
 _BARE, _CODES = 6, range(0xE0, 0xE6)
 #: Writes of the standard, which are answered by what they begin with.

@@ -19,7 +19,6 @@ class Report(NamedTuple):
     next: str
 
 
-_LOOK_UP = "Read a register that the manual lists, with the function that it names for it; then compare what is sent"
 _TRY = (
     "Try in this order: A and B swapped, speed and parity, the unit's address, its power, a longer timeout; then show the raw "
     "bytes (a debug log of the library), for they tell more"

@@ -25,8 +25,6 @@ from analyzer.protocols.mks_shared_statements import (
     unseen,
 )
 
-_STOPS = ("stop_speed", "stop_relative_pulses", "stop_absolute_pulses", "stop_relative_axis", "stop_absolute_axis")
-
 
 def setting(section: str, name: str, what: str, *more: Statement) -> Iterator[Statement]:
     """Yield what each setting's section says: its values, its two answers; then what it does."""
