@@ -19,7 +19,7 @@ from analyzer.sinks.forked import available
 from analyzer.sinks.mcap_chunk import Batch, Run
 from analyzer.sinks.mcap_file import McapFile
 from analyzer.sinks.mcap_log import McapLog
-from analyzer.sinks.object_table import Table
+from analyzer.sinks.object_table import Table, TableUnpickler, dumped
 from analyzer.sinks.workers import Workers
 from analyzer.sources import stream
 from benchmarks.framing_noise import damage
@@ -81,9 +81,9 @@ def test_a_capture_alone_is_decoded_by_one_process_where_that_uses_all_cores(cor
     made = []
 
     class Counted(Workers):
-        def __init__(self, count, dialects):
+        def __init__(self, count, table):
             made.append(count + 1)
-            super().__init__(1, dialects)
+            super().__init__(1, table)
 
     monkeypatch.setattr(workers, "Workers", Counted)
     monkeypatch.setattr(workers, "MOST", 99)
@@ -163,3 +163,21 @@ def test_a_death_is_told(tmp_path, monkeypatch, capsys):
     path = CAPTURES / "mks_can.candump.log"
     assert main(["decode", str(path), "-o", str(tmp_path / "out.mcap"), "--json", "--jobs", "2"]) == 0
     assert any("signal 9" in note for note in json.loads(capsys.readouterr().out)["notes"])
+
+
+def test_dialects_that_come_up_late_have_the_same_numbers_on_both_sides():
+    asked, late = [], dialects.get("lk-rs485")
+
+    def side(name):
+        def later():
+            asked.append(name)
+            return [MKS, late]
+
+        return Table([MKS], later)
+
+    here, there = side("here"), side("there")
+    assert TableUnpickler(io.BytesIO(dumped(MKS.commands[0], here)), there).load() is MKS.commands[0]
+    assert asked == []
+    for each in (late, late.commands[-1], late.commands[-1].reply_forms[0]):
+        assert TableUnpickler(io.BytesIO(dumped(each, here)), there).load() is each
+    assert asked == ["here", "there"]
