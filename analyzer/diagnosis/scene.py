@@ -446,7 +446,11 @@ _CODE = re.compile(
     r"|return\b|print\(|(?:const|let|var|static|void|u?int\d*(?:_t)?|byte|char)\s+\w+[\s\[(=]|\w+\s*=\s*\(*[A-Za-z_][\w.]*[.(])"
     r"|\w\([^()]*\)\s*[;{]|[;{}]\s*$"
 )
-_REMARK = re.compile(r"^\s*(?:line \d+, column \d+: *)?(?://|/\*|#(?!include|define)|\"\"\"|$)")
+_REMARK = re.compile(
+    r"^\s*(?:line \d+, column \d+: *)?(?://|/\*|#(?!include|define)|\"\"\"|$"
+    # A log puts its bytes in braces behind a word.
+    r"|[^\W\d_]\w*:\s*\{[^{};]*\}\s*$)"
+)
 #: A program has no array three times.
 _SENT_AGAIN = 3
 #: The shortest request of Modbus that carries something; what all of them have before a CRC or values.

@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Dialect, Risk, Role
 from analyzer.diagnosis.addresses import addressed
 from analyzer.diagnosis.exchanges import reported
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown, whole
@@ -61,7 +61,8 @@ def _in_other_dialect(scene: Scene, answering: dict[int, str]) -> Iterator[Suspi
         asked = reading.message if reading is not None and reading.listed and reading.dialect not in scene.dialects else None
         if asked is not None and asked.role is Role.REQUEST and asked.address in answering:
             found.append((trouble, asked))
-    if not found:
+    # A document shows one of each.
+    if len(found) < (_AGAIN if scene.noted and not scene.timed else 1):
         return
     trouble, asked = found[0]
     spoken, other = answering[asked.address], asked.frame.dialect.name
@@ -127,8 +128,11 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str], a
         return
     others = sorted(a for a, name in answering.items() if name == dialect.name)
     once = len(asked.troubles) == 1
+    command = first.piece.message.command if first.piece.message is not None else None
+    reads = command is not None and command.all_risks == {Risk.READ}
     shown_sent = scene.directed or first.piece.can is not None
-    if others and ((once and not (alone and shown_sent)) or scene.explained.issuperset(asked.troubles)):
+    # A group, which is moved and never read, is silent by the manual.
+    if others and ((once and not (alone and reads and shown_sent)) or scene.explained.issuperset(asked.troubles)):
         # Asked once, as a search for drives does; or so that no reply can come.
         return
     if others:

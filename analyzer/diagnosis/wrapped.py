@@ -312,6 +312,12 @@ def look(scene: Scene) -> Iterator[Suspicion]:
                 found.append((trouble, stretch.data, frame))
         if len(found) < dress.least or (dress.least > 1 and len(found) < _MOSTLY * len(scene.damaged)):
             continue
+        if dress.undo is _of_can and any(
+            one.offset in {t.offset for t, _, _ in found} and other.direction is Role.REPLY
+            for one, other in pairwise(scene.bursts)
+        ):
+            # Who answers such a frame is another device, whose sums are the same.
+            continue
         if _all_answered(scene, dress):
             # Who answers takes the header; what it says is another matter.
             scene.explained.update(t for t, _, _ in found)
@@ -320,7 +326,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         first, data, frame = found[0]
         becomes = f" is {shown(frame)}" if frame else ""
         yield Suspicion(
-            dress.cause, Confidence.CERTAIN, [t for t, _, _ in found],
+            dress.cause, Confidence.LIKELY if dress.undo is _of_can else Confidence.CERTAIN, [t for t, _, _ in found],
             dress.say,
             f"{shown(data[:32])}{becomes}, at byte {first.offset}; {counted(len(found), 'time')}",
             f"{dress.next}: {shown(frame)}" if frame else dress.next,

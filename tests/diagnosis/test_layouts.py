@@ -10,6 +10,7 @@ from analyzer.diagnosis.diagnose import of_traffic
 from analyzer.link import modbus_crc
 from analyzer.records import Chunk
 from tests.diagnosis.test_diagnosis import diagnosed as untimed
+from tests.diagnosis.test_healthy import verdict
 from tests.diagnosis.test_log_forms import FORMS, pairs
 from tests.diagnosis.test_pastes import diagnosed
 
@@ -244,6 +245,21 @@ def test_requests_that_all_stand_twice_before_their_replies(frames, cause):
 def test_a_second_reply_alone_is_no_second_drive(rows):
     text = "".join(f"10:00:0{n}.000 {mark} {pairs(data)}\n" for n, (mark, data) in enumerate(rows))
     assert "duplicate_address" not in causes(text)
+
+
+def test_a_document_shows_a_frame_of_each_dialect(tmp_path, capsys):
+    text = (
+        f"To read the position send `{pairs(POSITION)}`; the drive answers `{pairs(POSITIONS[0])}`.\n"
+        f"To read its speed, `{pairs(SPEED)}`, which gives `{pairs(reply(4, 0x32, 0, 60))}`.\n"
+        f"In Modbus: `{pairs(unit(4, 4, 0, 0x31, 0, 3))}`."
+    )
+    assert verdict(text, tmp_path, capsys)[1] == []
+
+
+def test_a_device_that_answers_frames_with_the_sum_of_can_is_another_one():
+    asked = [bytes((4, *body, (4 + sum(body)) & 0xFF)) for body in ((0x31,), (0x32,), (0xF1,))]
+    rows = exchanges(*((sent, [bytes((0x84, sent[1], 1, 9, sent[1] ^ 9))]) for sent in asked))
+    assert "wrong_dialect" not in causes("".join(f"{mark} {pairs(data)}\n" for mark, data in rows))
 
 
 def test_several_requests_whose_replies_all_come_later_are_not_certainly_late():
