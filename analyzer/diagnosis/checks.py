@@ -12,6 +12,8 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from msgspec.structs import replace
+
 from analyzer.catalogue import Role
 from analyzer.diagnosis.check_rules import ORDER, RULES, RULES_OF_TWO, Rule
 from analyzer.diagnosis.exchanges import awaited, reported
@@ -121,6 +123,18 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         )  # fmt: skip
     yield from _of_replies(scene)
     yield from _again_without_end(scene)
+
+
+def of_program(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect whole frames in the text of a program: one without a check, or with a place for it, gets it before it is sent."""
+    for each in look(scene):
+        wrong = each.cause in _OF_WHOLE and any(frame.data[-2:] not in _PLACES for frame in each.frames)
+        if wrong:
+            yield replace(each, confidence=Confidence.POSSIBLE if each.cause == "wrong_checksum" else Confidence.LIKELY)
+
+
+#: Causes of frames that have a check, and the bytes that keep a place for one.
+_OF_WHOLE, _PLACES = ("wrong_checksum", "wrong_checksum_rule", "crc_swapped"), ("00", "FF")
 
 
 def _again_without_end(scene: Scene) -> Iterator[Suspicion]:

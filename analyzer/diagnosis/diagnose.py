@@ -66,8 +66,9 @@ HYPOTHESES: tuple[Callable[[Scene], Iterator[Suspicion]], ...] = (
     senders.look,
     told.look,
 )
-#: What is asked of the text of a program: whether it sends digits for bytes, whose motor it is for, and what its words tell.
-_OF_PROGRAMS = (wrapped.look, other_makers.look, told.look)
+#: What is asked of the text of a program: whether it sends digits for bytes, whose motor it is for, whether the checks of whole
+#: frames are right, and what its words tell.
+_OF_PROGRAMS = (wrapped.look, other_makers.look, checks.of_program, told.look)
 
 
 class Diagnosis(msgspec.Struct, frozen=True):

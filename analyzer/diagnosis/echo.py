@@ -13,6 +13,8 @@ from analyzer.values import counted
 
 #: Bytes that must come back where a request does not come back whole; once alone, and several times.
 _ONCE, _LEAST = 5, 3
+#: A request, its echo, and its reply.
+_ROW = 3
 #: The share of the zeros or ones that may be changed; and of these so many times more go one way than the other.
 _CHANGED, _ONE_WAY = 0.6, 4
 #: A request to read, and those that read registers.
@@ -39,6 +41,15 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         and (sent.data != came.data or came.offset in offsets or not found)
         for sent, came in (pairwise(scene.bursts) if scene.directed else ())
     )
+    if not found and (doubled := _doubled(scene)):
+        yield Suspicion(
+            "echo", Confidence.LIKELY, doubled,
+            "Each request stands twice before its reply: one that is sent, and its echo.",
+            f"{shown(doubled[0].piece.data if doubled[0].piece else b'')} at byte {doubled[0].offset}, and all {len(doubled)}",
+            _DROP,
+            tuple(Shown(t.offset, shown(t.piece.data)) for t in doubled if t.piece is not None),
+        )  # fmt: skip
+        return
     if not found:
         changed = list(_changed(scene))
         yield from _damaged(
@@ -74,6 +85,21 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         _DROP,
         tuple(Shown(trouble.offset, text) for trouble, text in found),
     )  # fmt: skip
+
+
+def _doubled(scene: Scene) -> list[Trouble]:
+    """Return the first of each pair of equal requests where all requests come in pairs, and a reply behind each.
+
+    Without times and directions one request that comes twice may be sent again; different ones, each twice, are not.
+    """
+    pieces = scene.pieces
+    if scene.directed or scene.timed or len({p.data for p in scene.requests}) < _LEAST or len(pieces) % _ROW:
+        return []
+    rows = list(zip(pieces[::_ROW], pieces[1::_ROW], pieces[2::_ROW], strict=True))
+    if not all(sent.is_request and sent.data == back.data and came.is_reply and came.sound for sent, back, came in rows):
+        return []
+    first = {one for one, _, _ in rows}
+    return [t for t in scene.of("unanswered", "silent_address") if t.piece in first]
 
 
 def _damaged(found: list[tuple[Trouble, bytes]], how: str, say: str, todo: str) -> Iterator[Suspicion]:

@@ -35,7 +35,8 @@ def _one_of_row(scene: Scene) -> Iterator[Suspicion]:
     answered: set[tuple[int, str]] = set()
     rows = 0
     for asked, replies in _piece_rows(scene):
-        own = [piece for piece in asked if any(_is_reply_to(reply, piece) for reply in replies)]
+        came = {_asked_for(reply.message) for reply in replies}
+        own = [p for p in asked if _asked_for(p.message) in came or (len(replies) == 1 and _answers(replies[0], p))]
         answered |= {_asked_for(piece.message) for piece in own}
         if len(asked) == 1 and not own:
             # One that is sent alone is not answered, either.
@@ -78,11 +79,6 @@ def _piece_rows(scene: Scene) -> Iterator[tuple[list[Piece], list[Piece]]]:
             asked.append(piece)
     if asked and replies and len({_asked_for(p.message) for p in asked}) == len(asked):
         yield asked, replies
-
-
-def _is_reply_to(reply: Piece, request: Piece) -> bool:
-    """Say whether a reply is one to a request; a register whose request is closed is no longer named."""
-    return _asked_for(reply.message) == _asked_for(request.message) or _answers(reply, request)
 
 
 def _too_fast(scene: Scene) -> Iterator[Suspicion]:

@@ -55,7 +55,7 @@ def _second_reply(scene: Scene) -> Iterator[Suspicion]:
     # Reads that are all answered twice are answered by two drives.
     settings = all(t.piece.message.command.all_risks & _SETTINGS for t in found
                    if t.piece is not None and t.piece.message is not None and t.piece.message.command is not None)  # fmt: skip
-    if len(found) < _HABIT or not (once - again or (settings and scene.directed)):
+    if len(found) < _HABIT or not (once - again or (settings and (scene.directed or scene.pieces[0].can is not None))):
         return
     names = ", ".join(sorted(again))
     yield _said(

@@ -79,6 +79,19 @@ class Reader:
                 yield at, found
             at += len(found.message.frame.data) if found is not None else 1
 
+    def laid(self, data: bytes) -> list[int]:
+        """Return where the frames of the catalogue end of which bytes consist, whatever their checks; empty where they do not.
+
+        The checks may be missing, then of all of them.
+        """
+        for dialect in self.dialects:
+            slicer = self._slicers.get(dialect.name)
+            check = len(dialect.link.completed(data)) - len(data)
+            for lacking in (0, check):
+                if slicer is not None and (stops := _laid(slicer, data + bytes(lacking), lacking)):
+                    return stops
+        return []
+
     def bare(self, data: bytes) -> bool:
         """Say whether bytes are a frame, listed or not, that lacks its check."""
         return any(True for d in self.dialects if len(data) > 2 for _ in self.readings(d.link.completed(data)))
@@ -105,6 +118,23 @@ class Reader:
             if slicer is not None and slicer.strong_check:
                 found = found or reading
         return found
+
+
+def _laid(slicer: Slicer, longer: bytes, lacking: int) -> list[int]:
+    """Return where frames end that all lack so many bytes of their check; of several lengths that which leads to the end."""
+    last = len(longer) - lacking
+    ways: list[list[int]] = [[]]
+    seen: set[int] = set()
+    while ways:
+        stops = ways.pop()
+        at = stops[-1] if stops else 0
+        if at == last:
+            return stops
+        if at not in seen and longer[at] in slicer.heads:
+            seen.add(at)
+            sizes = (size - lacking for size in slicer.damaged(longer, at, len(longer)) if size > lacking)
+            ways += [[*stops, at + size] for size in sizes if at + size <= last]
+    return []
 
 
 def _short(data: bytes, most: int) -> bool:

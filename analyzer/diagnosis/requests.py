@@ -126,16 +126,27 @@ def _failing(scene: Scene) -> Iterator[tuple[list[Trouble], Piece, Piece | None]
             if piece is not None:
                 own[piece.sequence].append(trouble)
     refusals = {p.asked_by: p for p in scene.pieces if p.asked_by is not None and "modbus_exception" in p.rules}
+    # Bit 7 that is lost makes other codes of all, and their sums may fit.
+    known = any(piece.is_reply and piece.sound for piece in scene.pieces)
     for piece in scene.pieces:
         refusal = refusals.get(piece.sequence)
         message = piece.message
-        if message is None or not piece.is_request or not message.frame.checksum_ok:
+        if message is None or not (piece.is_request or (known and _asks_nothing_known(piece))) or not message.frame.checksum_ok:
             if piece.is_reply and piece.asked_by is None and piece.sound and "modbus_exception" in piece.rules:
                 yield own[piece.sequence], piece, piece
             continue
         troubles = own[piece.sequence] + (own[refusal.sequence] if refusal is not None else [])
         if troubles:
             yield troubles, piece, refusal
+
+
+def _asks_nothing_known(piece: Piece) -> bool:
+    """Say whether a frame of an unknown code has no fields: a reply has some, so it is a request, whoever has logged it."""
+    message = piece.message
+    if message is None or message.role is not Role.UNKNOWN or "unknown_command" not in piece.rules:
+        return False
+    head = message.frame.dialect.link.parse(piece.data, None if piece.can is None else piece.can.id)
+    return head.start == head.stop
 
 
 def _short(scene: Scene) -> Iterator[Suspicion]:

@@ -12,6 +12,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import msgspec
+from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.reader import Reader
@@ -263,7 +264,18 @@ class Scene:
         return {burst.stop: burst for burst in self.bursts}
 
     def _stretches(self) -> Iterator[Stretch]:
-        yield from self._runs(lambda piece: piece.sound)
+        # A recording that knows no pause, and has no sound frame: the frames of the catalogue tell where others end.
+        unbroken = len(self.reads) == 1 and not self.reads[0].firm and not any(piece.sound for piece in self.pieces)
+        for stretch in self._runs(lambda piece: piece.sound):
+            stops = self.reader.laid(stretch.data) if unbroken and len(stretch.data) <= _LONG else []
+            if len(stops) < _LAID:
+                yield stretch
+                continue
+            for at, stop in pairwise((0, *stops)):
+                inside = tuple(p for p in stretch.pieces if p.offset < stretch.offset + stop and p.stop > stretch.offset + at)
+                yield replace(
+                    stretch, offset=stretch.offset + at, data=stretch.data[at:stop], opens=True, ends=True, pieces=inside
+                )
 
     def _runs(self, left_out: Callable[[Piece], bool]) -> Iterator[Stretch]:
         """Yield pieces in a row, between those that are left out and the limits of reads."""
@@ -434,11 +446,17 @@ _CODE = re.compile(
     r"|return\b|print\(|(?:const|let|var|static|void|u?int\d*(?:_t)?|byte|char)\s+\w+[\s\[(=]|\w+\s*=\s*\(*[A-Za-z_][\w.]*[.(])"
     r"|\w\([^()]*\)\s*[;{]|[;{}]\s*$"
 )
-_REMARK = re.compile(r"^\s*(?:line \d+, column \d+: *)?(?://|/\*|#(?!include|define)|\"\"\"|$)")
+_REMARK = re.compile(
+    r"^\s*(?:line \d+, column \d+: *)?(?://|/\*|#(?!include|define)|\"\"\"|$"
+    # A log puts its bytes in braces behind a word.
+    r"|[^\W\d_]\w*:\s*\{[^{};]*\}\s*$)"
+)
 #: A program has no array three times.
 _SENT_AGAIN = 3
 #: The shortest request of Modbus that carries something; what all of them have before a CRC or values.
 _CARRIES, _ASKED = 8, 6
+#: Frames in a row that are no chance.
+_LAID = 3
 #: No frame of any dialect is longer, and more stretches show nothing new.
 _LONG = 300
 _MOST_DAMAGED = 1000

@@ -7,13 +7,14 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Dialect, Risk, Role
 from analyzer.diagnosis.addresses import addressed
 from analyzer.diagnosis.exchanges import reported
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown, whole
 from analyzer.dialects import drive_name
 from analyzer.encoder import build
 from analyzer.layout import Effect
+from analyzer.records import Message
 from analyzer.values import counted, identifier
 
 #: Requests without a reply, and their share, from which on a drive that answers others has fallen silent.
@@ -41,11 +42,37 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             answering.setdefault(piece.message.address, piece.message.frame.dialect.name)
     every = list(_unanswered(scene))
     for asked in every:
-        yield from _unanswered_by_all(scene, asked, answering)
+        yield from _unanswered_by_all(scene, asked, answering, alone=len(every) == 1)
     if not answering:
         yield from _searched(scene, every)
+    yield from _in_other_dialect(scene, answering)
     for part in (_of_others, _reported, addressed, _respond, _switched_off):
         yield from part(scene)
+
+
+def _in_other_dialect(scene: Scene, answering: dict[int, str]) -> Iterator[Suspicion]:
+    """Suspect requests to a drive in a dialect in which the capture has so little that it was not chosen."""
+    found: list[tuple[Trouble, Message]] = []
+    for trouble in scene.damaged:
+        stretch = trouble.stretch
+        if stretch is None or stretch.can_id is not None or stretch.direction is Role.REPLY or trouble in scene.explained:
+            continue
+        reading = scene.reader.best(stretch.data, role=Role.REQUEST) if stretch.opens and stretch.ends else None
+        asked = reading.message if reading is not None and reading.listed and reading.dialect not in scene.dialects else None
+        if asked is not None and asked.role is Role.REQUEST and asked.address in answering:
+            found.append((trouble, asked))
+    # A document shows one of each.
+    if len(found) < (_AGAIN if scene.noted and not scene.timed else 1):
+        return
+    trouble, asked = found[0]
+    spoken, other = answering[asked.address], asked.frame.dialect.name
+    yield Suspicion(
+        "wrong_dialect", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY, [t for t, _ in found],
+        f"The host speaks {other} to address {asked.address}, and the drive speaks {spoken}.",
+        f"{shown(asked.frame.data)} at byte {trouble.offset}; {counted(len(found), 'request')} without a reply",
+        f"Speak {spoken} to it, or switch the drive over",
+        tuple(Shown(t.offset, shown(m.frame.data)) for t, m in found),
+    )  # fmt: skip
 
 
 def _unanswered(scene: Scene) -> Iterator[_Asked]:
@@ -60,7 +87,8 @@ def _unanswered(scene: Scene) -> Iterator[_Asked]:
     yield from found.values()
 
 
-def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -> Iterator[Suspicion]:
+def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str], alone: bool) -> Iterator[Suspicion]:
+    """Suspect what keeps an address silent. `alone`: no other is."""
     dialect, address = asked.dialect, asked.address
     who = identifier(address) if dialect.bus == "can" else str(address)
     first = asked.troubles[0]
@@ -99,7 +127,12 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -
     if sum(t.stretch is not None for t in scene.explained) >= _OFTEN * len(asked.troubles):
         return
     others = sorted(a for a, name in answering.items() if name == dialect.name)
-    if others and (len(asked.troubles) == 1 or scene.explained.issuperset(asked.troubles)):
+    once = len(asked.troubles) == 1
+    command = first.piece.message.command if first.piece.message is not None else None
+    reads = command is not None and command.all_risks == {Risk.READ}
+    shown_sent = scene.directed or first.piece.can is not None
+    # A group, which is moved and never read, is silent by the manual.
+    if others and ((once and not (alone and reads and shown_sent)) or scene.explained.issuperset(asked.troubles)):
         # Asked once, as a search for drives does; or so that no reply can come.
         return
     if others:
@@ -116,7 +149,7 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str]) -
             )  # fmt: skip
             return
         yield Suspicion(
-            "wrong_address", Confidence.LIKELY, asked.troubles,
+            "wrong_address", Confidence.POSSIBLE if once else Confidence.LIKELY, asked.troubles,
             f"No drive answers at address {who}; {there} does.",
             f"{evidence}; replies come from {there}",
             f"Look up the address in the drive's menu, or ask {drive_name(dialect, others[0])}; if two drives are there, "

@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from itertools import pairwise, product
+from math import prod
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
+from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.pace import ASKS_OF_PARTS
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.requests import EXCEPTIONS
@@ -78,7 +80,8 @@ def _question_marks(reader: Reader, data: bytes) -> bytes | None:
         heads = [first for first in dialect.link.first_bytes if first > _ASCII]
         codes = [command.code for command in dialect.commands if _ASCII < command.code <= 0xFF]
         ways = [[byte] if byte != _MARK[0] else heads if not at else codes for at, byte in enumerate(data[:-size])]
-        if sum(len(way) != 1 for way in ways) > 2:
+        # A head and a code at most: text with question marks is no frame.
+        if prod(map(len, ways)) > _MOST_WAYS:
             continue
         for body in map(bytes, product(*ways)):
             frame = dialect.link.completed(body)
@@ -90,6 +93,7 @@ def _question_marks(reader: Reader, data: bytes) -> bytes | None:
 
 #: What an encoding puts for what it has not, and its last byte.
 _MARK, _ASCII = b"?", 0x7F
+_MOST_WAYS = 300
 
 
 def _of_can(reader: Reader, data: bytes) -> bytes | None:
@@ -296,6 +300,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     yield from _of_header(scene)
     yield from _split_headers(scene)
     yield from _told_twice(scene)
+    yield from _marked_replies(scene)
     for dress in DRESSES:
         found: list[tuple[Trouble, bytes, bytes]] = []
         for trouble in scene.damaged:
@@ -307,6 +312,12 @@ def look(scene: Scene) -> Iterator[Suspicion]:
                 found.append((trouble, stretch.data, frame))
         if len(found) < dress.least or (dress.least > 1 and len(found) < _MOSTLY * len(scene.damaged)):
             continue
+        if dress.undo is _of_can and any(
+            one.offset in {t.offset for t, _, _ in found} and other.direction is Role.REPLY
+            for one, other in pairwise(scene.bursts)
+        ):
+            # Who answers such a frame is another device, whose sums are the same.
+            continue
         if _all_answered(scene, dress):
             # Who answers takes the header; what it says is another matter.
             scene.explained.update(t for t, _, _ in found)
@@ -315,12 +326,42 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         first, data, frame = found[0]
         becomes = f" is {shown(frame)}" if frame else ""
         yield Suspicion(
-            dress.cause, Confidence.CERTAIN, [t for t, _, _ in found],
+            dress.cause, Confidence.LIKELY if dress.undo is _of_can else Confidence.CERTAIN, [t for t, _, _ in found],
             dress.say,
             f"{shown(data[:32])}{becomes}, at byte {first.offset}; {counted(len(found), 'time')}",
             f"{dress.next}: {shown(frame)}" if frame else dress.next,
             tuple(Shown(t.offset, shown(d), shown(f)) for t, d, f in found),
         )  # fmt: skip
+
+
+def _marked_replies(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect an encoding where replies have the right length and head, no byte from 80 on, and question marks instead."""
+    found: list[tuple[Trouble, bytes]] = []
+    for trouble in scene.damaged:
+        stretch = trouble.stretch
+        if stretch is None or stretch.direction is Role.REQUEST or _MARK not in stretch.data or not stretch.data.isascii():
+            continue
+        for reply in replies_to(scene.asked_before(stretch.offset)):
+            heads = zip(stretch.data, reply.head, strict=False)
+            if len(stretch.data) == reply.size and all(
+                was == came or (was > _ASCII and came == _MARK[0]) for came, was in heads
+            ):
+                found.append((trouble, stretch.data))
+                break
+    if len(found) < _MARKED or len(found) < _MOSTLY * len(scene.damaged):
+        return
+    first, data = found[0]
+    yield Suspicion(
+        "text_mode", Confidence.LIKELY, [t for t, _ in found],
+        "Replies are read as ASCII text: no byte is 80 or more, and 3F, a question mark, stands where checks do not fit.",
+        f"{shown(data)} at byte {first.offset}; {counted(len(found), 'time')}",
+        "Read bytes, not strings: no encoding, no decoding",
+        tuple(Shown(t.offset, shown(d)) for t, d in found),
+    )  # fmt: skip
+
+
+#: Replies with question marks that are no chance.
+_MARKED = 2
 
 
 def _told_twice(scene: Scene) -> Iterator[Suspicion]:

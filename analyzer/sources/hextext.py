@@ -118,7 +118,7 @@ def score(head: bytes) -> float:
     # Rows of decimal numbers pass for hex; real traffic is not free of letters for long.
     letters = any(_HEX_LETTER.search(p.data.hex()) for p in traffic) or "0x" in "".join(lines)
     letters = letters or any(p.sign.startswith("each") or spells_frame(p.data) for p in traffic)
-    letters = letters or any(len(p.data) > _SAID_BYTES and modbus_crc(p.data) == 0 for p in traffic)
+    letters = letters or any(len(p.data) > _SAID_BYTES and (modbus_crc(p.data) == 0 or _is_tcp(p.data)) for p in traffic)
     if not letters and not marked and sum(len(p.data) for p in traffic) > 4:
         return max(0.1, _reported(lines))
     if not marked and is_table([p for p in traffic if p.radix is Radix.DECIMAL]):
@@ -126,6 +126,14 @@ def score(head: bytes) -> float:
     if ratio >= _LEAST_SHARE or (marked >= _MARKED_LINES and ratio >= _LEAST_MARKED_SHARE):
         return 0.4 + 0.5 * min(1.0, ratio)
     return max(said, 0.25 * ratio / _LEAST_SHARE)
+
+
+def _is_tcp(data: bytes) -> bool:
+    """Say whether bytes have the header of Modbus TCP, and as many bytes behind it as it promises."""
+    return len(data) > _TCP_HEADER and data[2:5] == b"\0\0\0" and data[5] == len(data) - _TCP_HEADER
+
+
+_TCP_HEADER = 6
 
 
 def _reported(lines: Sequence[str]) -> float:

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import pytest
 
+from analyzer import dialects as registry
+from analyzer.catalogue import Role
+from analyzer.diagnosis.diagnose import of_traffic
 from analyzer.link import modbus_crc
+from analyzer.records import Chunk
+from tests.diagnosis.test_diagnosis import diagnosed as untimed
+from tests.diagnosis.test_healthy import verdict
 from tests.diagnosis.test_log_forms import FORMS, pairs
 from tests.diagnosis.test_pastes import diagnosed
+
+SERIAL = [dialect for dialect in registry.every() if dialect.bus == "serial"]
 
 
 def native(*body, head=0xFA):
@@ -28,6 +36,11 @@ def unit(*body):
 
 def exchanges(*rows):
     return [row for sent, came in rows for row in ((">", sent), *(("<", each) for each in came))]
+
+
+def marked(data):
+    """Return bytes as an encoding of text leaves them that has none from 80 on."""
+    return data.translate(bytes((*range(128), *b"?" * 128)))
 
 
 POSITION, SPEED, STATUS = native(4, 0x31), native(4, 0x32), native(4, 0xF1)
@@ -75,13 +88,23 @@ STORIES = {
         exchanges(*((native(4, 0xFD, 0, speed, 0, 0, 0x19, speed), []) for speed in (70, 120, 200))),
         "wrong_length",
     ),
-    "question marks": (
-        exchanges(*((f.translate(bytes((*range(128), *b"?" * 128))), []) for f in (POSITION, STATUS, native(4, 0xF3, 1)))),
-        "text_mode",
-    ),
+    "question marks": (exchanges(*((marked(f), []) for f in (POSITION, STATUS, native(4, 0xF3, 1)))), "text_mode"),
     "frames of can": (
         exchanges(*((bytes((4, *body, (4 + sum(body)) & 0xFF)), []) for body in ((0x31,), (0xF3, 1), (0xF6, 1, 44, 5)))),
         "wrong_dialect",
+    ),
+}
+STORIES |= {
+    "question marks in replies": (exchanges(*((READ, [marked(came)]) for came in VALUES)), "text_mode"),
+    "question marks in replies lk": (
+        exchanges(*((lk(0x9C, 6), [marked(lk(0x9C, 6, 30, n, 2, 0, 3, 0x90, 1))]) for n in (1, 2, 3, 4))),
+        "text_mode",
+    ),
+    "another dialect, once": (exchanges((READ, []), (native(7, 0x31), [reply(7, 0x31, 0, 0, 0, 0, 0, 9)])), "wrong_dialect"),
+    "another address, once": (exchanges((native(9, 0x31), []), (POSITION, POSITIONS[:1])), "wrong_address"),
+    "a code that is not listed": (
+        exchanges((lk(0x71, 6), []), (lk(0x92, 6), STATES[:1]), (lk(0x71, 6), [])),
+        "unknown_command",
     ),
 }
 #: Layouts that show who sent; of the others, which show it too, the forms of a library stand in for its kin.
@@ -143,6 +166,69 @@ def test_a_dump_below_its_mark():
     assert causes(text) == ["echo"]
 
 
+@pytest.mark.parametrize(
+    ("frames", "cause"),
+    [
+        ([unit(4, 4, 0, n, 0, 1)[:-2] for n in (0x32, 0x3A, 0xF1)], "missing_checksum"),
+        (
+            [f[:-2] + f[:-3:-1] for f in (unit(4, 4, 0, 0x32, 0, 1), unit(4, 6, 0, 0xF3, 0, 1), unit(4, 4, 0, 0xF1, 0, 1))],
+            "crc_swapped",
+        ),
+        (
+            [f[:-1] + bytes(((f[-1] - 0xFA) & 0xFF,)) for f in (POSITION, SPEED, native(4, 0xF6, 1, 44, 5))],
+            "wrong_checksum_rule",
+        ),
+        ([lk(0xA2, 6, n, 3, 1, 0)[:-1] for n in (7, 70, 99)], "missing_checksum"),
+        # Two may be alike by chance, and what is no frame of a catalogue is cut nowhere.
+        ([b"\x55\x21\x07\x60\x13", b"\x55\x21\x08\x61\x14", b"\x55\x21\x09\x62\x15"], None),
+    ],
+)
+def test_frames_in_a_recording_that_knows_no_pause(frames, cause):
+    found = of_traffic([Chunk(None, "bus", b"".join(frames), Role.UNKNOWN, False)], SERIAL).causes
+    assert [each.suspicion.cause for each in found] == ([cause] if cause else [])
+
+
+WRONG = [bytes((*frame[:-1], -sum(frame[:-1]) & 0xFF)) for frame in (POSITION, native(4, 0xF3, 1))]
+
+
+@pytest.mark.parametrize(
+    ("frames", "cause"),
+    [
+        (WRONG, "wrong_checksum_rule"),
+        ([native(4, 0xF6, 1, 44, 5)[:-1] + b"\x21"], "wrong_checksum"),
+        # The program puts the check in its place, or behind the bytes.
+        ([native(4, 0xF6, 1, 44, 5)[:-1] + b"\0", POSITION[:-1]], None),
+        ([POSITION, native(4, 0xF3, 1)], None),
+    ],
+)
+def test_the_checks_of_arrays_of_a_program(frames, cause, causes_of):
+    text = "".join(f"uint8_t step{n}[] = {{{', '.join(f'0x{b:02X}' for b in f)}}};\n" for n, f in enumerate(frames))
+    assert causes_of(text) == ([cause] if cause else [])
+
+
+def test_a_second_reply_to_a_setting_on_can():
+    assert causes(can(*["003#820489", "003#820186", "003#820186"] * 3, step_ns=1_000_000))[:1] == ["firmware_quirk"]
+
+
+def test_one_request_of_modbus_tcp_without_a_letter():
+    assert causes("00 07 00 00 00 06 01 04 00 33 00 02\n") == ["tcp_framing"]
+
+
+@pytest.mark.parametrize(
+    ("frames", "cause"),
+    [
+        ([POSITION, POSITION, POSITIONS[0], SPEED, SPEED, reply(4, 0x32, 0, 9), STATUS, STATUS, reply(4, 0xF1, 1)], "echo"),
+        # One request again and again may be a repetition each time.
+        ([frame for came in POSITIONS[:3] for frame in (POSITION, POSITION, came)], "no_reply"),
+        # One that is answered at once was not sent twice.
+        ([POSITION, POSITION, POSITIONS[0], SPEED, reply(4, 0x32, 0, 9), STATUS, STATUS, reply(4, 0xF1, 1)], "no_reply"),
+    ],
+)
+def test_requests_that_all_stand_twice_before_their_replies(frames, cause):
+    found = untimed([Chunk(None, "bus", frame, Role.UNKNOWN, True) for frame in frames]).causes
+    assert [each.suspicion.cause for each in found] == [cause]
+
+
 # --- what is not accused -------------------------------------------------------------------------------------------------
 
 
@@ -159,6 +245,21 @@ def test_a_dump_below_its_mark():
 def test_a_second_reply_alone_is_no_second_drive(rows):
     text = "".join(f"10:00:0{n}.000 {mark} {pairs(data)}\n" for n, (mark, data) in enumerate(rows))
     assert "duplicate_address" not in causes(text)
+
+
+def test_a_document_shows_a_frame_of_each_dialect(tmp_path, capsys):
+    text = (
+        f"To read the position send `{pairs(POSITION)}`; the drive answers `{pairs(POSITIONS[0])}`.\n"
+        f"To read its speed, `{pairs(SPEED)}`, which gives `{pairs(reply(4, 0x32, 0, 60))}`.\n"
+        f"In Modbus: `{pairs(unit(4, 4, 0, 0x31, 0, 3))}`."
+    )
+    assert verdict(text, tmp_path, capsys)[1] == []
+
+
+def test_a_device_that_answers_frames_with_the_sum_of_can_is_another_one():
+    asked = [bytes((4, *body, (4 + sum(body)) & 0xFF)) for body in ((0x31,), (0x32,), (0xF1,))]
+    rows = exchanges(*((sent, [bytes((0x84, sent[1], 1, 9, sent[1] ^ 9))]) for sent in asked))
+    assert "wrong_dialect" not in causes("".join(f"{mark} {pairs(data)}\n" for mark, data in rows))
 
 
 def test_several_requests_whose_replies_all_come_later_are_not_certainly_late():
