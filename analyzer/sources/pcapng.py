@@ -277,7 +277,7 @@ def _give(
         yield taken
 
 
-def _packet(source: Source, section: _Section, body: bytes, *, old: bool = False) -> Iterator[Record]:
+def _of_interface(source: Source, section: _Section, body: bytes, *, old: bool = False) -> Iterator[Record]:
     """Yield what an enhanced packet holds, or one of the kind before it, whose count of drops and options are passed over."""
     head = struct.unpack_from(section.order + ("HHLLLL" if old else "LLLLL"), body)
     number, (high, low, stored, original) = head[0], head[-4:]
@@ -308,7 +308,7 @@ def _tell_cut(source: Source, stored: int, original: int) -> None:
 _HANDLERS: dict[int, Callable[[Source, _Section, bytes], Iterator[Record]]] = {
     _SECTION: _begin_section,
     _INTERFACE: _begin_interface,
-    _ENHANCED: _packet,
+    _ENHANCED: _of_interface,
     _SIMPLE: _simple,
-    _OLD: partial(_packet, old=True),
+    _OLD: partial(_of_interface, old=True),
 }
