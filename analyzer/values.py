@@ -8,7 +8,7 @@ be built on purpose.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from fractions import Fraction
 from itertools import zip_longest
 from typing import Any
@@ -46,8 +46,16 @@ _SPELLINGS = {"µs": "us", "μs": "us", "°": "deg", "turn": "turns", "rev": "tu
 
 def quote(text: str, longest: int = 60) -> str:
     """Return a text of the user as ASCII in quotes, cut where it is long: nothing in it steers a terminal."""
-    shown = text if len(text) <= longest else text[:longest]
-    return ascii(shown) + ("" if shown is text else f" ... ({len(text)} characters)")
+    return _cut(text, longest, ascii)
+
+
+def brief(value: object, longest: int = 60) -> str:
+    """Return a value as Python writes it, in ASCII, cut where it is long."""
+    return _cut(ascii(value), longest, str)
+
+
+def _cut(text: str, longest: int, show: Callable[[str], str]) -> str:
+    return show(text) if len(text) <= longest else f"{show(text[:longest])} ... ({len(text)} characters)"
 
 
 def printable(text: str, kept: str = "") -> str:

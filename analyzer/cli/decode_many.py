@@ -37,6 +37,8 @@ from analyzer.values import counted, printable
 
 #: Seconds between two looks at what the processes have done.
 _LOOK = 0.2
+#: Rows of the summary below one heading: a table takes 7 kB a row before it is printed, and a folder may have 100,000 captures.
+_ROWS = 1000
 
 
 @dataclass
@@ -231,14 +233,18 @@ def _print_summary(outcomes: Sequence[tuple[Capture, Outcome]], count: int, seco
     def line(text: str, style: str = "") -> None:
         console.print(Text(printable(text), style=style))
 
+    def heading() -> Table:
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        # On a narrow terminal names go over several lines, and numbers stay whole.
+        for name in ("capture", "format", "dialect"):
+            table.add_column(name, overflow="fold")
+        for name in ("frames", "junk bytes", "findings", "errors"):
+            table.add_column(name, justify="right", no_wrap=True)
+        table.add_column("log", overflow="fold")
+        return table
+
     good = [(capture, outcome) for capture, outcome in outcomes if outcome.whole]
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    # On a narrow terminal names go over several lines, and numbers stay whole.
-    for name in ("capture", "format", "dialect"):
-        table.add_column(name, overflow="fold")
-    for name in ("frames", "junk bytes", "findings", "errors"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("log", overflow="fold")
+    table = heading()
     rules: Counter[str] = Counter()
     severity: dict[str, str] = {}
     where: dict[str, Counter[str]] = {}
@@ -250,6 +256,9 @@ def _print_summary(outcomes: Sequence[tuple[Capture, Outcome]], count: int, seco
         numbers = (whole["frames"], sum(whole["bytes"]["junk"].values()), sum(each["count"] for each in found))
         errors = sum(each["count"] for each in found if each["severity"] == "error")
         row = (capture.path, whole["format"], ", ".join(whole["dialects"]), *map(str, (*numbers, errors)), whole["log"])
+        if table.row_count == _ROWS:
+            console.print(table)
+            table = heading()
         table.add_row(*(Text(printable(cell)) for cell in row))
         frames, size = frames + whole["frames"], size + (0 if outcome.stopped else capture.size)
         for each in found:

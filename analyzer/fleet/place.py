@@ -107,11 +107,16 @@ class Place:
 
     def link_in(self, folders: Iterable[str]) -> str:
         """Return a link to a folder in one of these folders, or nothing. Stores other than a disk have none."""
-        for folder in folders if self.local else ():
-            for here, names, _ in os.walk(self.path(folder)):
-                for name in sorted(names):
-                    if os.path.islink(path := os.path.join(here, name)):
-                        return path
+        # By hand: `os.walk` calls itself for each folder in another, before Python 3.12.
+        waiting = [self.path(folder) for folder in folders] if self.local else []
+        while waiting:
+            # What cannot be listed is left to what is to be done there.
+            with contextlib.suppress(OSError), os.scandir(waiting.pop()) as there:
+                for each in sorted(there, key=lambda entry: entry.name):
+                    if each.is_dir() and each.is_symlink():
+                        return each.path
+                    if each.is_dir():
+                        waiting.append(each.path)
         return ""
 
     def check_files(self, names: Iterable[str]) -> None:

@@ -32,7 +32,7 @@ from analyzer.errors import ServotapError, UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live.endpoint import Endpoint
 from analyzer.system.whole_file import read_whole
-from analyzer.values import addresses, near, printable, quote
+from analyzer.values import addresses, brief, near, printable, quote
 
 FILE = "servotap.toml"
 #: The key of a profile beside captures that says whose they are.
@@ -197,7 +197,7 @@ def machine_of(data: bytes, where: str) -> str:
     except ValueError as error:
         raise UsageError(f"{where}: expected a profile in TOML: {error}") from None
     if not isinstance(name, str) or not name.isprintable():
-        raise UsageError(f'{where}: expected {MACHINE} = "a name", got {name!r}')
+        raise UsageError(f'{where}: expected {MACHINE} = "a name", got {brief(name)}')
     return name
 
 
@@ -287,7 +287,7 @@ class _File:
             said = "a dialect" if name in registry.names() else "no name that can be told from other words"
             raise self._error(kind, name, "", f"{quote(name)} is {said}: expected letters, digits, _ - and ., as in arm")
         if not isinstance(table, dict):
-            raise self._error(kind, name, "", f"expected a table, [{kind}.{name}], got {table!r}")
+            raise self._error(kind, name, "", f"expected a table, [{kind}.{name}], got {brief(table)}")
         known = [field.encode_name for field in msgspec.structs.fields(wanted)]
         for key in table:
             if key not in known:
@@ -323,7 +323,7 @@ class _File:
             else []
         )
         expected = f"expected {' or '.join(dict.fromkeys(words))}" if words else said
-        return self._error(kind, name, key, f"{expected}, got {table.get(key)!r}")
+        return self._error(kind, name, key, f"{expected}, got {brief(table.get(key))}")
 
     def _endpoint(self, kind: str, name: str, entry: Bus, bus: str) -> Endpoint:
         if not entry.port:

@@ -15,6 +15,8 @@ in addition.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import queue
 import signal
@@ -37,6 +39,7 @@ from analyzer.live import endpoint as endpoints
 from analyzer.records import CanFrame
 from analyzer.system import own_process
 from analyzer.system.decoding import UNDECODABLE
+from analyzer.values import printable
 from conformance.bus.lasting import LastingLine
 from conformance.bus.line import LineLost
 from conformance.claim import NotStopped, RigFault
@@ -52,6 +55,9 @@ from conformance.talk.drive_state import read_drive_state
 #: The subdivision that is sent as 0.
 LARGEST = 256
 _TICK_SECONDS = 0.2
+_STDERR = 2
+#: How long the last words of the guard may take.
+_LAST_WORDS_SECONDS = 1.0
 #: What is told before a motor is stopped: two stops by a ramp, two at once, a port to wait for, and the user's power command.
 _LONG = say.Busy(60.0)
 #: What learns that the guard has stopped a motor by itself; what a suite tells is taken all the same.
@@ -280,14 +286,54 @@ def _reader(stream: IO[bytes], into: queue.Queue[say.Request | None]) -> None:
         into.put(None)
 
 
+class Aside(io.TextIOBase):
+    """A text stream of which a thread writes the lines to a descriptor: writing to it waits for no reader."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._lines: queue.Queue[str | None] = queue.Queue()
+        self._line = ""
+        self._thread = threading.Thread(target=self._pass_on, daemon=True)
+        self._thread.start()
+
+    def write(self, text: str) -> int:
+        """Take a text, cleaned."""
+        *lines, self._line = (self._line + printable(text, "\n\t")).split("\n")
+        for line in lines:
+            self._lines.put(f"{line}\n")
+        return len(text)
+
+    def close(self) -> None:
+        """Wait until all is written, but not for a reader that has stalled."""
+        if not self.closed:
+            self._lines.put(self._line)
+            self._lines.put(None)
+            self._thread.join(_LAST_WORDS_SECONDS)
+        super().close()
+
+    def _pass_on(self) -> None:
+        while (line := self._lines.get()) is not None:
+            left = line.encode(errors="backslashreplace")
+            # Not through a buffer: its lock would be held by this thread when the process ends.
+            with contextlib.suppress(OSError):
+                while left:
+                    left = left[os.write(self._descriptor, left) :]
+
+
 def main() -> int:
     """Serve one suite until it ends or dies; return the exit status."""
+    # Before a motor stands, what is told of another one must not wait.
+    with contextlib.closing(Aside(_STDERR)) as aside, contextlib.redirect_stderr(aside):
+        return _guard()
+
+
+def _guard() -> int:
     for name in _SHIELDED:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     # What a library prints must not stand among the answers.
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    os.dup2(_STDERR, sys.stdout.fileno())
     requests: queue.Queue[say.Request | None] = queue.Queue()
     # Without a buffer: its lock would be held by the reading thread when the process ends.
     orders = os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0)

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 
 from analyzer.cli import decode as command
 from analyzer.cli import decode_many, main
-from analyzer.cli.decode_targets import captures
+from analyzer.cli.decode_targets import Capture, captures
 from analyzer.cli.signals import handled
 from analyzer.errors import UnreadableError
 from analyzer.sinks.forked import available
@@ -143,6 +143,17 @@ def test_each_of_many_captures_of_one_name_finds_its_log_at_once(tmp_path, monke
     assert [each.target.name for each in found[:4]] == ["x-2.mcap", "x.mcap", "x-3.mcap", "x-4.mcap"]
     assert len({each.target for each in found}) == 101
     assert tried <= 110
+
+
+def test_the_summary_of_very_many_captures_is_printed_in_parts(capsys, monkeypatch):
+    monkeypatch.setattr(decode_many, "_ROWS", 40)
+    whole = {"format": "hex", "dialects": [], "frames": 2, "bytes": {"junk": {}}, "findings": [], "notes": [], "log": "x"}
+    outcomes = [(Capture(f"{number}.log", Path(f"{number}.mcap"), 9), decode_many.Outcome(whole)) for number in range(100)]
+    decode_many._print_summary(outcomes, 100, 1.0, "")
+    lines = capsys.readouterr().out.splitlines()
+    assert [n for n, line in enumerate(lines) if line.startswith("capture")] == [0, 41, 82]
+    assert [line.split()[0] for line in lines if ".log" in line] == [f"{number}.log" for number in range(100)]
+    assert lines[-1].startswith("decoded 100 of 100 captures: 900 bytes, 200 frames")
 
 
 @JOBS

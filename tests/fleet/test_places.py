@@ -251,6 +251,9 @@ def test_folders_may_lie_deeper_than_python_calls(captures, tmp_path, monkeypatc
     Path("deep.log").write_text("FA 01 31 2C\n")
     try:
         assert [found.name[-10:] for found in Place(str(place)).files()] == ["d/deep.log"]
+        assert Place(str(place)).link_in([""]) == ""
+        os.symlink(tmp_path, "out")
+        assert Place(str(place)).link_in([""]).endswith("d/d/out")
     finally:
         # What shutil removes may not lie so deep either.
         subprocess.run(["rm", "-r", place], check=True)

@@ -212,6 +212,17 @@ def test_what_no_profile_holds_costs_a_line(folder, text, said):
             profile.machine_of(text.encode(), "beside")
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("address", f'"{"a" * 100_000}"'), ("subdivision", f"[{'1, ' * 50_000}]"), ("settings", f'"{"a" * 100_000}"')],
+)
+def test_a_mistaken_value_is_quoted_in_short(folder, key, value):
+    (folder / "servotap.toml").write_text(f"{ARM}{key} = {value}\n")
+    with pytest.raises(UsageError, match=rf"drive arm: {key}: expected .*characters\)") as told:
+        profile.look_up("arm")
+    assert len(str(told.value)) < 300 + len(str(folder))
+
+
 def test_a_key_may_have_as_many_parts_as_any_profile_needs(folder):
     (folder / "servotap.toml").write_text(f"{'.'.join(['x'] * 64)} = 1 # {'.' * 200} a.b\n{ARM}")
     assert profile.look_up("arm").drives[0].target == "mks-rs485@1"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,7 @@ from conformance.gate.gate import Allowance, Gate
 from conformance.motion import motion
 from conformance.safety import journal
 from conformance.safety import messages as say
+from conformance.safety.guard import Aside
 from conformance.safety.guarded_line import GuardedLine
 from conformance.safety.stopping import GuardLost
 from conformance.talk.probe import plain_probe
@@ -218,3 +221,29 @@ def test_what_the_guard_prints_steers_no_terminal(tmp_path, monkeypatch, capfd):
     error = capfd.readouterr().err
     assert error.count("\n") == 1
     assert "a fault of servotap: RuntimeError: \\x1b[2J;" in error
+
+
+@pytest.mark.skipif(not hasattr(os, "set_blocking"), reason="a pipe cannot be filled here")
+def test_what_the_guard_says_waits_for_no_reader():
+    """A motor that is stopped next would turn on."""
+    source, target = os.pipe()
+    os.set_blocking(target, False)
+    with contextlib.suppress(BlockingIOError):
+        while os.write(target, bytes(4096)):
+            pass
+    os.set_blocking(target, True)
+
+    aside = Aside(target)
+    words = ("NOT STOPPED: \x1b[31m", "one drive")
+    speaker = threading.Thread(target=print, args=words, kwargs={"file": aside, "flush": True}, daemon=True)
+    speaker.start()
+    speaker.join(60)
+    assert not speaker.is_alive()
+    # Once it is read again, nothing is lost and nothing steers a terminal.
+    said = b""
+    while not said.endswith(b"\n"):
+        said += os.read(source, 1 << 20)
+    assert said.lstrip(b"\0") == b"NOT STOPPED: \\x1b[31m one drive\n"
+    aside.close()
+    os.close(source)
+    os.close(target)
