@@ -106,6 +106,7 @@ MODULES = (
     "resilience.reads",
     "resilience.inert_reads",
     "resilience.settings",
+    "resilience.switches",
     "resilience.busy",
 )
 Source = Callable[[Dialect], Iterable[Claim]]

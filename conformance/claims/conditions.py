@@ -179,7 +179,7 @@ def _bus_mode(probe: Probe) -> None:
 
 # --- the conditions of a dialect ----------------------------------------------------------------------------------------
 
-AT_REST = Condition("at-rest", "at rest", _nothing, _nothing, stands=True)
+_AT_REST = Condition("at-rest", "at rest", _nothing, _nothing, stands=True)
 
 
 def _motions(dialect: Dialect) -> Iterator[Condition]:
@@ -272,3 +272,8 @@ def every(dialect: Dialect) -> Iterator[Condition]:
         # What hands do to the shaft, and what wears, is not promised of an open loop.
         own = each.emulated or each.by_name or "work_mode" in each.settings
         yield each if own or not fit else replace(each, mode=fit[number % len(fit)])
+
+
+def passing(dialect: Dialect) -> list[Condition]:
+    """Return the conditions that a drive of a dialect can be in, but for those that change it for good."""
+    return [_AT_REST, *(each for each in every(dialect) if not each.by_name)] if declared.can_move(dialect) else []

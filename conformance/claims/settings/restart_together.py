@@ -22,8 +22,8 @@ from conformance.claims.addressing import package, ways
 from conformance.claims.control_reads import expect_silence
 from conformance.claims.declare import Case
 from conformance.claims.ranges import edges
-from conformance.claims.resilience.settings import expect_effects
 from conformance.claims.settings import kept_effects
+from conformance.claims.settings.effects_together import SILENT_NS, expect_effects
 from conformance.claims.settings.kept_effects import Kept
 from conformance.claims.settings.known_settings import ReadableSetting, Setting, every_setting, needs
 from conformance.claims.settings.read_back import fields_of, of_read_back
@@ -33,9 +33,6 @@ from conformance.motion.effects import Change
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, Probe
 from conformance.talk.restarts import need_axis_lock, restart, wait_for_answer
-
-#: How long a setting that is not answered is given.
-_SILENT_NS = 60 * MS
 
 
 @dataclass(frozen=True)
@@ -70,11 +67,11 @@ def _to_all(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchan
 
 
 def _to(probe: Probe, address: int, command: Command, values: Mapping[str, int]) -> Exchange:
-    return ways.send_to(probe, address, Change(command, dict(values), 0, 0), _SILENT_NS)
+    return ways.send_to(probe, address, Change(command, dict(values), 0, 0), SILENT_NS)
 
 
 def _in_slot(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
-    return probe.send(package.in_own_slot(probe, command, values), timeout_ns=_SILENT_NS)
+    return probe.send(package.in_own_slot(probe, command, values), timeout_ns=SILENT_NS)
 
 
 #: What shows by a move, a run and homing; what shows where it can be read.
