@@ -9,11 +9,10 @@ from analyzer.catalogue import Risk, Role
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown, whole
 from analyzer.encoder import build
 from analyzer.layout import Effect
-from analyzer.link import FUNCTIONS, modbus_crc
+from analyzer.link import FUNCTIONS, LAST_UNIT, modbus_crc
 from analyzer.records import Message
 from analyzer.values import counted
 
-_MODBUS_LAST = 247
 #: Who answers at these addresses as well as at its own.
 _GENERAL = {0xF8: "Some meters (PZEM)", 0xFE: "Some sensors and relays", 0xFF: "Some relays and chargers"}
 _MODBUS_SHORTEST = 5
@@ -155,7 +154,7 @@ def _to_none(scene: Scene) -> Iterator[Suspicion]:
     likely = Confidence.CERTAIN if len(troubles) > 1 else Confidence.LIKELY
     yield Suspicion(
         "wrong_address", Confidence.POSSIBLE if general else likely, troubles,
-        f"Address {data[0]} is none of a Modbus unit: those end at {_MODBUS_LAST}."
+        f"Address {data[0]} is none of a Modbus unit: those end at {LAST_UNIT}."
         + (f" {general} answer at it where they are alone on the bus." if general else ""),
         f"{shown(data)} at byte {troubles[0].offset}; {counted(len(troubles), 'time')}",
         f"Ask at the unit's own address: for 1 send {shown(_at_one(data))}",
@@ -194,7 +193,7 @@ def _from_new(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _beyond(data: bytes) -> bool:
-    known = len(data) > _MODBUS_SHORTEST and data[0] > _MODBUS_LAST and data[1] in FUNCTIONS
+    known = len(data) > _MODBUS_SHORTEST and data[0] > LAST_UNIT and data[1] in FUNCTIONS
     # A CRC that fits still does with a 00 behind it.
     return known and modbus_crc(data) == 0 and modbus_crc(data[:-1]) != 0
 

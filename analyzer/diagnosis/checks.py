@@ -19,7 +19,7 @@ from analyzer.diagnosis.check_rules import ORDER, RULES, RULES_OF_TWO, Rule
 from analyzer.diagnosis.exchanges import awaited, reported
 from analyzer.diagnosis.reader import Reader, Reading
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
-from analyzer.link import LkLink, modbus_crc
+from analyzer.link import LAST_EXCEPTION, LAST_UNIT, MOST_REGISTERS, REGISTER_READS, LkLink, modbus_crc
 from analyzer.values import counted
 
 _LONGEST_CHECK = 2
@@ -147,7 +147,7 @@ def _again_without_end(scene: Scene) -> Iterator[Suspicion]:
         for at in range(size):
             body = data[at : at + size - 1]
             right = body + modbus_crc(body).to_bytes(2, "little")
-            if right[:-1] == data[at : at + size] and 0 < right[0] <= _LAST_UNIT and _plain(right):
+            if right[:-1] == data[at : at + size] and 0 < right[0] <= LAST_UNIT and _plain(right):
                 yield Suspicion(
                     "missing_checksum", Confidence.LIKELY, [trouble],
                     "The request is sent again and again without the last byte of its CRC.",
@@ -246,7 +246,7 @@ def _answered(scene: Scene, failing: Failing) -> bool:
     if reading is None or behind is None or behind.direction is Role.REQUEST:
         return False
     # A reply that begins as the right one is an answer, too.
-    begun = behind.direction is Role.REPLY and len(behind.data) > _HEAD and behind.data[1] in _READS
+    begun = behind.direction is Role.REPLY and len(behind.data) > _HEAD and behind.data[1] in REGISTER_READS
     if begun and any(reply.begins(behind.data) for reply in awaited(reading.message)):
         return True
     if any(
@@ -338,7 +338,7 @@ def _read_and_write(data: bytes) -> bytes:
 
     The framer takes functions that no dialect has by their CRC alone, so that a wrong one is told here.
     """
-    if len(data) <= _COUNT_OF_17 or data[1] != _FUNCTION_17 or not 0 < data[0] <= _LAST_UNIT:
+    if len(data) <= _COUNT_OF_17 or data[1] != _FUNCTION_17 or not 0 < data[0] <= LAST_UNIT:
         return b""
     size = _COUNT_OF_17 + 1 + data[_COUNT_OF_17]
     fits = data[8] == 0 and data[_COUNT_OF_17] == 2 * data[9] > 0 and len(data) in (size, size + 2)
@@ -397,22 +397,22 @@ def _plain(frame: bytes) -> bool:
 
     Or it switches a coil, which is done by two values alone.
     """
-    if len(frame) == _READ_SIZE and frame[1] in _READS and 0 < int.from_bytes(frame[4:6], "big") <= _MOST_REGISTERS:
+    if len(frame) == _READ_SIZE and frame[1] in REGISTER_READS and 0 < int.from_bytes(frame[4:6], "big") <= MOST_REGISTERS:
         return True
-    if len(frame) == _READ_SIZE and frame[1] == _SWITCHES and frame[4:6] in _SWITCHED and 0 < frame[0] <= _LAST_UNIT:
+    if len(frame) == _READ_SIZE and frame[1] == _SWITCHES and frame[4:6] in _SWITCHED and 0 < frame[0] <= LAST_UNIT:
         return True
     return len(frame) > _EXCEPTION - 1 and (
-        (frame[1] in _READS and frame[2] == len(frame) - 5 and frame[2] % 2 == 0)
-        or (len(frame) == _EXCEPTION and frame[1] & 0x7F in _READS and 0 < frame[2] <= _LAST_CODE)
+        (frame[1] in REGISTER_READS and frame[2] == len(frame) - 5 and frame[2] % 2 == 0)
+        or (len(frame) == _EXCEPTION and frame[1] & 0x7F in REGISTER_READS and 0 < frame[2] <= LAST_EXCEPTION)
     )
 
 
 def _is_write(frame: bytes) -> bool:
     """Say whether a frame is a Modbus write of one register."""
-    return len(frame) == _READ_SIZE and frame[1] == _WRITE_ONE and 0 < frame[0] <= _LAST_UNIT
+    return len(frame) == _READ_SIZE and frame[1] == _WRITE_ONE and 0 < frame[0] <= LAST_UNIT
 
 
-_WRITE_ONE, _LAST_UNIT = 0x06, 247
+_WRITE_ONE = 0x06
 
 
 def _is_whole_write(frame: bytes) -> bool:
@@ -426,11 +426,9 @@ def _is_whole_write(frame: bytes) -> bool:
 _WRITE_MANY, _COUNTED = 0x10, 9
 #: The function that switches a coil, and its values.
 _SWITCHES, _SWITCHED = 0x05, (b"\xff\0", b"\0\0")
-#: The size of an exception, and the greatest code of one.
-_EXCEPTION, _LAST_CODE = 5, 0x0B
+#: The size of an exception.
+_EXCEPTION = 5
 _READ_SIZE = 8
-_READS = (0x03, 0x04)
-_MOST_REGISTERS = 125
 
 
 def _completions(reader: Reader, body: bytes, can_id: int | None) -> Iterator[bytes]:

@@ -8,7 +8,7 @@ from itertools import pairwise
 from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
-from analyzer.link import READS, modbus_crc
+from analyzer.link import READS, modbus_crc, read_bytes
 from analyzer.values import counted
 
 #: Bytes that must come back where a request does not come back whole; once alone, and several times.
@@ -17,8 +17,8 @@ _ONCE, _LEAST = 5, 3
 _ROW = 3
 #: The share of the zeros or ones that may be changed; and of these so many times more go one way than the other.
 _CHANGED, _ONE_WAY = 0.6, 4
-#: A request to read, and those that read registers.
-_READ_BYTES, _REGISTERS = 8, (0x03, 0x04)
+#: A request to read.
+_READ_BYTES = 8
 _OFF = "Switch the receiver off while sending (tie RE to DE)"
 _DROP = f"{_OFF}, or drop as many bytes as were sent before reading the reply"
 
@@ -150,8 +150,7 @@ def _cut_read(data: bytes) -> bytes | None:
         return None
     body = data[:-1]
     crc = modbus_crc(body).to_bytes(2, "little")
-    quantity = int.from_bytes(data[4:6], "big")
-    count = 2 * quantity if data[1] in _REGISTERS else (quantity + 7) // 8
+    count = read_bytes(data[1], int.from_bytes(data[4:6], "big"))
     return body + crc if crc[0] == data[-1] and 5 + count == len(data) else None
 
 

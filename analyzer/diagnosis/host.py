@@ -10,7 +10,7 @@ from analyzer.catalogue import Role
 from analyzer.diagnosis.checks import failing_by_check
 from analyzer.diagnosis.exchanges import awaited
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
-from analyzer.link import FUNCTIONS, READS, modbus_crc
+from analyzer.link import FUNCTIONS, LAST_EXCEPTION, LAST_UNIT, READS, REGISTER_READS, modbus_crc
 from analyzer.records import Message
 from analyzer.values import counted
 
@@ -108,7 +108,14 @@ def _promised(stretch: Stretch, heads: Counter[bytes]) -> int:
     """
     data = stretch.data
     received = stretch.direction is Role.REPLY or heads[data[:_HEAD]] > 1
-    if received and len(data) >= _LEAST and 0 < data[0] <= _LAST_UNIT and data[1] in _REGISTERS and data[2] and not data[2] % 2:
+    if (
+        received
+        and len(data) >= _LEAST
+        and 0 < data[0] <= LAST_UNIT
+        and data[1] in REGISTER_READS
+        and data[2]
+        and not data[2] % 2
+    ):
         size = _SHORTEST + data[2]
         if len(data) <= size - _CHECK and size <= _LONGEST:
             return size
@@ -119,7 +126,7 @@ def _promised(stretch: Stretch, heads: Counter[bytes]) -> int:
 def _refusal(asked: Message | None, stretch: Stretch) -> int:
     """Return how many bytes an exception has, if these are one without its CRC, or with half of it; else 0."""
     data = stretch.data
-    if not _SHORTEST - 2 <= len(data) < _SHORTEST or data[1] ^ 0x80 not in FUNCTIONS or not 0 < data[2] <= _LAST_CODE:
+    if not _SHORTEST - 2 <= len(data) < _SHORTEST or data[1] ^ 0x80 not in FUNCTIONS or not 0 < data[2] <= LAST_EXCEPTION:
         return 0
     if asked is not None and bytes((data[0], data[1] & 0x7F)) != asked.frame.data[:2]:
         return 0
@@ -127,12 +134,12 @@ def _refusal(asked: Message | None, stretch: Stretch) -> int:
     return _SHORTEST if half and (asked is not None or stretch.direction is Role.REPLY) else 0
 
 
-#: The size of an exception, and the greatest code of one.
-_SHORTEST, _LAST_CODE = 5, 0x0B
+#: The size of an exception.
+_SHORTEST = 5
 #: Unit, function and count of a reply; and replies of which one byte alone came.
 _HEAD, _SINGLE = 3, 3
-#: Functions that read registers, the last address, bytes of a beginning that tell, of a CRC, and of the longest reply.
-_REGISTERS, _LAST_UNIT, _LEAST, _CHECK, _LONGEST = (0x03, 0x04), 247, 4, 2, 255
+#: Bytes of a beginning that tell, of a CRC, and of the longest reply.
+_LEAST, _CHECK, _LONGEST = 4, 2, 255
 
 
 def _wanted(asked: Message, data: bytes) -> int:

@@ -15,10 +15,9 @@ from math import isfinite
 from typing import NamedTuple
 
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link import modbus_crc
+from analyzer.link import REGISTER_READS, modbus_crc
 from analyzer.values import counted
 
-_REGISTERS = (0x03, 0x04)
 #: Bytes of one register.
 _ONE = 2
 #: Bytes of the registers of a block, and the digits of a number that is met in one by no chance.
@@ -117,7 +116,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
 def _registers(piece: Piece) -> bytes:
     """Return the registers of a sound Modbus reply; empty where it is none."""
     data = piece.data
-    whole = piece.can is None and len(data) > 6 and data[1] in _REGISTERS and len(data) == data[2] + 5
+    whole = piece.can is None and len(data) > 6 and data[1] in REGISTER_READS and len(data) == data[2] + 5
     return data[3:-2] if whole and modbus_crc(data) == 0 and not data[2] % 2 else b""
 
 

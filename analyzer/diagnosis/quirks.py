@@ -9,21 +9,18 @@ from collections.abc import Iterator
 from analyzer.catalogue import Risk, Role, Verb
 from analyzer.diagnosis.exchanges import Turn, awaited, chains
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link import FUNCTIONS, READS, HeadLink, modbus_crc
+from analyzer.link import FUNCTIONS, LAST_EXCEPTION, LAST_UNIT, MOST_REGISTERS, READS, HeadLink, modbus_crc
 from analyzer.protocols.mks_shared import MotorStatus
 from analyzer.values import counted
 
 #: So often something has to happen to be a habit.
 _HABIT = 2
-#: A Modbus read asks for so many registers at most.
-_MOST_REGISTERS = 125
 _REQUEST = 8
-_MODBUS_LAST = 247
 _SHORTEST = 7
 #: Risks of what is set once, and not read again and again.
 _SETTINGS = frozenset((Risk.SETTING, Risk.LINK))
-#: The size of an exception, and its last code.
-_EXCEPTION, _LAST_CODE = 5, 0x0B
+#: The size of an exception.
+_EXCEPTION = 5
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -109,10 +106,10 @@ def _byte_count(scene: Scene) -> Iterator[Suspicion]:
         if piece.can is not None or size < _SHORTEST or data[1] not in READS or modbus_crc(data):
             continue
         # A CRC that fits still does with a 00 behind it.
-        if data[0] > _MODBUS_LAST or modbus_crc(data[:-1]) == 0:
+        if data[0] > LAST_UNIT or modbus_crc(data[:-1]) == 0:
             continue
         count, quantity = int.from_bytes(data[2:4], "big"), int.from_bytes(data[4:6], "big")
-        asks = size == _REQUEST and 1 <= quantity <= _MOST_REGISTERS
+        asks = size == _REQUEST and 1 <= quantity <= MOST_REGISTERS
         if asks or size == data[2] + 5:
             continue
         own = [t for t in scene.troubles if t.piece is piece or (t.stretch is not None and t.stretch.offset == piece.offset)]
@@ -151,8 +148,8 @@ def _no_check(scene: Scene) -> Iterator[Suspicion]:
 def _is_unchecked(data: bytes) -> bool:
     """Say whether bytes are an exception of Modbus whose check is 00 00."""
     return (
-        len(data) == _EXCEPTION and data[1] ^ 0x80 in FUNCTIONS and 0 < data[2] <= _LAST_CODE and data[3:] == b"\0\0"
-        and 0 < data[0] <= _MODBUS_LAST and modbus_crc(data) != 0
+        len(data) == _EXCEPTION and data[1] ^ 0x80 in FUNCTIONS and 0 < data[2] <= LAST_EXCEPTION and data[3:] == b"\0\0"
+        and 0 < data[0] <= LAST_UNIT and modbus_crc(data) != 0
     )  # fmt: skip
 
 

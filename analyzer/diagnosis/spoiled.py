@@ -11,7 +11,7 @@ from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import crossed, replies_to
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.framer import GLITCHES
-from analyzer.link import FUNCTIONS, modbus_crc
+from analyzer.link import FUNCTIONS, LAST_UNIT, REGISTER_READS, modbus_crc
 from analyzer.values import counted
 
 #: Bytes of one glitch: of those that a pulse makes, and of any others, where a frame stands in the same read.
@@ -26,9 +26,7 @@ _MOST_FRAMES = 200
 #: Bytes that a reply must show before it is one that only lacks its end.
 _LEAST_OF_REPLY = 5
 #: A request to read registers.
-_READ_BYTES, _REGISTERS = 8, (b"\x03", b"\x04")
-#: The last address of a Modbus unit.
-_LAST_UNIT = 247
+_READ_BYTES = 8
 #: No frame takes longer.
 _FRAME_NS = 2_000_000_000
 #: A sender's frames of which one with a glitch is no chance.
@@ -208,7 +206,7 @@ def _with_start(scene: Scene, stretch: Stretch, heads: Iterable[bytes]) -> tuple
             return whole, reading.message.role
     # One address alone makes the CRC fit.
     if stretch.opens and len(stretch.data) >= _LEAST_OF_REPLY - 1 and stretch.data[0] & 0x7F in FUNCTIONS:
-        for address in range(1, _LAST_UNIT + 1):
+        for address in range(1, LAST_UNIT + 1):
             whole = bytes((address,)) + stretch.data
             if modbus_crc(whole) == 0 and (reading := scene.reader.best(whole, role=role)) is not None:
                 return whole, reading.message.role
@@ -258,7 +256,8 @@ def _parts(scene: Scene) -> list[_Part]:
 
 def _checked(data: bytes) -> int:
     """Return the length of the request to read registers that bytes begin with, at any address; 0 where none does."""
-    return _READ_BYTES if data[1:2] in _REGISTERS and len(data) >= _READ_BYTES and modbus_crc(data[:_READ_BYTES]) == 0 else 0
+    asks = len(data) >= _READ_BYTES and data[1] in REGISTER_READS and modbus_crc(data[:_READ_BYTES]) == 0
+    return _READ_BYTES if asks else 0
 
 
 def _glitch(scene: Scene, part: _Part, before: _Part | None, behind: _Part | None) -> tuple[bool, _Edge] | None:
@@ -344,7 +343,7 @@ def _around(scene: Scene) -> Iterator[tuple[Trouble, int, bytes, bytes]]:
 
 def _lacks_last(data: bytes) -> bool:
     """Say whether bytes are a reply of registers whose last byte alone is missing."""
-    whole = data[1:2] in _REGISTERS and 3 + data[2] + 1 == len(data)
+    whole = data[1] in REGISTER_READS and 3 + data[2] + 1 == len(data)
     return whole and modbus_crc(data[:-1]) & 0xFF == data[-1]
 
 

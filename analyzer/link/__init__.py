@@ -23,13 +23,30 @@ from analyzer.link.interface import (
     sum8,
 )
 from analyzer.link.lk import LkLink
-from analyzer.link.modbus import FUNCTIONS, READS, WRITE_MANY, WRITE_ONE, ModbusLink, ModbusSlaveLink, modbus_crc, read_bytes
+from analyzer.link.modbus import (
+    FUNCTIONS,
+    LAST_EXCEPTION,
+    LAST_UNIT,
+    MOST_REGISTERS,
+    READS,
+    REGISTER_READS,
+    WRITE_MANY,
+    WRITE_ONE,
+    ModbusLink,
+    ModbusSlaveLink,
+    modbus_crc,
+    read_bytes,
+)
 
 __all__ = [
     "EXTENDED_ID",
     "FUNCTIONS",
+    "LAST_EXCEPTION",
+    "LAST_UNIT",
     "MORE",
+    "MOST_REGISTERS",
     "READS",
+    "REGISTER_READS",
     "TIE",
     "WRITE_MANY",
     "WRITE_ONE",

@@ -41,14 +41,17 @@ if TYPE_CHECKING:
 modbus_crc: Callable[[bytes], int] = _crc16.modbus
 
 BIT_READS = frozenset({0x01, 0x02})
-READS = BIT_READS | {0x03, 0x04}
+REGISTER_READS = frozenset({0x03, 0x04})
+READS = BIT_READS | REGISTER_READS
 WRITE_ONE = frozenset({0x05, 0x06})
 WRITE_MANY = frozenset({0x0F, 0x10})
 FUNCTIONS = READS | WRITE_ONE | WRITE_MANY
 _EXCEPTIONS = frozenset(function | 0x80 for function in FUNCTIONS)
 #: The highest address, and the last exception code, that Modbus has.
-_MODBUS_HIGHEST = 247
-_MODBUS_LAST_EXCEPTION = 11
+LAST_UNIT = 247
+LAST_EXCEPTION = 11
+#: Registers that one request reads at most.
+MOST_REGISTERS = 125
 #: Coils that one request reads at most.
 _MOST_COILS = 2000
 #: Characters of silence between frames, and the silence above a baud rate.
@@ -195,7 +198,7 @@ _STARTS = _ANY_UNIT + rb"(?=[\x01-\x06\x0f\x10\x81-\x86\x8f\x90]|\Z)"
 class _ModbusSlicer(Slicer):
     """Lengths by function: a read has 8 bytes, or 5 and its byte count; a write of several 8, or 9 and its count."""
 
-    heads = bytes(range(_MODBUS_HIGHEST + 1))
+    heads = bytes(range(LAST_UNIT + 1))
     starts = _STARTS
     strong_head = False
     strong_check = True
@@ -241,11 +244,11 @@ class _ModbusSlicer(Slicer):
         if function & 0x80 and function & 0x7F in FUNCTIONS:
             if have < 3:
                 return (MORE,)
-            return (5,) if 1 <= buffer[at + 2] <= _MODBUS_LAST_EXCEPTION else ()
+            return (5,) if 1 <= buffer[at + 2] <= LAST_EXCEPTION else ()
         return ()
 
     def look(self, buffer: bytes, at: int, end: int, closed: bool) -> int:
-        if buffer[at] > _MODBUS_HIGHEST:
+        if buffer[at] > LAST_UNIT:
             return 0
         found = 0
         for length in self._sizes(buffer, at, end):
@@ -262,7 +265,7 @@ class _ModbusSlicer(Slicer):
 
     def lengths(self, buffer: bytes, at: int, end: int) -> list[int]:
         result: list[int] = []
-        if buffer[at] > _MODBUS_HIGHEST:
+        if buffer[at] > LAST_UNIT:
             return result
         for length in self._sizes(buffer, at, end):
             stop = at + length
@@ -278,7 +281,7 @@ class _ModbusSlicer(Slicer):
 
     def damaged(self, buffer: bytes, at: int, end: int) -> list[int]:
         result: list[int] = []
-        if buffer[at] > _MODBUS_HIGHEST:
+        if buffer[at] > LAST_UNIT:
             return result
         for length in self._sizes(buffer, at, end):
             if length == MORE or at + length > end:
@@ -288,11 +291,11 @@ class _ModbusSlicer(Slicer):
 
     def foreign(self, buffer: bytes, at: int) -> bool:
         known = at + 1 >= len(buffer) or buffer[at + 1] in FUNCTIONS or buffer[at + 1] ^ 0x80 in FUNCTIONS
-        return buffer[at] <= _MODBUS_HIGHEST and not known
+        return buffer[at] <= LAST_UNIT and not known
 
     def whole(self, data: bytes) -> bool:
         size = len(data)
-        if not 4 <= size <= self.longest or data[0] > _MODBUS_HIGHEST:
+        if not 4 <= size <= self.longest or data[0] > LAST_UNIT:
             return False
         if modbus_crc(data[:-2]) != data[-2] | data[-1] << 8:
             return False
@@ -312,13 +315,13 @@ class _ModbusSlicer(Slicer):
         if self._addresses:
             kinds = kinds * np.frombuffer(codes[:room].tobytes().translate(self._addresses), dtype=np.bool_)
         else:
-            kinds = kinds * (codes[:room] <= _MODBUS_HIGHEST)
+            kinds = kinds * (codes[:room] <= LAST_UNIT)
         reads, writes_one, writes_many, exceptions = (kinds == kind for kind in range(1, 1 + len(_FUNCTIONS_OF_KIND)))
         # Of each place: whether a frame of 8 bytes can begin there, and the other length that one can have, 0 for none. To
         # reckon it at all places is faster than to pick out first where a read can begin.
         asks, other = self._of_reads([codes[place : room + place] for place in range(6)])
         eight = (asks & reads) | writes_one | writes_many
-        other = other * reads + (codes[2 : room + 2] - 1 < _MODBUS_LAST_EXCEPTION) * exceptions * np.uint8(5)
+        other = other * reads + (codes[2 : room + 2] - 1 < LAST_EXCEPTION) * exceptions * np.uint8(5)
         # Flags are searched several times as fast as numbers; all else is done for the places that are left.
         places = np.flatnonzero(eight | (other != 0))
         eight, other = eight.take(places), other.take(places)
@@ -350,7 +353,7 @@ class _ModbusSlicer(Slicer):
         """
         address, function, count, _, high, low = columns
         few = function < 3
-        asks = (high == 0) & (low > 0) & ((low <= 125) | few)
+        asks = (high == 0) & (low > 0) & ((low <= MOST_REGISTERS) | few)
         most = _MOST_COILS >> 8
         asks |= few & (high > 0) & ((high < most) | ((high == most) & (low <= _MOST_COILS & 0xFF)))
         tells = (count > 0) & (count <= _MOST_COUNTED) & ((count & 1 == 0) | few) & (address > 0)
@@ -391,7 +394,7 @@ class _ModbusFinder(Finder):
 
     def at(self, buffer: bytes, start: int, can_id: int | None = None) -> Candidates:
         end = len(buffer)
-        if buffer[start] > _MODBUS_HIGHEST:
+        if buffer[start] > LAST_UNIT:
             return NO_CANDIDATES
         if start + 2 > end:
             return Candidates(open=True)
@@ -439,7 +442,7 @@ class _ModbusFinder(Finder):
 
     def checked(self, buffer: bytes, start: int, stop: int) -> Iterator[Candidate]:
         end = len(buffer)
-        if start + 4 > end or buffer[start] > _MODBUS_HIGHEST:
+        if start + 4 > end or buffer[start] > LAST_UNIT:
             return
         function = buffer[start + 1]
         if not 0 < function < 0x80 or function in FUNCTIONS:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
-from analyzer.link import modbus_crc
+from analyzer.link import REGISTER_READS, modbus_crc
 from analyzer.sources.hexfields import has_cells, has_fields
 from analyzer.sources.hexline import HexLine, Shape, take_apart
 from analyzer.sources.marks import OTHER_SIDE, TO, WORDS, role_of
@@ -22,7 +22,7 @@ _SINGLE_LINES = 4
 #: Bytes of a line of decimal numbers without a mark; rows of a table begin with more values than these.
 _DECIMAL_BYTES, _DECIMAL_HEADS = 4, 4
 #: A request to read registers, and what a reply has beside its registers.
-_READ_BYTES, _REGISTERS, _AROUND = 8, (0x03, 0x04), 5
+_READ_BYTES, _AROUND = 8, 5
 #: An odd number of digits without a gap, and the number of such lines that is no slip.
 _ODD_DIGITS, _UNPADDED_LINES = re.compile(r"\s*[0-9A-F](?:[0-9A-F]{2}){2,}\s*"), 2
 #: Bytes with gaps between them, and one of one digit beside one of two.
@@ -40,13 +40,13 @@ _ARROW = "->"
 
 def _asks(data: bytes) -> bool:
     """Say whether bytes are a request to read registers: who receives one is a server, or listens."""
-    return len(data) == _READ_BYTES and data[1] in _REGISTERS and modbus_crc(data) == 0
+    return len(data) == _READ_BYTES and data[1] in REGISTER_READS and modbus_crc(data) == 0
 
 
 def _replies(data: bytes) -> bool:
     """Say whether bytes are a reply of registers, and no request."""
     long = len(data) >= _AROUND and len(data) != _READ_BYTES
-    return long and data[1] in _REGISTERS and data[2] == len(data) - _AROUND and modbus_crc(data) == 0
+    return long and data[1] in REGISTER_READS and data[2] == len(data) - _AROUND and modbus_crc(data) == 0
 
 
 def _is_deaf(traffic: Sequence[HexLine], roles: Sequence[Role]) -> bool:
