@@ -10,19 +10,18 @@ import re
 from bisect import bisect_left
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from typing import NamedTuple
 
 from msgspec.structs import replace
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.check_rules import ORDER, RULES, RULES_OF_TWO, Rule
+from analyzer.diagnosis.check_rules import ORDER, RULES, Rule
 from analyzer.diagnosis.exchanges import awaited, reported
-from analyzer.diagnosis.reader import Reader, Reading
-from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
-from analyzer.link import LAST_EXCEPTION, LAST_UNIT, MOST_REGISTERS, REGISTER_READS, LkLink, modbus_crc
+from analyzer.diagnosis.failing import READ_SIZE, Failing, failing_by_check, is_plain, is_write
+from analyzer.diagnosis.reader import Reader
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.link import LAST_UNIT, REGISTER_READS, modbus_crc
 from analyzer.values import counted
 
-_LONGEST_CHECK = 2
 #: A frame that differs from a right one by fewer bits may be that one, damaged; and right ones that are compared.
 _LEAST_BITS = 2
 _LOOKED_AT = 200
@@ -30,27 +29,10 @@ _LOOKED_AT = 200
 _HEAD = 4
 #: Different replies that a rule must fit.
 _RULED = 2
-#: The link whose head counts the fields and has a sum of its own.
-_COUNTING = LkLink()
 #: A frame of CAN with a sum and no field.
 _SHORT_CAN = 2
-#: Bytes before a frame that are looked for.
-_STRAY = 3
 #: How programs print the number of bytes they sent.
 _WRITTEN = re.compile(r"\b(?:written|wrote|sent|write)\b\D{0,12}?(\d{1,3}) bytes?\b", re.IGNORECASE)
-
-
-class Failing(NamedTuple):
-    """A request that fails by its check alone. `rules`: those that give what it has; `right`: the frame as it should be.
-
-    `size`: how many bytes of a check it has; 0 where there is none, or only the first byte of the right one.
-    """
-
-    trouble: Trouble
-    right: bytes
-    name: str
-    size: int
-    rules: tuple[Rule, ...]
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -67,7 +49,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     # A drive answers no request without its check: one that is answered shows that the log leaves the checks out. So does a
     # log that counts more bytes than it prints.
     sizes = {int(found) for words in scene.words for found in _WRITTEN.findall(words)}
-    if any(_answered(scene, each) or len(each.right) in sizes - {len(_data(each))} for each in missing):
+    if any(_answered(scene, each) or len(each.right) in sizes - {len(each.data)} for each in missing):
         replied = any(p.is_reply and p.sound for p in scene.pieces)
         scene.explained.update(
             t for t in scene.damaged if t.stretch is not None and not replied and scene.reader.bare(t.stretch.data)
@@ -76,7 +58,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         missing = []
     wrong = [each for each in failing if each.size]
     # A write of any register could be anything by itself: two of one unit are no chance.
-    writes = {each.right for each in wrong if _is_write(each.right)}
+    writes = {each.right for each in wrong if is_write(each.right)}
     units = Counter(right[0] for right in writes)
     wrong = [f for f in wrong if f.rules or f.right not in writes or units[f.right[0]] > 1]
     # One that is right shows that the host can: what fails then is a damaged frame, unless a rule says how.
@@ -90,7 +72,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         sound = []
     kept = _deliberate([each for each in missing if not _summed(each)], sound)
     # No chance takes the same byte of different requests.
-    whole_but_sum = [each for each in missing if _is_counted(each)]
+    whole_but_sum = [each for each in missing if each.is_counted]
     kept = whole_but_sum if not kept and len({each.right for each in whole_but_sum}) > 1 else kept
     if short := [each for each in missing if each not in kept and (_summed(each) or _sent_short(each))]:
         first = short[0]
@@ -98,15 +80,15 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             "wrong_length", Confidence.LIKELY, [each.trouble for each in short],
             f"The host's request {first.name} is a byte short: a field is not whole"
             + (", and its sum is there." if _summed(first) else ", or its sum is missing."),
-            f"{shown(_data(first))} at byte {first.trouble.offset} has {counted(len(_data(first)), 'byte')}, and the manual "
+            f"{shown(first.data)} at byte {first.trouble.offset} has {counted(len(first.data), 'byte')}, and the manual "
             f"{len(first.right)}; {counted(len(short), 'time')}",
             f"Send all fields of the command: `servotap catalogue {first.name}` lists them",
-            tuple(Shown(each.trouble.offset, shown(_data(each))) for each in short),
+            tuple(Shown(each.trouble.offset, shown(each.data)) for each in short),
         )  # fmt: skip
     if missing := kept:
         confidence = Confidence.CERTAIN if len(missing) > 1 else Confidence.LIKELY
         half = missing[0].trouble.stretch is not None and len(missing[0].trouble.stretch.data) + 1 == len(missing[0].right)
-        what = "the last byte of its checksum" if half and len(missing[0].right) > _READ_SIZE - 1 else "its checksum"
+        what = "the last byte of its checksum" if half and len(missing[0].right) > READ_SIZE - 1 else "its checksum"
         yield _said("missing_checksum", confidence, missing, f"is sent without {what}", "Put the whole checksum behind it")
     named = _named(wrong, bool(sound))
     for rule, each in named.items():
@@ -141,18 +123,18 @@ def _again_without_end(scene: Scene) -> Iterator[Suspicion]:
     """Suspect a request to read that comes again and again in one piece, each time without the last byte of its CRC."""
     for trouble in scene.damaged:
         data = trouble.stretch.data if trouble.stretch is not None and trouble not in scene.explained else b""
-        size = _READ_SIZE - 1
+        size = READ_SIZE - 1
         if len(data) < 2 * size or data[size:] != data[:-size]:
             continue
         for at in range(size):
             body = data[at : at + size - 1]
             right = body + modbus_crc(body).to_bytes(2, "little")
-            if right[:-1] == data[at : at + size] and 0 < right[0] <= LAST_UNIT and _plain(right):
+            if right[:-1] == data[at : at + size] and 0 < right[0] <= LAST_UNIT and is_plain(right):
                 yield Suspicion(
                     "missing_checksum", Confidence.LIKELY, [trouble],
                     "The request is sent again and again without the last byte of its CRC.",
                     f"{shown(right[:-1])} at byte {trouble.offset + at}; {counted((len(data) - at) // size, 'time')} in a row",
-                    f"Send all {_READ_SIZE} bytes of the request: {shown(right)}",
+                    f"Send all {READ_SIZE} bytes of the request: {shown(right)}",
                     (Shown(trouble.offset + at, shown(right[:-1]), shown(right)),),
                 )  # fmt: skip
                 return
@@ -207,7 +189,7 @@ def _rule_of(reader: Reader, data: bytes) -> tuple[Rule | None, bytes]:
 
 def _summed(failing: Failing) -> bool:
     """Say whether the last byte is the sum of those before: then the sum is there, and a byte of the fields is not."""
-    data, stretch = _data(failing), failing.trouble.stretch
+    data, stretch = failing.data, failing.trouble.stretch
     can_id = stretch.can_id if stretch is not None else None
     # A frame of CAN is not cut on its way; its sum is that of its identifier, too. So with a log where each has its line.
     alone = stretch is not None and stretch.opens and stretch.ends
@@ -224,18 +206,8 @@ def _sent_short(failing: Failing) -> bool:
 
 def _is_short(failing: Failing) -> bool:
     """Say whether a request with fields lacks a byte, which its head does not tell to be the sum."""
-    data = _data(failing)
-    return len(failing.right) == len(data) + 1 and len(data) > _HEAD and not _is_counted(failing)
-
-
-def _is_counted(failing: Failing) -> bool:
-    """Say whether the head of a request counts its fields and all are there, so that only their sum is missing."""
-    data = _data(failing)
-    return data[0] in _COUNTING.first_bytes and len(failing.right) == len(data) + 1 and failing.right.startswith(data)
-
-
-def _data(failing: Failing) -> bytes:
-    return failing.trouble.stretch.data if failing.trouble.stretch is not None else b""
+    data = failing.data
+    return len(failing.right) == len(data) + 1 and len(data) > _HEAD and not failing.is_counted
 
 
 def _answered(scene: Scene, failing: Failing) -> bool:
@@ -277,12 +249,12 @@ def _deliberate(failing: list[Failing], sound: list[Piece]) -> list[Failing]:
 def _resemble(failing: list[Failing], sound: list[Piece]) -> bool:
     """Say whether most requests are right, and those that fail differ from one of them by few bits: a listener's log."""
     known = {piece.data for piece in sound[:_LOOKED_AT]}
-    return len(sound) > len(failing) and all(any(_bits(_data(f), each) <= _LEAST_BITS for each in known) for f in failing)
+    return len(sound) > len(failing) and all(any(_bits(f.data, each) <= _LEAST_BITS for each in known) for f in failing)
 
 
 def _kept(failing: Failing) -> tuple[bytes, bytes]:
     """Return head, address and code of a frame, and the check that it has."""
-    data = _data(failing)
+    data = failing.data
     return failing.right[:3], data[len(data) - failing.size :]
 
 
@@ -307,142 +279,6 @@ def _named(wrong: list[Failing], some_right: bool) -> dict[Rule, list[Failing]]:
             named[rule] = own
             left -= {id(f) for f in own}
     return named
-
-
-def failing_by_check(scene: Scene, trouble: Trouble, stretch: Stretch) -> Failing | None:
-    """Return a stretch as a request whose check alone is wrong or missing."""
-    if stretch.direction is Role.REPLY:
-        return None
-    sent = stretch.direction is Role.REQUEST
-    data, can_id = stretch.data, stretch.can_id
-    # Bytes too many before a sound frame are no matter of its check.
-    if can_id is None and any(scene.reader.best(data[size:]) is not None for size in range(1, _STRAY + 1)):
-        return None
-    alone = stretch.opens and stretch.ends
-    if alone and (body := _read_and_write(data)):
-        right, got = body + modbus_crc(body).to_bytes(2, "little"), data[len(body) :]
-        rules = tuple(rule for rule in RULES if got and rule.of(body, 0) == got)
-        return None if right == data else Failing(trouble, right, "read_and_write_registers", len(got), rules)
-    bare = _with_check(scene.reader, trouble, data, b"", can_id, alone, sent) if alone else None
-    if bare is not None and _is_counted(bare):
-        return bare
-    for size in range(1, _LONGEST_CHECK + 1):
-        found = _with_check(scene.reader, trouble, data[: len(data) - size], data[len(data) - size :], can_id, alone)
-        if found is not None and (found.rules or stretch.ends):
-            return found
-    return bare
-
-
-def _read_and_write(data: bytes) -> bytes:
-    """Return a request of function 17h without its check, as far as its own counts tell its length; else nothing.
-
-    The framer takes functions that no dialect has by their CRC alone, so that a wrong one is told here.
-    """
-    if len(data) <= _COUNT_OF_17 or data[1] != _FUNCTION_17 or not 0 < data[0] <= LAST_UNIT:
-        return b""
-    size = _COUNT_OF_17 + 1 + data[_COUNT_OF_17]
-    fits = data[8] == 0 and data[_COUNT_OF_17] == 2 * data[9] > 0 and len(data) in (size, size + 2)
-    return data[:size] if fits else b""
-
-
-#: The function that reads and writes registers at once, and where its request has its count of bytes.
-_FUNCTION_17, _COUNT_OF_17 = 0x17, 10
-
-
-def _with_check(
-    reader: Reader, trouble: Trouble, body: bytes, got: bytes, can_id: int | None, alone: bool, sent: bool = False
-) -> Failing | None:
-    """Return the request that a body is with the right check behind it, if it is one. `alone`: it is all that was sent.
-
-    `sent`: the capture says that its writer has sent it; a device without checks sends replies.
-    """
-    if len(body) < (1 if can_id is not None else 3):
-        return None
-    for right in _completions(reader, body, can_id):
-        if right == body + got:
-            continue
-        rules = tuple(rule for rule in RULES if got and rule.of(body, can_id or 0) == got)
-        # Of a CRC its first byte is there.
-        half = len(got) == 1 and len(right) == len(body) + _LONGEST_CHECK and right.startswith(body + got)
-        for reading in reader.readings(right, can_id):
-            # Without its own check a frame of a code or register that is not listed could be anything, but for a read.
-            strong = (
-                reading.listed
-                or (rules and len(got) > 1)
-                or (
-                    alone
-                    and (len(got) != 1 or half)
-                    and (_plain(right) or (len(got) > 1 and (_is_write(right) or _is_whole_write(right))))
-                )
-            )
-            lost = len(right) - len(body)
-            own = () if can_id is not None else tuple(_of_two(reading, body + got, right))
-            known = bool(rules or own or half)
-            if (reading.message.role is Role.REPLY and not sent) or not strong or (not known and got and len(got) != lost):
-                continue
-            return Failing(trouble, right, reading.name, 0 if half else len(got), own or rules)
-    return None
-
-
-def _of_two(reading: Reading, data: bytes, right: bytes) -> Iterator[Rule]:
-    """Yield the rules that make bytes of a frame whose head has a check of its own."""
-    first, *others = reading.dialect.link.checks(right)
-    if others:
-        head, body = right[: first.start], right[first.start + 1 : others[0].start]
-        yield from (rule for rule, whole in RULES_OF_TWO if whole(head, body) == data)
-
-
-def _plain(frame: bytes) -> bool:
-    """Say whether a frame is a Modbus read of registers, as programs ask for them or as they are answered, or an exception.
-
-    Or it switches a coil, which is done by two values alone.
-    """
-    if len(frame) == _READ_SIZE and frame[1] in REGISTER_READS and 0 < int.from_bytes(frame[4:6], "big") <= MOST_REGISTERS:
-        return True
-    if len(frame) == _READ_SIZE and frame[1] == _SWITCHES and frame[4:6] in _SWITCHED and 0 < frame[0] <= LAST_UNIT:
-        return True
-    return len(frame) > _EXCEPTION - 1 and (
-        (frame[1] in REGISTER_READS and frame[2] == len(frame) - 5 and frame[2] % 2 == 0)
-        or (len(frame) == _EXCEPTION and frame[1] & 0x7F in REGISTER_READS and 0 < frame[2] <= LAST_EXCEPTION)
-    )
-
-
-def _is_write(frame: bytes) -> bool:
-    """Say whether a frame is a Modbus write of one register."""
-    return len(frame) == _READ_SIZE and frame[1] == _WRITE_ONE and 0 < frame[0] <= LAST_UNIT
-
-
-_WRITE_ONE = 0x06
-
-
-def _is_whole_write(frame: bytes) -> bool:
-    """Say whether a frame is a Modbus write of as many registers as it has bytes for."""
-    return (
-        len(frame) > _COUNTED and frame[1] == _WRITE_MANY and not frame[4] and len(frame) - _COUNTED == frame[6] == 2 * frame[5]
-    )
-
-
-#: The function that writes registers, and the bytes around these.
-_WRITE_MANY, _COUNTED = 0x10, 9
-#: The function that switches a coil, and its values.
-_SWITCHES, _SWITCHED = 0x05, (b"\xff\0", b"\0\0")
-#: The size of an exception.
-_EXCEPTION = 5
-_READ_SIZE = 8
-
-
-def _completions(reader: Reader, body: bytes, can_id: int | None) -> Iterator[bytes]:
-    """Yield a body with the checks of each dialect: behind it, and those within it."""
-    for dialect in reader.dialects:
-        link = dialect.link
-        whole = link.completed(body, can_id)
-        yield whole
-        first, *others = link.checks(whole, can_id)
-        if others:
-            # The head has a check of its own: wrong, or forgotten.
-            at = first.start
-            yield link.completed(link.completed(body[:at]) + body[at + 1 :], can_id)
-            yield link.completed(link.completed(body[:at]) + body[at:], can_id)
 
 
 def _said(cause: str, confidence: Confidence, failing: list[Failing], what: str, todo: str) -> Suspicion:

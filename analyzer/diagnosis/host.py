@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Iterator
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.checks import failing_by_check
 from analyzer.diagnosis.exchanges import awaited
+from analyzer.diagnosis.failing import failing_by_check
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link import FUNCTIONS, LAST_EXCEPTION, LAST_UNIT, READS, REGISTER_READS, modbus_crc
 from analyzer.records import Message
