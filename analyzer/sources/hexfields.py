@@ -4,6 +4,7 @@
     03 - function                 | 1 | 03 | Function |            ser.write(0x03)
 
 Rules: rows are a frame if most are short. Rows of other tables are one if the first two names mean a unit and a function.
+Rows of a dump stand among words, too: each has the place of its first byte.
 """
 
 from __future__ import annotations
@@ -29,28 +30,31 @@ ROWS = (
 _UNIT_NAME = re.compile(r"slave|unit|address|addr|device|station|\bid\b", re.IGNORECASE)
 _CODE_NAME = re.compile(r"func|command|\bcmd|\bcode\b|\bfc\b", re.IGNORECASE)
 #: A cell of a table that is printed below each other, whose names stand elsewhere.
-CELL = re.compile(r"(?P<call>(?!))?\s*(?P<bytes>[0-9A-Fa-f]{2}(?: ?[0-9A-Fa-f]{2})?)\s*(?P<name>(?!))?")
+_CELL = re.compile(r"(?P<call>(?!))?\s*(?P<bytes>[0-9A-Fa-f]{2}(?: ?[0-9A-Fa-f]{2})?)\s*(?P<name>(?!))?")
 #: Rows of a frame, and bytes of a short one; cells of a frame.
 _LEAST_FIELDS, _FIELD_BYTES = 3, 2
-_LEAST_CELLS, MOST_CELLS = 4, 32
+_LEAST_CELLS, _MOST_CELLS = 4, 32
 _WORDS = re.compile(r"[^\W\d_]{3,}")
+#: A row of a dump, and the place behind its last byte.
+_DUMP_ROW = re.compile(r"\W*([0-9A-Fa-f]{4,8}):?\s{1,3}((?:[0-9A-Fa-f]{2}(?:\s{1,2}|$|(?=\s*\|)))+)")
+_DUMP_END = re.compile(r"\s*[0-9A-Fa-f]{4,8}\s*")
 
 
 def has_fields(lines: Sequence[str]) -> bool:
     """Say whether lines below each other name the fields of a frame."""
     return has_cells(lines) or any(
         is_frame(list(rows))
-        for named, rows in groupby((field_of(line) for line in lines), key=lambda row: row is not None)
+        for named, rows in groupby((_field_of(line) for line in lines), key=lambda row: row is not None)
         if named
     )
 
 
 def has_cells(lines: Sequence[str]) -> bool:
     """Say whether the cells of a frame stand below a line of words: of most frames some cell has two bytes, and some one."""
-    runs = [list(rows) for _, rows in groupby(lines, key=lambda line: CELL.fullmatch(line) is not None)]
+    runs = [list(rows) for _, rows in groupby(lines, key=lambda line: _CELL.fullmatch(line) is not None)]
     return any(
-        CELL.fullmatch(rows[0]) is not None and len({len(row.strip()) for row in rows}) > 1
-        and _LEAST_CELLS <= len(rows) <= MOST_CELLS and _WORDS.search(above[-1]) is not None
+        _CELL.fullmatch(rows[0]) is not None and len({len(row.strip()) for row in rows}) > 1
+        and _LEAST_CELLS <= len(rows) <= _MOST_CELLS and _WORDS.search(above[-1]) is not None
         for above, rows in pairwise(runs)
     )  # fmt: skip
 
@@ -64,6 +68,40 @@ def is_frame(rows: Sequence[re.Match[str] | None]) -> bool:
     return len(rows) >= _LEAST_FIELDS and 2 * short > len(rows)
 
 
-def field_of(text: str) -> re.Match[str] | None:
+def _field_of(text: str) -> re.Match[str] | None:
     """Return a line that names a field of a frame, and has its bytes."""
     return _FIELD.match(text) or next((row for each in ROWS if (row := each.fullmatch(text)) is not None), None)
+
+
+class Parts:
+    """Lines that are the fields of one frame, or the rows of one dump. `named`, `cells`: which lines are fields."""
+
+    def __init__(self, named: bool, cells: bool) -> None:
+        self._named, self._cells = named, cells
+        self._fields: list[re.Match[str]] = []
+        self._rows = bytearray()
+
+    def take(self, text: str) -> bool:
+        """Take a line that is the next field of a frame, or the next row of a dump; say whether it is one."""
+        field = _field_of(text) if self._named and not self._rows else None
+        if field is None and self._cells and not self._rows and len(self._fields) < _MOST_CELLS:
+            field = _CELL.fullmatch(text)
+        if field is not None:
+            if self._fields and field["name"] and field["name"] == self._fields[0]["name"]:
+                return False
+            self._fields.append(field)
+            return True
+        row = _DUMP_ROW.match(text)
+        if row is None and self._rows and _DUMP_END.fullmatch(text) is not None:
+            return int(text, 16) == len(self._rows)
+        if row is None or self._fields or int(row[1], 16) != len(self._rows):
+            return False
+        self._rows += bytes.fromhex(row[2])
+        return True
+
+    def end(self) -> tuple[bytes, list[re.Match[str]]]:
+        """Return the bytes of the rows so far, and the fields, and begin anew."""
+        found = bytes(self._rows), self._fields
+        self._rows.clear()
+        self._fields = []
+        return found

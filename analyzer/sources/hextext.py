@@ -25,7 +25,8 @@ from analyzer.catalogue import Role
 from analyzer.diagnosis.reports import speaks
 from analyzer.link import modbus_crc
 from analyzer.records import Chunk, Comment
-from analyzer.sources.hexfields import CELL, MOST_CELLS, ROWS, field_of, has_fields, is_frame
+from analyzer.sources.hexfields import ROWS, Parts, has_fields, is_frame
+from analyzer.sources.hexknown import Known, stands_before
 from analyzer.sources.hexline import HexLine, Shape, bytes_of, take_apart
 from analyzer.sources.hexmanner import SINGLE, Manner, is_decimal_column, is_single, is_table, says
 from analyzer.sources.lines import Lines, head_lines
@@ -56,34 +57,19 @@ _GOES_ON = re.compile(rf"\s*+{_LIST_ITEMS}(?:[\]}})][\]}});,\s]*)?(?:(?://|#|/\*
 #: What libmodbus prints of a long reply, and where a console has wrapped it.
 _LONG_LINE = re.compile(r"(?:<[0-9A-F]{2}>){24,}\s*", re.IGNORECASE)
 _WRAPPED = re.compile(r"(?:<[0-9A-F]{2}>)+\s*", re.IGNORECASE)
-#: A library's word for a frame that it goes on with, and has printed before.
-_AGAIN = re.compile(r"\bprocessing\b\W*$", re.IGNORECASE)
 #: What separates a label from its bytes. In a sentence nothing does.
 _LABELLED = re.compile(r"[:=>|]\s*[\[({<'\"`]?\s*$")
-#: A word and its colon before bytes; and bytes behind one to the end of the line.
-_LABEL_BEFORE = re.compile(r"([^\W\d_]\w*)\s*[:=]\s*$")
-_BEHIND_LABEL = re.compile(r"(?<!\w)(?P<label>[^\W\d_]\w*)\s*[:=]\s*(?P<bytes>[\[({]?\s*(?:0[xX])?[0-9A-Fa-f]{1,2}\b.*)$")
-#: A library's word for what it had read before.
-_KEPT = re.compile(r"\b(?:old|extra|unexpected)[_ ]data\s*[:=]\s*$", re.IGNORECASE)
-#: Characters before bytes that are looked at for such words: with all of a long line, its cost would grow with its square.
-_NEAR = 60
 #: Frames of a line whose columns a note names.
 _COLUMNS_SHOWN = 10
-_LONGEST_JOINED = 256
 _SPOILT = re.compile(r"[\s,:-]{0,2}(?:0x\w{1,2}|\d\w?|\w\d)\b")
 _WORDS = re.compile(r"[^\W\d_]{3,}")
 _LABEL = re.compile(r"data|bytes?|hex|frame|buffer|message|msg|payload|raw", re.IGNORECASE)
-#: A row of a dump among words.
-_DUMP_ROW = re.compile(r"\W*([0-9A-Fa-f]{4,8}):?\s{1,3}((?:[0-9A-Fa-f]{2}(?:\s{1,2}|$|(?=\s*\|)))+)")
-_DUMP_END = re.compile(r"\s*[0-9A-Fa-f]{4,8}\s*")
 #: Characters of a line in which a library reports.
 _LONGEST_REPORT = 400
 #: Frames of one line; each is looked for in all that stands behind the one before.
 _PIECES = 50
 #: A header's lines are collected up to this many bytes.
 _COLLECTED = 1 << 16
-#: Frames kept to know them again in words, and bytes of the shortest that has a CRC and something in it.
-_KNOWN, _LEAST_CHECKED = 1000, 5
 _AT_ONCE_NS = 1_000_000_000
 #: Digits without a gap.
 _RUN_OF_DIGITS = re.compile(r"\s*[0-9A-F]{5,}\s*")
@@ -151,12 +137,6 @@ def read(source: Source) -> Iterator[Chunk | Comment]:
     return _Reader(source, clock, manner).records()
 
 
-def _before(pattern: re.Pattern[str], text: str, quoted: Quotation) -> bool:
-    """Say whether a pattern that ends with `$` fits what stands directly before bytes in a text."""
-    end = quoted.column - 1
-    return pattern.search(text, max(0, end - _NEAR), end) is not None
-
-
 def _whole_lists(lines: Iterable[str]) -> Iterator[str]:
     """Yield the lines; one in which a list of bytes begins comes with those that go on with it."""
     held: list[str] = []
@@ -191,14 +171,8 @@ class _Reader:
         self._running: int | None = None
         self._passed = 0
         self._declared = False
-        self._known: set[bytes] = set()
-        #: Words that stood right before frames.
-        self._labels: set[str] = set()
-        self._parts: set[bytes] = set()
-        #: What came from one sender since its last whole frame.
-        self._joined: tuple[Role, bytes] = (Role.UNKNOWN, b"")
-        self._fields: list[re.Match[str]] = []
-        self._rows = bytearray()
+        self._known = Known()
+        self._parts = Parts(manner.fields, manner.cells)
         #: Who sent the bytes below words, and whether any came.
         self._above = Role.UNKNOWN
         self._above_words: frozenset[str] = frozenset()
@@ -220,11 +194,11 @@ class _Reader:
                 yield source.comment(None, text)
                 continue
             if prose:
-                if self._is_part(text):
+                if self._parts.take(text):
                     continue
                 yield from self._end_parts()
                 # It may begin the next one.
-                if self._is_part(text):
+                if self._parts.take(text):
                     continue
             line = self._manner.take(text)
             if self._header is not None:
@@ -266,7 +240,7 @@ class _Reader:
                 self._header, self._header_ns = line, t_ns
             elif line.shape is Shape.COMMENT:
                 yield from self._words(t_ns, line)
-            elif (said := mentions(text, self._manner.brackets) or self._labelled(text)) and _SPOILT.match(
+            elif (said := mentions(text, self._manner.brackets) or self._known.labelled(text)) and _SPOILT.match(
                 text, said[-1].end
             ) is None:
                 yield from self._quoted(t_ns, text, said)
@@ -290,28 +264,20 @@ class _Reader:
     def _words(self, t_ns: int | None, line: HexLine) -> Iterator[Chunk | Comment]:
         """Yield a line of words; in prose also the frames that it quotes."""
         said = mentions(line.text, self._manner.brackets) if not line.text.startswith("#") or self._manner.commented else []
-        said = said or self._labelled(line.text)
+        said = said or self._known.labelled(line.text)
         if self._manner.prose and not said and _WORDS.search(line.text):
             self._above, self._below, self._unsent = role_in_text(line.text), False, unsent(line.text)
             self._above_words = frozenset(_WORDS.findall(line.text))
         if not self._manner.prose:
             # Programs repeat in words what they sent and received. Bytes behind a label with a sender are new.
-            new = [each for each in said if not each.left and not self._is_known(each.data)]
+            new = [each for each in said if not each.left and not self._known.has_part(each.data)]
             labels = "" if line.text.startswith(_REMARKS) else line.text
-            said = [e for e in new if e.role is not Role.UNKNOWN and _before(_LABELLED, labels, e)]
+            said = [e for e in new if e.role is not Role.UNKNOWN and stands_before(_LABELLED, labels, e)]
             self._passed += len(new) > len(said)
         if not said:
             yield self._source.comment(t_ns, line.text)
             return
         yield from self._quoted(t_ns, line.text, said)
-
-    def _labelled(self, text: str) -> list[Quotation]:
-        """Return bytes behind a word that stood before frames: too few, or without a letter, to be a frame by themselves."""
-        found = _BEHIND_LABEL.search(text) if self._labels else None
-        data = bytes_of(found["bytes"]) if found is not None and found["label"] in self._labels else None
-        if found is None or not data:
-            return []
-        return [Quotation(found.start("bytes") + 1, data, role_in_text(text[: found.start("bytes")]), len(text))]
 
     def _better(self, text: str, line: HexLine) -> list[Quotation]:
         """Return what a line of words speaks of, where that is more than the bytes behind its last mark."""
@@ -325,7 +291,7 @@ class _Reader:
         for each in said:
             if each.left:
                 self._source.note(f"line {number}, column {each.column}: {each.data.hex(' ').upper()} is left out: {each.left}")
-        frames = self._in_order(text, [each for each in said if not each.left and not self._is_told_again(text, each)])
+        frames = self._known.new_of(text, [each for each in said if not each.left])
         if not frames:
             yield self._source.comment(t_ns, text)
             return
@@ -338,47 +304,11 @@ class _Reader:
         yield self._source.comment(t_ns, f"{where}: {text}")
         alone = all(_LABEL.fullmatch(word) or word in self._above_words for word in _WORDS.findall(text))
         for each in frames:
-            if (label := _LABEL_BEFORE.search(text, max(0, each.column - 1 - _NEAR), each.column - 1)) is not None:
-                self._labels.add(label[1])
+            self._known.add_label(text, each)
             role = self._marks(self._above) if each.role is Role.UNKNOWN and alone else each.role
-            self._know(each.data, role)
+            self._known.add(each.data, role)
             self._marks(role)
             yield Chunk(t_ns, self._source.port(), each.data, Role.UNKNOWN if self._manner.deaf else role, True)
-
-    def _in_order(self, text: str, said: list[Quotation]) -> list[Quotation]:
-        """Return the frames of a line as they came: what a library had kept stands behind, and is known mostly."""
-        kept: list[Quotation] = []
-        others: list[Quotation] = []
-        for each in said:
-            (kept if _before(_KEPT, text, each) else others).append(each)
-        role = others[0].role if others else Role.UNKNOWN
-        return [each._replace(role=role) for each in kept if each.data not in self._known] + others
-
-    def _is_told_again(self, text: str, each: Quotation) -> bool:
-        """Say whether a line repeats bytes: with a library's word for that, as parts of a frame, or as two joined readings."""
-        again = each.data in self._known and _before(_AGAIN, text, each)
-        return again or each.data in self._parts or self._is_joined(each.data)
-
-    def _is_known(self, data: bytes) -> bool:
-        """Say whether bytes were there before: as a frame, as one without its check, or as what it carries."""
-        return data in self._known or data in self._parts
-
-    def _know(self, data: bytes, role: Role) -> None:
-        """Keep a frame, to know it again, and its parts, which libraries print again; it may come in several reads."""
-        if len(self._known) >= _KNOWN:
-            return
-        self._known.add(data)
-        joined = self._joined[1] + data if role is self._joined[0] else data
-        for whole in (data, joined):
-            if len(whole) >= _LEAST_CHECKED and modbus_crc(whole) == 0:
-                self._parts |= {whole[1:-2], whole[:-2]}
-                joined = b""
-        self._joined = role, joined[-_LONGEST_JOINED:]
-
-    def _is_joined(self, data: bytes) -> bool:
-        """Say whether bytes are two readings of before, joined by the library that printed them."""
-        halves = ((data[:at], data[at:]) for at in range(_SAID_BYTES, min(len(data) - 2, _LONGEST_JOINED)))
-        return data not in self._known and any(one in self._known and other in self._known for one, other in halves)
 
     def _told_above(self, line: HexLine) -> HexLine:
         """Return a line with the sender that words behind it or above it name."""
@@ -390,34 +320,15 @@ class _Reader:
         behind = Role.UNKNOWN if line.declared else role_in_text(line.note)
         return line._replace(role=self._marks(self._above if behind is Role.UNKNOWN else behind))
 
-    def _is_part(self, text: str) -> bool:
-        """Take a line that is the next field of a frame, or the next row of a dump; say whether it is one."""
-        field = field_of(text) if self._manner.fields and not self._rows else None
-        if field is None and self._manner.cells and not self._rows and len(self._fields) < MOST_CELLS:
-            field = CELL.fullmatch(text)
-        if field is not None:
-            if self._fields and field["name"] and field["name"] == self._fields[0]["name"]:
-                return False
-            self._fields.append(field)
-            return True
-        row = _DUMP_ROW.match(text)
-        if row is None and self._rows and _DUMP_END.fullmatch(text) is not None:
-            return int(text, 16) == len(self._rows)
-        if row is None or self._fields or int(row[1], 16) != len(self._rows):
-            return False
-        self._rows += bytes.fromhex(row[2])
-        return True
-
     def _end_parts(self) -> Iterator[Chunk | Comment]:
         """Yield the frame of the fields or rows so far."""
-        if self._rows:
+        dumped, rows = self._parts.end()
+        if dumped:
             role, t_ns = self._above, None
             if self._header is not None and not self._collected:
                 # A mark and perhaps a time, alone on the line above the dump.
                 role, t_ns, self._header = self._header.role, self._header_ns, None
-            yield Chunk(t_ns, self._source.port(), bytes(self._rows), self._marks(role), True)
-            self._rows.clear()
-        rows, self._fields = self._fields, []
+            yield Chunk(t_ns, self._source.port(), dumped, self._marks(role), True)
         if is_frame(rows):
             data = bytes.fromhex(re.sub("0[xX]|[ ,]", "", "".join(row["bytes"] for row in rows)))
             # A table often explains a frame that stands above it.
@@ -496,7 +407,7 @@ class _Reader:
         exported = _EXPORTED_NAME.fullmatch(line.name)
         if exported is not None:
             name = exported[1]
-        self._know(data, line.role)
+        self._known.add(data, line.role)
         firm = not self._manner.lone and (len(data) > 1 or line.number is None)
         return Chunk(t_ns, self._source.port(name), data, line.role, firm)
 
