@@ -315,9 +315,10 @@ class Aside(io.TextIOBase):
         while (line := self._lines.get()) is not None:
             left = line.encode(errors="backslashreplace")
             # Not through a buffer: its lock would be held by this thread when the process ends.
-            with contextlib.suppress(OSError):
-                while left:
-                    left = left[os.write(self._descriptor, left) :]
+            with contextlib.suppress(OSError), io.FileIO(self._descriptor, "wb", closefd=False) as stream:
+                # A descriptor that does not wait takes nothing now and then: the rest of the line is lost.
+                while left and (taken := stream.write(left)):
+                    left = left[taken:]
 
 
 def main() -> int:
