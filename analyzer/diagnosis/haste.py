@@ -22,42 +22,52 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect requests that come too soon."""
     yield from _at_once(scene)
     yield from _too_fast(scene)
-    in_bursts = list(_in_bursts(scene))
-    yield from in_bursts or _one_of_row(scene)
+    yield from _one_of_row(scene)
 
 
 def _one_of_row(scene: Scene) -> Iterator[Suspicion]:
     """Suspect a host that sends several requests before anything comes, where one reply comes for each such row.
 
-    Where it is not that of the last, the host has not waited for it, whatever the times. Alone the same requests are answered.
+    Where it is not that of the last, the host has not waited for it, whatever the times; nor where the next request follows
+    sooner than any reply comes. Alone the same requests are answered, or those of the same kind.
     """
+    rows = list(_piece_rows(scene))
+    quickest = min((replies[0].t_ns - asked[-1].t_ns for asked, replies in rows if _answers(replies[0], asked[-1])), default=0)
     hasty: list[tuple[list[Piece], list[Piece]]] = []
     answered: set[tuple[int, str]] = set()
-    rows = 0
-    for asked, replies in _piece_rows(scene):
+    sooner = True
+    for asked, replies in rows:
         came = {_asked_for(reply.message) for reply in replies}
         own = [p for p in asked if _asked_for(p.message) in came or (len(replies) == 1 and _answers(replies[0], p))]
         answered |= {_asked_for(piece.message) for piece in own}
         if len(asked) == 1 and not own:
             # One that is sent alone is not answered, either.
             return
-        rows += len(asked) > 1
         soon = scene.timed and asked[-1].t_ns - asked[0].t_ns < _SOON_NS
         if len(asked) > 1 and len(own) == len(replies) == 1 and (soon or (own[0] is not asked[-1] and not scene.timed)):
             hasty.append((asked, [piece for piece in asked if piece is not own[0]]))
+            sooner &= scene.timed and all(other.t_ns - one.t_ns < quickest for one, other in pairwise(asked))
     failing = [piece for _, left in hasty for piece in left]
-    if len(hasty) < _OFTEN or 2 * len(hasty) <= rows or not any(_asked_for(p.message) in answered for p in failing):
+    if not (alone := any(_asked_for(p.message) in answered for p in failing)):
+        # What no drive ever answers may be silent by its setting.
+        names = {name for _, name in answered}
+        failing = [piece for piece in failing if sooner and _asked_for(piece.message)[1] in names]
+    if len(hasty) < _OFTEN or 2 * len(hasty) <= sum(len(asked) > 1 for asked, _ in rows):
+        return
+    if not alone and len(failing) < 2 * _OFTEN:
         return
     (one, other, *_), _ = hasty[0]
     addresses = {piece.message.address for piece in failing if piece.message is not None}
+    pause = f" after {(other.t_ns - one.t_ns) / 1e6:.3g} ms," if scene.timed else ""
     yield Suspicion(
         "too_fast", Confidence.LIKELY,
         [t for t in scene.of("unanswered", "silent_address", "late_reply", "unsolicited_reply")
-         if t.piece is not None and t.piece.message is not None and t.piece.message.address in addresses],
+         if t.piece is not None and t.piece.message is not None and t.piece.message.address in addresses]
+        or [Trouble("unanswered", piece.offset, None, piece) for piece in failing],
         "The host sends several requests without waiting for their replies: one of them is answered.",
-        f"{whole(other)} at byte {other.offset} follows {whole(one)} before anything comes; "
+        f"{whole(other)} at byte {other.offset} follows {whole(one)}{pause} before anything comes; "
         f"{counted(len(failing), 'request')} without a reply in {counted(len(hasty), 'row')}",
-        "Send one request, wait for its reply or the timeout, then send the next",
+        "Send one request, wait for its reply or the timeout, then send the next, also to another address",
         tuple(Shown(piece.offset, whole(piece)) for piece in failing),
     )  # fmt: skip
 
@@ -119,60 +129,6 @@ def _too_fast(scene: Scene) -> Iterator[Suspicion]:
         f"Wait for each reply, and then {2 * longest / 1e6:.3g} ms, before the next request",
         tuple(Shown(r.offset, shown(r.data)) for _, r in failing),
     )  # fmt: skip
-
-
-def _in_bursts(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect the pace where several requests go out in less time than any reply takes, and only the last is answered."""
-    rows = list(_bursts(scene)) if scene.timed else []
-    answered = [row[-1] for row in rows if _replied(row[-1])]
-    if len(answered) < _OFTEN:
-        return
-    quickest = min(each.received[0].t_ns - each.request.t_ns for each in answered)
-    names = {_asked_for(each.request.message)[1] for each in answered}
-    hasty = [
-        row for row in rows if len(row) > 1 and _replied(row[-1])
-        and all(other.request.t_ns - one.request.t_ns < quickest for one, other in pairwise(row))
-    ]  # fmt: skip
-    # What no drive ever answers may be silent by its setting.
-    failing = [each for row in hasty for each in row[:-1] if _asked_for(each.request.message)[1] in names]
-    if len(hasty) < _OFTEN or 2 * len(hasty) <= len(rows) or len(failing) < 2 * _OFTEN:
-        return
-    silent = {_asked_for(each.request.message)[0] for each in failing}
-    troubles = [
-        t for t in scene.of("unanswered", "silent_address")
-        if t.piece is not None and t.piece.message is not None and t.piece.message.address in silent
-    ]  # fmt: skip
-    one, other = hasty[0][0].request, hasty[0][1].request
-    yield Suspicion(
-        "too_fast", Confidence.LIKELY,
-        troubles or [Trouble("unanswered", e.request.offset, None, e.request.piece) for e in failing],
-        "The host sends several requests without waiting for their replies: only the last of them is answered.",
-        f"{shown(other.data)} at byte {other.offset} comes {(other.t_ns - one.t_ns) / 1e6:.3g} ms after {shown(one.data)}, "
-        f"and the quickest reply takes {quickest / 1e6:.3g} ms; {counted(len(failing), 'request')} without a reply in "
-        f"{counted(len(hasty), 'row')}",
-        "Send one request, wait for its reply or the timeout, then send the next, also to another address",
-        tuple(Shown(e.request.offset, shown(e.request.data)) for e in failing),
-    )  # fmt: skip
-
-
-def _bursts(scene: Scene) -> Iterator[list[Exchange]]:
-    """Yield requests that follow each other before anything comes, where each of them asks for a reply of its own."""
-    for chain in chains(scene):
-        row: list[Exchange] = []
-        for exchange in chain:
-            row.append(exchange)
-            if exchange.received:
-                whose = [exchange.request.message for exchange in row]
-                if all(m is not None and m.command is not None and awaited(m) for m in whose) and len(
-                    {_asked_for(m) for m in whose}
-                ) == len(row):
-                    yield row
-                row = []
-
-
-def _replied(exchange: Exchange) -> bool:
-    """Say whether all that comes behind a request is its own reply."""
-    return _can_be(exchange.data, exchange.request)
 
 
 def _asked_for(message: Message | None) -> tuple[int, str]:

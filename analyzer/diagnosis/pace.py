@@ -23,6 +23,8 @@ _SHIFTED_SHARE = 0.2
 _SHORTEST = 3
 #: Parts in which one frame is written; those too short for a frame can be as many as it has bytes.
 _PARTS, _BYTES = 3, 64
+#: What findings say where replies come behind the next request.
+_OUT_OF_STEP = ("unanswered", "unsolicited_reply", "late_reply", "duplicate_reply", "silent_address")
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
@@ -50,8 +52,7 @@ def _late(scene: Scene) -> Iterator[Suspicion]:
     steady = len({p.back for p in late}) == 1 and not several
     yield Suspicion(
         "late_reply", Confidence.CERTAIN if steady else Confidence.POSSIBLE,
-        scene.of("unanswered", "unsolicited_reply", "late_reply", "duplicate_reply", "silent_address")
-        or [Trouble("late_reply", p.read.offset) for p in late],
+        scene.of(*_OUT_OF_STEP) or [Trouble("late_reply", p.read.offset) for p in late],
         f"Each reply answers an earlier request: the host is {back} ahead of what it reads.",
         f"{shown(first.read.data)} at byte {first.read.offset} answers the request before; {counted(len(late), 'time')}",
         "Wait longer for each reply (adapters hold bytes back up to 16 ms), and clear the input once before the next request",
@@ -79,8 +80,7 @@ def _late_on_can(scene: Scene) -> Iterator[Suspicion]:
         return
     yield Suspicion(
         "late_reply", Confidence.LIKELY,
-        scene.of("unanswered", "unsolicited_reply", "late_reply", "duplicate_reply", "silent_address")
-        or [Trouble("late_reply", piece.offset, None, piece) for piece in late],
+        scene.of(*_OUT_OF_STEP) or [Trouble("late_reply", piece.offset, None, piece) for piece in late],
         "Each reply answers an earlier request: the host has sent the next one before it came.",
         f"{whole(late[0])} at byte {late[0].offset} comes behind the next request; {counted(len(late), 'time')}",
         "Wait longer for each reply, and take those whose code is that of the request",

@@ -31,7 +31,8 @@ _SHORTEST, _LONGEST = 4, 16
 class Dress(NamedTuple):
     """A way in which a frame is wrapped. `undo`: the frame of some bytes, empty where it is lost, None where none is.
 
-    `least`: so many times, and so mostly, that it is no chance.
+    `least`: so many times, and so mostly, that it is no chance. `sure`: how sure it is then. `by_none`: what answers such
+    frames is another device, whose frames they are.
     """
 
     cause: str
@@ -39,6 +40,8 @@ class Dress(NamedTuple):
     say: str
     next: str
     least: int = 1
+    sure: Confidence = Confidence.CERTAIN
+    by_none: bool = False
 
 
 def _replaced(reader: Reader, data: bytes) -> bytes | None:
@@ -176,6 +179,7 @@ DRESSES = (
     Dress(
         "wrong_dialect", _of_can, "These are frames of the CAN manual on a serial line: identifier, data, and their sum.",
         "Send the frames of the RS485 manual, which begin with FA and count it in their sum", 2,
+        Confidence.LIKELY, by_none=True,
     ),
     Dress(
         "tcp_framing", _tcp, "The frame has the header of Modbus TCP and no CRC: an RTU drive does not take it.",
@@ -312,11 +316,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
                 found.append((trouble, stretch.data, frame))
         if len(found) < dress.least or (dress.least > 1 and len(found) < _MOSTLY * len(scene.damaged)):
             continue
-        if dress.undo is _of_can and any(
-            one.offset in {t.offset for t, _, _ in found} and other.direction is Role.REPLY
-            for one, other in pairwise(scene.bursts)
-        ):
-            # Who answers such a frame is another device, whose sums are the same.
+        offsets = {trouble.offset for trouble, _, _ in found}
+        if dress.by_none and any(a.offset in offsets and b.direction is Role.REPLY for a, b in pairwise(scene.bursts)):
             continue
         if _all_answered(scene, dress):
             # Who answers takes the header; what it says is another matter.
@@ -326,8 +327,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         first, data, frame = found[0]
         becomes = f" is {shown(frame)}" if frame else ""
         yield Suspicion(
-            dress.cause, Confidence.LIKELY if dress.undo is _of_can else Confidence.CERTAIN, [t for t, _, _ in found],
-            dress.say,
+            dress.cause, dress.sure, [t for t, _, _ in found], dress.say,
             f"{shown(data[:32])}{becomes}, at byte {first.offset}; {counted(len(found), 'time')}",
             f"{dress.next}: {shown(frame)}" if frame else dress.next,
             tuple(Shown(t.offset, shown(d), shown(f)) for t, d, f in found),
