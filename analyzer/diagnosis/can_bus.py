@@ -10,9 +10,9 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from analyzer.catalogue import Role
+from analyzer.catalogue import Role, Verb
 from analyzer.diagnosis.can_frames import extended_requests, sent_again, strangers
-from analyzer.diagnosis.scene import Confidence, Piece, Scene, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Suspicion, Trouble, shown, whole
 from analyzer.records import CanFrame
 from analyzer.values import counted
 
@@ -75,7 +75,13 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if p not in again and (p.is_reply or (can.direction is not Role.REQUEST and not p.is_request))
     ]  # fmt: skip
     if errors:
-        yield from _errors(scene, _sorted(errors), heard)
+        changed = _changed(scene)
+        if changed is not None and all(p.sequence > changed.sequence for p, _ in errors):
+            # What came before at the old bit rate shows nothing of the new one.
+            heard = [p for p in heard if p.sequence > changed.sequence]
+        else:
+            changed = None
+        yield from _errors(scene, _sorted(errors), heard, changed)
     # A reply whose sum is wrong may be the frame of another make.
     replies = [p for p, _ in data if p.is_reply and p not in again]
     dialects = [d for d in scene.reader.dialects if d.bus == "can"]
@@ -83,6 +89,17 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         yield from extended_requests(scene, data, dialects)
     else:
         yield from strangers(scene, data, dialects)
+
+
+def _changed(scene: Scene) -> Piece | None:
+    """Return the last reply by which a drive acknowledges another bit rate."""
+    for piece in reversed(scene.pieces):
+        message = piece.message
+        if message is None or message.command is None or not (piece.is_reply and piece.sound):
+            continue
+        if message.command.verb is Verb.SET_BIT_RATE and message.values.get("status") == 1:
+            return piece
+    return None
 
 
 def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:
@@ -128,7 +145,8 @@ def _recovers(errors: list[tuple[Piece, CanFrame]]) -> bool:
     return False
 
 
-def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspicion]:
+def _errors(scene: Scene, errors: _Errors, heard: list[Piece], changed: Piece | None) -> Iterator[Suspicion]:
+    """`changed`: the reply to a change of the bit rate before all errors; `heard` came behind it."""
     all_errors = scene.of("can_error_frame")
     unanswered = scene.of("unanswered", "silent_address")
     kinds = Counter(p.data[_TYPE] for p in errors.garbled)
@@ -165,7 +183,9 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece]) -> Iterator[Suspi
             "can_wrong_bitrate", sure if _strained(errors) else Confidence.LIKELY,
             [*_of(all_errors, errors.garbled), *unanswered], errors.garbled, heard,
             "No frame gets through, and stuff, form or bit errors come: the nodes run at different bit rates.",
-            "Set the adapter to the drive's bit rate (500 kbit/s is the default), with the same sample point",
+            "Set the adapter to the drive's bit rate (500 kbit/s is the default), with the same sample point"
+            if changed is None
+            else f"Set the adapter to the bit rate that the drive acknowledged by {whole(changed)}",
         )  # fmt: skip
     elif garbled:
         say = (

@@ -50,6 +50,24 @@ def test_error_frames(rows, cause):
     assert first(*rows) == cause
 
 
+CHANGE = ["001#3A3B", "001#3A013C", "001#8A018C"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "cause"),
+    [
+        ([*CHANGE, "001#8A018C", *[STUFF] * 9], "can_wrong_bitrate"),
+        # The drive refused it, or frames of others get through at the new one: the speed is right.
+        ([*CHANGE, "001#8A008B", *[STUFF] * 9], "can_bit_errors"),
+        ([*CHANGE, "001#8A018C", "001#3A3B", "001#3A013C", *[STUFF] * 9], "can_bit_errors"),
+        # Errors before the change have another cause.
+        ([STUFF, STUFF, *CHANGE, "001#8A018C", *[STUFF] * 9], "can_bit_errors"),
+    ],
+)
+def test_errors_behind_a_change_of_the_bit_rate(rows, cause):
+    assert first(*rows) == cause
+
+
 def test_errors_without_a_class_leave_the_cause_open():
     bare = [CanFrame(n * 1_000_000, "can0", 0, b"", error=True) for n in range(5)]
     (found,) = causes(bare)
