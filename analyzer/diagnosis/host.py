@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import awaited
 from analyzer.diagnosis.failing import failing_by_check
+from analyzer.diagnosis.rendered import read_otherwise
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link import FUNCTIONS, LAST_EXCEPTION, LAST_UNIT, READS, REGISTER_READS, modbus_crc
 from analyzer.records import Message
@@ -40,6 +41,8 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
     if any(len(data) == 1 for _, data, _ in cut) and len(cut) < _SINGLE:
         cut = [row for row in cut if len(row[1]) > 1]
     if not scene.often(len(cut), Role.REPLY):
+        return
+    if not known and read_otherwise([data for _, data, _ in cut]):
         return
     first, data, wanted = cut[0]
     yield Suspicion(

@@ -18,10 +18,10 @@ from analyzer.diagnosis.bits import Line, unread
 from analyzer.diagnosis.exchanges import Awaited, replies_to
 from analyzer.diagnosis.no_frame import no_reply_at_all, same_line_noise, unknown
 from analyzer.diagnosis.reader import Reader
-from analyzer.diagnosis.rendered import RATES, at_other_speeds, of_inverted, of_replies, of_what_was_sent
-from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.diagnosis.rendered import RATES, at_other_speeds, of_inverted, of_replies, of_what_was_sent, read_otherwise
+from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, shown
 from analyzer.diagnosis.seven_bits import all_of_seven, of_seven
-from analyzer.diagnosis.ways import ALMOST_ALL, LEAST, LINES, MOST_READ, MOST_STRETCHES, Fit, Garbled, Way
+from analyzer.diagnosis.ways import ALMOST_ALL, FEWEST, LEAST, LINES, MOST_READ, MOST_STRETCHES, Fit, Garbled, Way
 from analyzer.link import FUNCTIONS, ModbusLink
 from analyzer.values import counted
 
@@ -33,6 +33,8 @@ _BYTES_OF_ONE = 1.7
 _MOST_STARTS = 3
 #: And where it did not begin in vain before; bytes of which it makes one frame.
 _STARTS_AFTER, _AT_ONCE = 10, 20
+#: Different bytes of what a stream says again and again.
+_DISTINCT = 3
 #: The share of a sender's damaged bytes that a way has to explain.
 _ENOUGH = 0.4
 #: Different bytes of which all have one parity by no chance.
@@ -88,14 +90,35 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         # A recording that knows no pause is one stretch; its beginning tells enough.
         sides[stretch.direction].append(Garbled(trouble, stretch.data[:MOST_READ], replies))
     for side, came in sides.items():
-        garbled = came if all_of_seven(came) else [each for each in came if not _is_checked(each)]
+        checked = [each.data for each in came if each.trouble.stretch is not None and each.trouble.stretch.checked]
+        # Bits that shift alike leave a sum that fits.
+        whole = all_of_seven(came) or (checked and read_otherwise(checked))
+        garbled = came if whole else [each for each in came if not _is_checked(each)]
         # A line that is set up wrongly lets nothing through: of each sender if the capture does not tell them apart.
         if garbled and _sound(scene, side) <= len(garbled):
-            yield from _side(scene, side, garbled)
+            found = list(_side(scene, side, garbled))
+            parts = [] if found else [part for each in garbled for part in _periods(each)]
+            if len(parts) > len(garbled):
+                found = [each for each in _side(scene, side, parts) if each.confidence is not Confidence.POSSIBLE]
+            yield from found
 
 
 def _is_checked(garbled: Garbled) -> bool:
     return garbled.trouble.stretch is not None and garbled.trouble.stretch.checked
+
+
+def _periods(garbled: Garbled) -> list[Garbled]:
+    """Return a stream that says the same again and again, without pauses, as what begins so each time."""
+    data = garbled.data
+    grams = Counter(data[at : at + LEAST] for at in range(len(data) - LEAST + 1))
+    most = max((g for g in grams if len(set(g)) >= _DISTINCT), key=lambda g: grams[g], default=b"")
+    if not most or grams[most] < FEWEST:
+        return [garbled]
+    places = [at for at in range(len(data)) if data.startswith(most, at)]
+    # What stands before it each time belongs to it.
+    while places[0] > 0 and len({data[at - 1] for at in places}) == 1:
+        places = [at - 1 for at in places]
+    return [garbled._replace(data=data[at:stop]) for at, stop in pairwise((0, *places, len(data))) if at < stop]
 
 
 def _begun(scene: Scene, stretch: Stretch) -> list[Awaited]:
@@ -139,9 +162,13 @@ def _sound(scene: Scene, side: Role) -> int:
 
 def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Suspicion]:
     garbled = _most_met(all_garbled) if side is Role.UNKNOWN else all_garbled[:MOST_STRETCHES]
+    # The edge by which a driver is switched on is low on a line whose wires are swapped.
+    switched = [each._replace(data=each.data[1:]) for each in garbled if each.data.startswith(b"\0")]
+    switched = switched if len(switched) == len(garbled) else []
     ways = [
         Way("wrong_parity", 1.0, list(of_seven(garbled))),
-        Way("inverted_lines", 1.0, list(of_inverted(garbled))),
+        *(Way("inverted_lines", 1.0, list(of_inverted(rows))) for rows in (garbled, switched)),
+        *(_back(scene.reader, switched, cause, line) for cause, line in LINES if line.inverted),
         # What a host has sent stands in its log as it was before the line.
         *(of_what_was_sent(scene, garbled) if side is not Role.REQUEST else ()),
         *(_back(scene.reader, garbled, cause, line) for cause, line in LINES),
@@ -150,7 +177,7 @@ def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Susp
     if best.taken < _ENOUGH * sum(len(each.data) for each in garbled):
         best = max((best, *at_other_speeds(garbled), *of_replies(garbled)), key=lambda way: (_is_told(way), way.taken))
     if best.fits and _is_told(best) and (side is Role.UNKNOWN or _is_met(scene, best, garbled)):
-        yield _said(best, [each.trouble for each in all_garbled])
+        yield _said(best, all_garbled)
     elif _heard(scene, side) and not _sound(scene, side) and all(each.trouble in scene.damaged for each in garbled):
         repeats = len({each.data for each in all_garbled}) < len(all_garbled)
         if same_line_noise(garbled, repeats=repeats) or no_reply_at_all(garbled):
@@ -189,8 +216,11 @@ def _most_met(garbled: list[Garbled]) -> list[Garbled]:
     return sorted(chosen, key=lambda each: each.trouble.offset)
 
 
-def _said(way: Way, garbled: Sequence[Trouble]) -> Suspicion:
+def _said(way: Way, garbled: Sequence[Garbled]) -> Suspicion:
     words, fits = _WORDS[way.cause], way.fits
+    # The same bytes come from the same frame each time.
+    explained = {fit.data for fit in fits}, {fit.trouble for fit in fits}
+    alike = [each for each in garbled if each.data in explained[0] or each.trouble in explained[1]]
     first = max(fits, key=lambda fit: fit.taken)
     heard = first.came or first.data[: first.taken]
     pairs = [(s, r) for s in RATES for r in RATES if abs(s / r - way.ratio) < 0.001 * way.ratio]
@@ -200,10 +230,10 @@ def _said(way: Way, garbled: Sequence[Trouble]) -> Suspicion:
     return Suspicion(
         way.cause, Confidence.CERTAIN if sure and not weak else Confidence.POSSIBLE if weak else Confidence.LIKELY,
         # What spoils different frames spoils the others too, whether or not the way back is found.
-        garbled if way.different > 1 else [f.trouble for f in fits],
+        list(dict.fromkeys(each.trouble for each in (garbled if way.different > 1 else alike))),
         words.say.format(way.ratio),
         f"{words.evidence.format(shown(heard), shown(first.frame))}, at byte {first.trouble.offset}; "
-        f"{counted(len(fits), 'time')}",
+        f"{counted(max(len(fits), len(alike)), 'time')}",
         words.next.format(", ".join(f"{s} read at {r}" for s, r in pairs[:4])),
         tuple(Shown(fit.trouble.offset, shown(fit.data), shown(fit.frame)) for fit in fits),
     )  # fmt: skip

@@ -5,17 +5,17 @@ Frames that are likely, those that stand in the capture, and the beginnings of t
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher
-from functools import cache
+from functools import cache, lru_cache
 from itertools import takewhile
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect, Role
 from analyzer.codec import codec
 from analyzer.diagnosis.bits import BEGUN, Line, Rows, levels, read
-from analyzer.diagnosis.scene import Scene, Trouble
+from analyzer.diagnosis.scene import Scene
 from analyzer.diagnosis.ways import (
     ALIKE,
     ALMOST_ALL,
@@ -46,6 +46,8 @@ _DISTINCT = 2
 _SAME = 5
 #: So often bytes must come in one stretch that are fewer.
 _AGAIN = 2
+#: Searches that are kept: what one hypothesis asks another asks again.
+_KEPT = 4
 #: Stray bytes that may stand before.
 _STRAY = 3
 #: Idle cells between bytes: none, or a program that sends byte by byte.
@@ -128,10 +130,11 @@ def _inverted() -> dict[bytes, bytes]:
 
 
 def of_inverted(garbled: Sequence[Garbled]) -> Iterator[Fit]:
-    """Yield what swapped lines explain: a stretch that is a likely frame, or in which several stand."""
+    """Yield what swapped lines explain: a stretch that is a likely frame, or has several, or begins with one as others do."""
+    begun = Counter(came for _, data, _ in garbled for came in _inverted() if data.startswith(came))
     for trouble, data, _ in garbled:
         found = [came for came in _inverted() if came in data] if len(data) > LEAST else [data] if data in _inverted() else []
-        if data in found or len(found) > 1:
+        if data in found or len(found) > 1 or any(begun[came] >= FEWEST and len(set(came)) >= DIFFERENT for came in found):
             yield from (Fit(trouble, data, _inverted()[came], len(came) * data.count(came), came) for came in found)
 
 
@@ -149,29 +152,44 @@ def _ratios() -> tuple[float, ...]:
 
 def at_other_speeds(garbled: Sequence[Garbled]) -> Iterator[Way]:
     """Yield what each speed explains: render what is likely to be sent, and look for it."""
-    heads = bytes(set().union(*(each.data for each in garbled)))
-    begins = {each.data[at : at + size] for each in garbled for at in range(len(each.data)) for size in range(1, BEGUN + 1)}
+    for ratio, found in _at_other_speeds(frozenset(each.data for each in garbled)):
+        fits = []
+        for trouble, data, _ in garbled:
+            own = found.get(data, {})
+            # A few bytes are found by chance, in a long stream more than once.
+            if data in own or any(len(came) >= LEAST for came in own) or len(own) >= FEWEST:
+                fits += [Fit(trouble, data, frame, len(came) * data.count(came), came) for came, frame in own.items()]
+        if fits and (max(len(fit.data) for fit in fits) >= LEAST or len({fit.data for fit in fits}) > 1):
+            yield Way("wrong_baud", ratio, fits)
+
+
+def read_otherwise(sent: Sequence[bytes]) -> bool:
+    """Say whether bytes that came again and again are a likely frame, read at another speed: a sum may fit all the same."""
+    again = frozenset(data for data, times in Counter(sent).items() if times >= _AGAIN and len(data) >= LEAST)
+    return bool(again) and any(data in own for _, found in _at_other_speeds(again) for data, own in found.items())
+
+
+@lru_cache(_KEPT)
+def _at_other_speeds(different: frozenset[bytes]) -> list[tuple[float, dict[bytes, dict[bytes, bytes]]]]:
+    """Return what each speed finds in each of some bytes: likely frames, by what is read of them."""
+    heads = bytes(set().union(*different))
+    begins = {data[at : at + size] for data in different for at in range(len(data)) for size in range(1, BEGUN + 1)}
     frames, (seen, rows) = likely(), _levels()
+    speeds = []
     for ratio in _ratios():
-        found: dict[Trouble, dict[bytes, bytes]] = defaultdict(dict)
+        found: dict[bytes, dict[bytes, bytes]] = defaultdict(dict)
         line, lates = Line(ratio), _lates(ratio)
         tried = sorted((row, number) for number, late in enumerate(lates) for row in rows.beginning(line, late, heads))
         for row, number in tried:
             came = read(seen[row], line, lates[number], begins)
             if len(set(came)) < 2:
                 continue
-            for trouble, data, _ in garbled:
+            for data in different:
                 again = _AGAIN if len(came) == LEAST - 1 and len(set(came)) == len(came) else 1
                 if came == data or (len(came) > LEAST - again and data.count(came) >= again):
-                    found[trouble][came] = frames[row]
-        fits = []
-        for trouble, data, _ in garbled:
-            own = found.get(trouble, {})
-            # A few bytes are found by chance, in a long stream more than once.
-            if data in own or any(len(came) >= LEAST for came in own) or len(own) >= FEWEST:
-                fits += [Fit(trouble, data, frame, len(came) * data.count(came), came) for came, frame in own.items()]
-        if fits and (max(len(fit.data) for fit in fits) >= LEAST or len({fit.data for fit in fits}) > 1):
-            yield Way("wrong_baud", ratio, fits)
+                    found[data][came] = frames[row]
+        speeds.append((ratio, dict(found)))
+    return speeds
 
 
 @cache

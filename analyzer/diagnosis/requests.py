@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from analyzer.catalogue import Dialect, Role
+from analyzer.diagnosis.rendered import read_otherwise
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.link import FUNCTIONS, REGISTER_READS
 from analyzer.values import counted
@@ -61,6 +62,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if first.why.by_exception and len(rows) == 1 and asked > _FEW:
             continue
         can_id = None if first.piece.can is None else first.piece.can.id
+        if cause == "unknown_command" and can_id is None and read_otherwise([w.piece.data for w in rows]):
+            continue
         met = ", with no good reply" if first.refusal is None else f", answered {shown(first.refusal.data)}"
         met = "" if first.refusal is first.piece else met
         right = first.why.right

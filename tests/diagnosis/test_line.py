@@ -343,6 +343,36 @@ def test_an_unbroken_recording_of_a_wrong_line(rows, how, cause):
     assert unbroken(rows) == []
 
 
+def polled(name):
+    """Return one request, asked again and again, with replies whose value changes."""
+    request = {"native": build(NATIVE, "read_pulses", 1), "modbus": build(MODBUS, "read_pulses", 1), "lk": LK_READS[0]}[name]
+    (reply,) = (data for mark, data in exchanged({"native": "mks-rs485@1", "modbus": "mks-modbus@1", "lk": "lk-rs485@1"}[name],
+                request) if mark == "<")  # fmt: skip
+    link = SERIAL.best(reply).dialect.link
+    bare = reply[: -len(link.checks(reply)[-1].expected)]
+    replies = [link.completed(bare[:-2] + bytes((number, 0x20 + 7 * number))) for number in range(10)]
+    return [row for each in replies for row in ((">", request), ("<", each))]
+
+
+@pytest.mark.parametrize("name", ["native", "modbus", "lk"])
+@pytest.mark.parametrize(
+    ("how", "cause"), [({"inverted": True}, "inverted_lines"), ({"ratio": 0.5}, "wrong_baud"), ({"ratio": 0.768}, "wrong_baud")]
+)
+def test_one_request_again_and_again(name, how, cause):
+    rows = polled(name)
+    assert unbroken(rows, **how) == [cause]
+    assert unbroken(rows) == []
+    # A burst a line: each of the same bytes counts, and a sum that fits all the same is no frame.
+    lines = [received(on_the_line(data), **how) for _, data in rows]
+    assert told(*lines)[0].cause == cause
+    assert len(told(*lines)[0].troubles) >= len(rows) // 2
+
+
+@pytest.mark.parametrize("sent", [NATIVES[::2], [(">", modbus(f"02 04 00 {n} 00 01")) for n in (30, 32, 0x3A)]])
+def test_an_edge_before_each_burst_on_swapped_wires(sent):
+    assert first(*(b"\0" + received(on_the_line(data), inverted=True) for _, data in sent * 2)) == "inverted_lines"
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_an_unbroken_recording_of_other_bytes(seed):
     chance = random.Random(seed)
