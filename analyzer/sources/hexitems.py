@@ -62,8 +62,13 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
             "(",
             rf"\s*(?:[$>\s]*)(?:[A-Za-z_]\w*\.)*(?P<call>{WORDS_PATTERN})(?!\w*{_VALUES})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"']))?",
         ),
-        # `>>> ser.read(64)`: a console prints below it what it returns.
-        (When.UNMARKED, ">>>", rf"\s*>>>\s*(?:[A-Za-z_]\w*\.)+(?P<call>{_RECEIVED})\w{{0,12}}\([\w.=, ]{{0,40}}\)\s*$"),
+        # `>>> list(ser.read(64))`, `>>> ser.read(64).hex(" ")`: a console prints below it what it returns.
+        (
+            When.UNMARKED,
+            ">>>",
+            rf"\s*>>>\s*(?:[A-Za-z_][\w.]{{0,40}}\()?(?:[A-Za-z_]\w{{0,40}}\.)+(?P<call>{_RECEIVED})\w{{0,12}}"
+            r"\([\w.=, ]{0,40}\)(?:\.hex\([^()]{0,20}\))?[)\s]*$",
+        ),
         # `Serial1.write: FA 1 30 2B`.
         (When.ANY, ".", rf"\s*(?:[A-Za-z_]\w*\.)+(?P<call>{WORDS_PATTERN})(?:\(\))?\s*[:=]\s*{_BYTES}"),
         # Who sends to whom: `PC=>MOT`, `COM>TCP`, `[host <- drive]`.

@@ -24,6 +24,14 @@ def pairs(data, gap=" ", before="", small=False):
 
 #: What stands for a row: of the mark, the number of the row, and its bytes.
 FORMS = {
+    "python-session": lambda m, n, d: (
+        f'>>> port.write(bytes.fromhex("{pairs(d, small=True)}"))\n{len(d)}'
+        if m == ">"
+        else f">>> port.read(64).hex(' ')\n'{pairs(d, small=True)}'"
+    ),
+    "python-session-of-lists": lambda m, n, d: (
+        f"write({pairs(d, ', ', '0x')})" if m == ">" else f">>> list(port.read(64))\n{list(d)}"
+    ),
     "minimalmodbus": lambda m, n, d: (
         f"MinimalModbus debug mode. Will write to instrument (expecting 11 bytes back): {pairs(d)} ({len(d)} bytes)"
         if m == ">"
