@@ -812,6 +812,15 @@ def _deaf_to_group(drive: Drive, frame: Frame, message: Message, wanted: bool) -
     return wanted and not (moves and _is_for_group(drive, message) and _turns(mks(drive)))
 
 
+def _deaf_homing(verb: Verb, shared: Callable[[Drive, Message], bool]) -> Change:
+    """Hear a command that several drives get not while homing."""
+    return taken(
+        lambda drive, frame, message, wanted: (
+            wanted and not (_is(message, verb) and shared(drive, message) and mks(drive).doing(Activity.HOME))
+        )
+    )
+
+
 def _asked_of(drive: MksCore) -> tuple[int | None, int | None]:
     """Return the speed and the acceleration that the motion under way was asked with, as sent; None where there are none."""
     request = drive.task.request if drive.task is not None else None
@@ -1225,6 +1234,16 @@ DOING: Rows = {
             "a restart loses what was set in a package",
             _lost_if_sent(lambda drive, message: message.command is not None and message.command.slots is not None),
             NATIVE,
+        ),
+        Row(
+            "homing-deaf-to-stops-of-all",
+            "the emergency stop to all drives is not heard while homing",
+            _deaf_homing(Verb.EMERGENCY_STOP, _is_for_all),
+        ),
+        Row(
+            "homing-deaf-to-group-off",
+            "F3 by the group is not heard while homing",
+            Change(_deaf_homing(Verb.ENABLE, _is_for_group).install, having(Verb.SET_GROUP_ADDRESS)),
         ),
         Row(
             "group-deaf-while-turning",

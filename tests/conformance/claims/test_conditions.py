@@ -55,6 +55,8 @@ REFUTED_BY = {
     "wide-address-lost": "read-back/set_address/restart",
     "right-limit-told-complete": "motion/set_home/end-limit-told-move_relative_pulses",
     "group-deaf-while-turning": "addressing/group/while-turning",
+    "homing-deaf-to-stops-of-all": "addressing/broadcast/while-turning",
+    "homing-deaf-to-group-off": "addressing/group/while-turning",
     "lk-while-off-backwards": "motion/run_torque/while-off",
     "protected-moves-backwards": "motion/release_protection/limp",
     "disabled-moves-fast": "motion/move_absolute_pulses/disabled",
