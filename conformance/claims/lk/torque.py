@@ -215,13 +215,16 @@ def _holds_turning(probe: Probe) -> None:
         probe.expect(moved, near=0, within=within, unit="degrees", refutes=text, exchange=exchange, key="not held")
 
 
-@_of_brake(name="{command}/is-read", refuted_by="another state")
+@_of_brake(name="{command}/is-read", refuted_by="another state", risks=risks_by(Verb.MOTOR_OFF, Verb.STOP))
 def _brake_is_read(probe: Probe) -> None:
-    """Reading the brake (10h) tells the state that was set last."""
+    """Reading the brake (10h), once or twice, tells the state that was set last, also of a motor that is stopped or off."""
     motion.ready_to_move(probe)
-    for control in (_POWER_OFF, _RELEASE, _POWER_OFF, _RELEASE):
-        _brake(probe, control)
-        probe.expect(_brake(probe, _READ_BRAKE), equal=control, refutes="the brake reads another state than was set")
+    for verb in (Verb.MOTOR_OFF, Verb.STOP, Verb.MOTOR_ON):
+        probe.do(verb)
+        for control in (_POWER_OFF, _RELEASE, _POWER_OFF, _RELEASE):
+            _brake(probe, control)
+            seen = [_brake(probe, _READ_BRAKE) for _ in range(2)]
+            probe.expect(seen, equal=[control] * 2, refutes="the brake reads another state than was set")
 
 
 @_of_brake(refuted_by="a brake that was switched by it", emulated=True, risks=risks_by(Verb.RUN_SPEED))

@@ -254,7 +254,7 @@ def _holds_at(probe: Probe, run: Command) -> None:
         _hear_again(probe)
 
 
-def _met(probe: Probe, run: Command, active: int) -> Iterator[tuple[str, Exchange, list[int]]]:
+def _met(probe: Probe, run: Command, respond: int, active: int) -> Iterator[tuple[str, Exchange, list[int]]]:
     """Run into the left end stop, which lies clockwise and then counter-clockwise, and into the right one: what each told."""
     motion.ready_to_move(probe)
     if Verb.SET_LIMIT_REMAP in probe.dialect.by_verb:
@@ -262,9 +262,10 @@ def _met(probe: Probe, run: Command, active: int) -> Iterator[tuple[str, Exchang
     for side, way, where in ((-1, -1, "left, clockwise"), (1, 1, "left, counter-clockwise"), (-1, 1, "right")):
         _homed(probe, side=side)
         values = _values(probe, run, way)
-        probe.do(Verb.SET_RESPOND, {"respond": 1, "active": active})
+        probe.do(Verb.SET_RESPOND, {"respond": respond, "active": active})
         since = len(probe.traffic)
-        exchange = probe.ask(run, values, until=Until.DONE if active else Until.REPLY, timeout_ns=10 * SECOND_NS)
+        until = (Until.DONE if active else Until.REPLY) if respond else Until.TIMEOUT
+        exchange = probe.ask(run, values, until=until, timeout_ns=(10 if respond else 2) * SECOND_NS)
         probe.wait(2 * SECOND_NS)
         told = arriving.statuses(probe.traffic[since:], run)
         probe.do(Verb.SET_RESPOND, {"respond": 1, "active": 1})
@@ -280,17 +281,18 @@ def _answering_moves(dialect: Dialect) -> Iterator[Case]:
 @_of_limits("another status", each=_answering_moves, name="{command}/end-limit-told-{run}", quirks=_deaf_after_moves)
 def _told(probe: Probe, run: Command) -> None:
     """{run} that an end limit stops is answered by 1 and then by 3, at each side."""
-    for where, exchange, told in _met(probe, run, active=1):
+    for where, exchange, told in _met(probe, run, respond=1, active=1):
         text = f"{run.name} that an end limit stops is not answered 1 and 3"
         probe.expect(told, equal=[1, 3], expected=f"1, 3: {where}", refutes=text, exchange=exchange)
 
 
-@_of_limits("a second answer", each=_answering_moves, name="{command}/end-limit-inactive-{run}", at_best=Certainty.LIKELY)
+@_of_limits("another answer", each=_answering_moves, name="{command}/end-limit-inactive-{run}", at_best=Certainty.LIKELY)
 def _not_told(probe: Probe, run: Command) -> None:
-    """With active 0, {run} that an end limit stops is answered when it begins, and not when it is stopped, at each side."""
-    for where, exchange, told in _met(probe, run, active=0):
-        text = f"{run.name} that an end limit stops is told although active is 0"
-        probe.expect(told, equal=[1], expected=f"1: {where}", refutes=text, exchange=exchange)
+    """{run} that an end limit stops is answered with active 0 when it begins alone, and not at all with respond 0."""
+    for respond, active, wanted in ((1, 0, [1]), (0, 1, [])):
+        text = f"{run.name} that an end limit stops is told although {'active' if respond else 'respond'} is 0"
+        for where, exchange, told in _met(probe, run, respond, active):
+            probe.expect(told, equal=wanted, expected=f"{wanted or 'silence'}: {where}", refutes=text, exchange=exchange)
 
 
 # --- without a switch -------------------------------------------------------------------------------------------------

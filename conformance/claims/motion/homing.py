@@ -437,7 +437,7 @@ def _with_end_limit(dialect: Dialect) -> Iterator[Case]:
     lets_go = Trait.LETS_GO_AT_END_LIMIT in dialect.traits
     facts = {
         "name": "home/end-limit",
-        "statement": f"With the end limit on the shaft is {'let go' if lets_go else 'held'} at the end stop.",
+        "statement": f"With the end limit on, and off before, the shaft is {'let go' if lets_go else 'held'} at the end stop.",
         "refuted_by": "a motor that is enabled" if lets_go else "a motor that is disabled",
         "at_best": Certainty.CERTAIN if lets_go else Certainty.LIKELY,
     }
@@ -448,9 +448,10 @@ def _with_end_limit(dialect: Dialect) -> Iterator[Case]:
 
 @_of_homing("a motor that is disabled", each=_with_end_limit, name="{command}/holds", at_best=Certainty.LIKELY)
 def _held_after(probe: Probe, end_limit: int, held: bool) -> None:
-    """With the end limit off the shaft is held at the end stop."""
+    """With the end limit off the shaft is held at the end stop, also where it was on before."""
     names = ("let go", "held")
     for direction, way in _WAYS.items():
+        set_home(probe, end_limit=1 - end_limit, home_direction=direction)
         _prepared(probe, end_limit=end_limit, home_direction=direction)
         bench.left_switch(probe, way * _SWITCH)
         exchange = find_home(probe)

@@ -388,6 +388,18 @@ def _brake_backwards(drive: LkDrive, request: Request) -> None:
         drive.motor.hold(braked=control == BrakeControl.RELEASE)
 
 
+def _read_off(old: Act) -> Act:
+    """Release the brake when it is read while the motor is off."""
+
+    def act(drive: LkDrive, request: Request) -> None:
+        if request.values["brake_control"] == BrakeControl.READ and not drive.motor.on:
+            drive.motor.hold(braked=False)
+        else:
+            old(drive, request)
+
+    return act
+
+
 def _unbraked(old: Act) -> Act:
     def act(drive: LkDrive, request: Request) -> None:
         if not (turns(drive) and request.values["brake_control"] == BrakeControl.POWER_OFF):
@@ -425,6 +437,7 @@ ROWS: Rows = {
             "reading the brake's state releases it",
             asked("brake_control", renamed(BrakeControl.READ, BrakeControl.RELEASE)),
         ),
+        Row("lk-brake-read-releases-off", "reading the brake of a motor that is off releases it", replaced("brake", _read_off)),
         Row("lk-brake-without-effect", "the brake does not hold the shaft", rebuilt(brake=False)),
         Row("lk-brake-backwards", "0x8C releases the brake for 00 and holds for 01", acting("brake", _brake_backwards)),
     ),

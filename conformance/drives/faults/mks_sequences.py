@@ -319,17 +319,42 @@ def _refuses_aloud(drive: MksCore) -> None:
     drive.answer = say  # type: ignore[method-assign]
 
 
-def _tells_ends(drive: MksCore) -> None:
-    """Tell the end of an absolute move although `respond` is 0."""
-    complete = drive.complete
+def _tells_ends(aloud: Callable[[Request, Values], bool]) -> Callable[[MksCore], None]:
+    """Tell some ends of moves although `respond` is 0."""
 
-    def tell(request: Request, values: Values) -> None:
-        respond = drive.settings["respond"]
-        drive.settings["respond"] = int(respond or request.command.verb in _TO_PLACES)
-        complete(request, values)
-        drive.settings["respond"] = respond
+    def install(drive: MksCore) -> None:
+        complete = drive.complete
 
-    drive.complete = tell  # type: ignore[method-assign]
+        def tell(request: Request, values: Values) -> None:
+            respond = drive.settings["respond"]
+            drive.settings["respond"] = int(respond or aloud(request, values))
+            complete(request, values)
+            drive.settings["respond"] = respond
+
+        drive.complete = tell  # type: ignore[method-assign]
+
+    return install
+
+
+def _lets_go_once_limited(drive: MksCore) -> None:
+    """Let the shaft go at the end of homing where the end limit was on once."""
+    limited = 0
+    finish = drive.finish
+
+    def note(_: Drive, command: Command, values: Values) -> Values:
+        nonlocal limited
+        limited |= values.get("end_limit", 0)
+        return values
+
+    def finished(status: int | None) -> None:
+        homed = drive.doing(Activity.HOME) and status == mks_shared.HomeStatus.SUCCESS
+        finish(status)
+        if homed and limited:
+            drive.memory.enabled = False
+            drive.grip()
+
+    drive.hooks.request.append(note)
+    drive.finish = finished  # type: ignore[method-assign]
 
 
 def _keeps_ramp(drive: MksCore) -> None:
@@ -592,6 +617,7 @@ SEQUENCES: Rows = {
         ),
     ),
     "undone": (
+        Row("lets-go-once-limited", "90 with the end limit off leaves it on for homing", tuned(_lets_go_once_limited)),
         Row("protection-stays", "88 00 is answered, and the protection acts on", storing(_on_alone, "protection")),
         Row(
             "group-left-by-speed",
@@ -602,7 +628,18 @@ SEQUENCES: Rows = {
     ),
     "with another setting": (
         Row("respond-0-needs-active", "respond 0 silences nothing with active 0", tuned(_silent_if_active), NATIVE),
-        Row("ends-told-aloud", "with respond 0 the end of FE and F5 is told", tuned(_tells_ends), TELLING),
+        Row(
+            "ends-told-aloud",
+            "with respond 0 the end of FE and F5 is told",
+            tuned(_tells_ends(lambda request, values: request.command.verb in _TO_PLACES)),
+            TELLING,
+        ),
+        Row(
+            "limit-told-aloud",
+            "with respond 0 a move that an end limit stops is told",
+            tuned(_tells_ends(lambda request, values: values["status"] == mks_shared.RunStatus.LIMIT_STOP)),
+            TELLING,
+        ),
         Row("refused-aloud", "with respond 0 a refusal is answered", tuned(_refuses_aloud), TELLING),
         Row(
             "direction-turns-speed-of-moves",
