@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from analyzer.catalogue import Role, Verb
-from analyzer.diagnosis.can_frames import extended_requests, sent_again, strangers
+from analyzer.diagnosis.can_frames import extended_requests, sent_again, strangers, unanswered_objects
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Suspicion, Trouble, shown, whole
 from analyzer.records import CanFrame
 from analyzer.values import counted
@@ -87,6 +87,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     dialects = [d for d in scene.reader.dialects if d.bus == "can"]
     if any(p.sound and p.message is not None and p.message.command is not None for p in replies):
         yield from extended_requests(scene, data, dialects)
+        yield from unanswered_objects(data, dialects)
     else:
         yield from strangers(scene, data, dialects)
 

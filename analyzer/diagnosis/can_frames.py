@@ -135,6 +135,27 @@ def extended_requests(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialec
         yield _extended(asked, [t for t in scene.troubles if t.piece in own])
 
 
+def unanswered_objects(frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> Iterator[Suspicion]:
+    """Suspect requests of CANopen beside frames of a drive, where no node answers any of them."""
+    request, others = max(_OBJECTS), (min(_OBJECTS), _STATE_OF)
+    found = [
+        (p, can)
+        for p, can in frames
+        if can.id - request in _NODES and _is_canopen(can)
+        and not any(d.link.fits(p.data, can.id) for d in dialects if d.link.checked)
+    ]  # fmt: skip
+    if len(found) < _LEAST or any(can.id - base in _NODES for _, can in frames for base in others):
+        return
+    piece, can = found[0]
+    yield Suspicion(
+        "unsupported_dialect", Confidence.LIKELY, [],
+        "The host asks for objects of CANopen, and no node answers: the drives on this bus do not speak it.",
+        f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(found), 'frame')} like it",
+        f"Ask the drive at its address, with a code and the sum: `servotap catalogue --dialect {dialects[0].name}` lists them",
+        tuple(Shown(p.offset, shown(p.data, c.id)) for p, c in found[:4]),
+    )  # fmt: skip
+
+
 def _too_long(frames: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:
     """Suspect frames of more bytes than a frame can have."""
     found = [(p, can) for p, can in frames if len(can.data) > _LONGEST and len(can.data) not in _FD_SIZES]

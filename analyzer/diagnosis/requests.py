@@ -9,7 +9,7 @@ from typing import NamedTuple
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.rendered import read_otherwise
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
-from analyzer.link import FUNCTIONS, REGISTER_READS
+from analyzer.link import FUNCTIONS, REGISTER_READS, WRITE_MANY, WRITE_ONE
 from analyzer.values import counted
 
 _LOOK_UP = "Look the command up: `servotap catalogue` lists what the manual has"
@@ -119,7 +119,9 @@ def _failing(scene: Scene) -> Iterator[tuple[list[Trouble], Piece, Piece | None]
     for piece in scene.pieces:
         refusal = refusals.get(piece.sequence)
         message = piece.message
-        if message is None or not (piece.is_request or (known and _asks_nothing_known(piece))) or not message.frame.checksum_ok:
+        # What an exception answers is a request; a write of one register and its reply look alike.
+        asks = piece.is_request or refusal is not None or (known and _asks_nothing_known(piece))
+        if message is None or not asks or not message.frame.checksum_ok:
             if piece.is_reply and piece.asked_by is None and piece.sound and "modbus_exception" in piece.rules:
                 yield own[piece.sequence], piece, piece
             continue
@@ -227,7 +229,13 @@ def _refuses(piece: Piece) -> bool:
 
 def _register(dialect: Dialect, data: bytes, function: int, register: int) -> _Why | None:
     """Return what is wrong with a register that the function does not know."""
-    known = {(c.function, c.code) for c in dialect.commands}
+    known = {(c.function, c.code): c.name for c in dialect.commands}
+    for other in WRITE_ONE | WRITE_MANY if function in WRITE_ONE | WRITE_MANY else ():
+        if other != function and (other, register) in known:
+            return _Why(
+                "wrong_function", f"Register {register:04X} is written by function {other:02X}, not {function:02X}.",
+                next=f"Write it by function {other:02X}: `servotap catalogue {known[other, register]}` has the frame",
+            )  # fmt: skip
     for other in REGISTER_READS:
         if function in REGISTER_READS and other != function and (other, register) in known:
             say = f"Register {register:04X} is read by function {other:02X}, not {function:02X}."

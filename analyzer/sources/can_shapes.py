@@ -61,7 +61,7 @@ SHAPES: tuple[Shape, ...] = (
         r"\s*(?:(?:new )?(?:Buffer(?:\.from)?|Uint8Array)\()?\s*\["
         r"(?P<listed>\s*(?:(?:0x[0-9A-F]{1,2}|\d{1,3})\s*,?\s*){0,64})\].*",
     ),
-    _shape("slcan", r"(?P<slcan>[tTrR])(?P<rest>[0-9A-F]{4,})[zZ]?", near=r"\s*[tr][0-9A-F]{4}"),
+    _shape("slcan", r"(?P<slcan>[tTrR])(?P<rest>[0-9A-F]{4,})[zZ]?(?:\\[rn])*", near=r"\s*[tr][0-9A-F]{4}"),
     _shape(
         "busmaster",
         rf"(?P<time>\d+:\d\d:\d\d:\d{{1,4}})\s+{_MARK}\s+(?P<port>\d+)\s+0x(?P<id>[0-9a-f]+)\s+(?:s|(?P<extended>x))(?P<remote>r)?"

@@ -45,7 +45,7 @@ _TOKEN = re.compile(r"0[xX][0-9A-Fa-f]+|\d+")
 #: A call that goes on in the next lines.
 _CALL = re.compile(r".*\bMessage\([^()]*")
 _CALL_LINES = 8
-_ADAPTER = re.compile(r"[SsOCLVvNFMmXYZzGHIP][0-9A-Fa-f]{0,8}")
+_ADAPTER = re.compile(r"(?:[<>=-]{1,3}\s*)?[SsOCLVvNFMmXYZzGHIP][0-9A-Fa-f]{0,8}(?:\\[rn])*")
 _ONLY_ID = re.compile(r"(?:.*[^A-Za-z])?id\s*[:=]?\s*0x[0-9A-F]{1,8}\s*", re.IGNORECASE)
 _ONLY_BYTES = re.compile(r"\s*(?:0x)?[0-9A-F]{1,2}(?:[\s,]+(?:0x)?[0-9A-F]{1,2}){0,7}\s*", re.IGNORECASE)
 _MARKS = {"tx": Role.REQUEST, "t": Role.REQUEST, "cansend": Role.REQUEST, "send": Role.REQUEST, "false": Role.REQUEST}

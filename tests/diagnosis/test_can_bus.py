@@ -108,6 +108,20 @@ def test_frames_of_lk_motors_that_are_too_short():
     assert "eight bytes" in found.say
 
 
+@pytest.mark.parametrize(
+    ("rows", "found"),
+    [
+        (["601#4000100000000000", "601#4041600000000000"], ["unsupported_dialect"]),
+        (["601#4000100000000000"], []),
+        # A node answers, or tells its state: it speaks CANopen.
+        (["601#4000100000000000", "601#4041600000000000", "581#4341600000000000"], []),
+        (["601#4000100000000000", "601#4041600000000000", "701#05"], []),
+    ],
+)
+def test_objects_of_canopen_that_nobody_answers_beside_a_drive(rows, found):
+    assert [each.cause for each in causes(can(*GOOD, *rows, *GOOD))] == found
+
+
 def test_a_request_that_is_filled_up_to_eight_bytes():
     (found,) = causes([CanFrame(0, "can0", 1, bytes.fromhex("F600640200000055"), Role.REQUEST)])
     assert (found.cause, found.frames[0].right) == ("wrong_length", "001 F6 00 64 02 5D")

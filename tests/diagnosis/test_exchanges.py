@@ -36,6 +36,13 @@ def test_an_exception_says_what_is_wrong(asked, refused, cause):
     assert first(*rows, ("<", rtu(refused))) == cause
 
 
+def test_a_register_that_another_function_writes():
+    whole = exchanged("mks-modbus@1", rtu("01 10 00 F6 00 02 04 01 02 01 40"))
+    one = rtu("01 06 00 F6 01 40"), rtu("01 86 02")
+    (found,) = told(*one, *one, *(data for _, data in whole))
+    assert (found.cause, "function 10, not 06" in found.say) == ("wrong_function", True)
+
+
 def test_one_exception_in_good_traffic_is_an_answer():
     good = [(">", rtu("11 03 01 00 00 01")), ("<", rtu("11 03 02 00 07"))] * 4
     refused = [(">", rtu("11 03 02 00 00 01")), ("<", rtu("11 83 02"))]

@@ -45,3 +45,30 @@ def test_a_position_of_48_bits_that_is_printed_as_unsigned(causes_of):
 def test_a_number_that_is_sent_with_its_decimal_digits_as_hexadecimal_ones(words, found, causes_of):
     text = f"{words}\n\nTX: {native('FA 02 F6 07 50 04')}\nRX: {native('FB 02 F6 01')}\n"
     assert causes_of(text) == found
+
+
+@pytest.mark.parametrize(
+    ("words", "frame", "found"),
+    [
+        ("move to 90 degrees", "TX 3E A4 01 0C EF 5A 00 00 00 00 00 00 00 A0 8C 00 00 86", ["unit_or_sign"]),
+        ("move to 0.9 degrees", "TX 3E A4 01 0C EF 5A 00 00 00 00 00 00 00 A0 8C 00 00 86", []),
+        ("move from 0.9 degrees up to 90 degrees", "TX 3E A4 01 0C EF 5A 00 00 00 00 00 00 00 A0 8C 00 00 86", []),
+        ("the belt is 90 mm long", "TX 3E A4 01 0C EF 5A 00 00 00 00 00 00 00 A0 8C 00 00 86", []),
+        ("it shows 2390 V of the supply", "RX 3E 9A 01 07 E0 1F 56 09 0C 00 00 00 8A", ["unit_or_sign"]),
+        ("it shows 23.9 V of the supply", "RX 3E 9A 01 07 E0 1F 56 09 0C 00 00 00 8A", []),
+        # 60 deg/s are 10 rpm.
+        ("it has to turn at 60 rpm", "TX 3E A2 01 04 E5 70 17 00 00 87", ["unit_or_sign"]),
+        ("it has to turn at 60 dps", "TX 3E A2 01 04 E5 70 17 00 00 87", []),
+        ("it has to turn at 10 rpm", "TX 3E A2 01 04 E5 70 17 00 00 87", []),
+    ],
+)
+def test_a_number_in_another_unit_than_that_of_the_field(words, frame, found, causes_of):
+    asked = "TX 3E 9A 01 00 D9\n" if frame.startswith("RX") else ""
+    reply = "RX 3E A2 01 07 E8 1E 09 00 3C 00 6F 00 D2\n" if " A2 " in frame else ""
+    reply = "RX 3E A4 01 07 EA 1E 04 00 02 00 42 04 6A\n" if " A4 " in frame else reply
+    assert causes_of(f"{words}\n{asked}{frame}\n{reply}") == found
+
+
+def test_a_scaled_field_that_is_printed_as_unsigned(causes_of):
+    log = "TX 01 04 00 39 00 02 A1 C6\nRX 01 04 04 FF FF FF CE 3B C4\nangle error = 4294967246\n"
+    assert causes_of(log) == ["unit_or_sign"]

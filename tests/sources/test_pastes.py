@@ -312,6 +312,14 @@ def test_the_minute_of_an_slcan_adapter(tmp_path: Path) -> None:
     assert [t_ns for t_ns, _, _ in traffic(records)] == [59_999_000_000, 60_010_000_000]
 
 
+def test_lines_of_an_slcan_adapter_with_arrows_and_a_written_end(tmp_path: Path) -> None:
+    lines = ["-> t00123A3B", "<- z", "<- t00133A013C", "-> t0013F301F5", "<- t0013F301F5"]
+    source, records = read(tmp_path, "".join(line + "\\r\n" for line in lines))
+    assert data_of(records) == ["001#3A3B", "001#3A013C", "001#F301F5", "001#F301F5"]
+    assert not source.problems
+    assert not any(isinstance(each, Comment) for each in records)
+
+
 def test_a_broken_can_line_is_a_problem_with_its_line(tmp_path: Path) -> None:
     source, records = read(tmp_path, "ID: 0x01 Data: F6 01 F8\nready\nID: 0x01 Data: F6 0G F8\n")
     assert data_of(records) == ["001#F601F8"]
