@@ -7,8 +7,8 @@ which costs no motion. What is left is confirmed on the real drive.
 
 A line may damage what it carries, and what a claim then takes for the drive's doing. So a claim that refutes while something
 came damaged or was not answered is tried again, also on an emulated drive, and so is one that comes to nothing. It counts
-where it comes again without damage, or each time alike. Once a line has been seen to lose something, each refutation is
-tried twice.
+where it comes again without damage, or each time alike. Once a line has been seen to lose something, each refutation has to
+come alike as often: nothing tells whether a request to all drives came.
 
 A user's settings may spoil a claim that was written for others. A claim that refutes a drive is therefore tried on ideal
 drives. These have the drive's settings where they are known, and likely ones where not. If the claim refutes an ideal drive
@@ -47,7 +47,7 @@ _OF_BYTES = (Theme.SHAPE, Theme.FRAMING, Theme.TRAFFIC)
 _SHOWS_LATE, _LATE_NS = "timing/read_speed/while-moving", 100_000_000
 #: How many emulated drives with a quirk are tried: what a quirk does may depend on chance.
 _SEEDS = 6
-#: How often a refutation has to come alike where the line damaged something each time.
+#: How often a refutation has to come alike where the line damaged something each time, or loses requests.
 _ALIKE = 3
 #: What is tried again where the line damaged something.
 _AGAIN = (Outcome.REFUTED, Outcome.INCONCLUSIVE)
@@ -181,10 +181,9 @@ def _not_refuted(verdict: Verdict, outcome: Outcome, reason: str) -> Verdict:
 def _times(rig: ClaimRig, verdict: Verdict) -> int:
     """Return how often a claim is begun that has come to a verdict."""
     rig.loses = rig.loses or verdict.damaged
-    if verdict.damaged:
-        return _ALIKE if verdict.outcome in _AGAIN else 1
     # A request to which no reply is due may have been lost unseen.
-    return 2 if rig.loses and verdict.outcome is Outcome.REFUTED else 1
+    again = _AGAIN if verdict.damaged else (Outcome.REFUTED,) if rig.loses else ()
+    return _ALIKE if verdict.outcome in again else 1
 
 
 def _unless_damaged(claim: Claim, rig: ClaimRig, verdict: Verdict) -> Verdict:

@@ -75,6 +75,21 @@ def test_a_drive_that_damages_each_reply_is_refuted_and_one_that_is_refuted_othe
     assert tried(drive) == (Outcome.INCONCLUSIVE, 2)
 
 
+@pytest.mark.parametrize(("failing", "outcome"), [(2, Outcome.CONFIRMED), (3, Outcome.REFUTED)])
+def test_on_a_line_that_loses_requests_a_refutation_has_to_come_three_times(failing, outcome):
+    """What all drives are told is not answered: nothing tells whether it came."""
+    rig = EmulatedRig(make.parse("mks-rs485@1"))
+    rig.loses = True
+    times = []
+
+    def check(probe):
+        times.append(probe)
+        if len(times) <= failing:
+            raise Refuted("a setting that all drives were told does not hold")
+
+    assert (engine.run_claim(only(check), rig).outcome, len(times)) == (outcome, 3)
+
+
 def test_a_sequence_of_steps_is_shortened_where_an_emulated_drive_has_the_same_fault(tmp_path):
     """The real drive has a fault that the suite knows; a drive by the manual does not have it."""
     rig = EmulatedPort("mks-rs485@1,fault=set-zero-ignored", tmp_path, settings=KNOWN,
