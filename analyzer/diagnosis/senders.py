@@ -109,7 +109,7 @@ def _two_masters(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
 
 
 def _asks(scene: Scene, piece: Piece, direction: Role) -> bool:
-    """Say whether a piece is a request, whoever sent it."""
+    """Say whether a piece is a request, of this host or of another."""
     if piece.can is not None or not piece.is_request:
         # What the host receives is taken for a reply, where the bytes alone do not tell: as one it has a wrong length.
         taken = direction is Role.REPLY and piece.can is None and "wrong_length" in piece.rules

@@ -377,7 +377,7 @@ BARE = [(">", bytes.fromhex("11 03 00 6D 00 01")), ("<", rtu("11 03 02 00 1A"))]
         [*LK_POLL, "> 3E 12 01 00 51", "< 3E 12 01 02 53 01 02 03"],
         # A function without fields, and its reply.
         [(">", rtu("01 11")), ("<", rtu("01 11 03 0A FF 00"))],
-        # An answered request had its check, whatever the log shows; also where other requests are not answered.
+        # A request that is answered had its check, even if the log leaves it out. So it is beside others without a reply.
         BARE,
         [*BARE, (">", bytes.fromhex("12 03 00 6D 00 01")), *BARE],
         [*BARE[:1], ("<", rtu("11 83 02")), (">", bytes.fromhex("11 03 00 6E 00 01"))],

@@ -179,7 +179,7 @@ def test_a_dump_below_its_mark():
             "wrong_checksum_rule",
         ),
         ([lk(0xA2, 6, n, 3, 1, 0)[:-1] for n in (7, 70, 99)], "missing_checksum"),
-        # Two may be alike by chance, and what is no frame of a catalogue is cut nowhere.
+        # Two may be alike by chance. Only frames of a catalogue tell where to cut.
         ([b"\x55\x21\x07\x60\x13", b"\x55\x21\x08\x61\x14", b"\x55\x21\x09\x62\x15"], None),
     ],
 )
