@@ -184,7 +184,7 @@ def _odd(piece: Piece, words: str, said: list[_Said]) -> _Odd | None:
 
 
 def _is_understood(value: float, readings: list[Reading]) -> bool:
-    """Say whether a number with many digits is the float that the reply has: nobody gets those by a wrong reading."""
+    """Say whether a number with many digits is the float that the reply has: a wrong reading gives other digits."""
     within = (
         r.value for r in readings if r.kind == "float" and r.order == "ABCD" and _PLAUSIBLE[0] < abs(r.value) < _PLAUSIBLE[1]
     )

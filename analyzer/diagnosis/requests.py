@@ -131,7 +131,7 @@ def _failing(scene: Scene) -> Iterator[tuple[list[Trouble], Piece, Piece | None]
 
 
 def _asks_nothing_known(piece: Piece) -> bool:
-    """Say whether a frame of an unknown code has no fields: a reply has some, so it is a request, whoever has logged it."""
+    """Say whether a frame of an unknown code has no fields. It is a request then, for a reply has some."""
     message = piece.message
     if message is None or message.role is not Role.UNKNOWN or "unknown_command" not in piece.rules:
         return False

@@ -110,7 +110,7 @@ class Place:
         # By hand: `os.walk` calls itself for each folder in another, before Python 3.12.
         waiting = [self.path(folder) for folder in folders] if self.local else []
         while waiting:
-            # What cannot be listed is left to what is to be done there.
+            # A folder that cannot be listed is passed over: opening what is in it tells why.
             with contextlib.suppress(OSError), os.scandir(waiting.pop()) as there:
                 for each in sorted(there, key=lambda entry: entry.name):
                     if each.is_dir() and each.is_symlink():

@@ -138,7 +138,7 @@ def test_a_host_that_reads_too_early(drive):
     size = len(rows[1][1])
     stream = b"".join(data for mark, data in rows if mark == "<")
     cuts = [0, *range(size - 3, len(stream), size)]
-    # Whoever reads so many bytes each time is out of step; whoever reads what is there gets more or fewer.
+    # A host that reads so many bytes each time is out of step. One that reads what is there gets more or fewer.
     assert told_of(rows, stream, cuts) == ["read_misaligned", "reply_cut"]
     uneven = [cut + number % 2 for number, cut in enumerate(cuts)]
     assert told_of(rows, stream, [0, *uneven[1:]]) == ["reply_cut"]
