@@ -44,7 +44,7 @@ _RIGHT = re.compile(
     r"menu|panel)\b[^.;\n]{0,40}$",
     re.IGNORECASE,
 )
-_COMPLAINT = re.compile(
+COMPLAINT = re.compile(
     r"\b(?:instead|rather than|should|expect\w*|supposed|wrong|too (?:large|high|big|low|small|much)|nonsense|strange|weird|"
     r"odd|garbage|crazy|incorrect|off by|but)\b",
     re.IGNORECASE,
@@ -98,7 +98,7 @@ class _Odd(NamedTuple):
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect how the host reads the values of replies."""
     words = "\n".join(_BYTES.sub(" ", _PLACE.sub("", line)) for line in scene.words)
-    if not words or (scene.noted and _COMPLAINT.search(words) is None and _COMPARED.search(words) is None):
+    if not words or (scene.noted and COMPLAINT.search(words) is None and _COMPARED.search(words) is None):
         return
     replies = [p for p in scene.pieces if _registers(p)][:_MOST_REPLIES]
     said = _said(words)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
+from analyzer.diagnosis.meant import COMPLAINT
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, whole
 from analyzer.layout import Field, FieldKind
 from analyzer.values import counted
@@ -17,44 +18,63 @@ from analyzer.values import counted
 _NUMBER = re.compile(r"(?<![\w.:/-])(-?\d{2,15})(?![\d:x]|\.\d)\s*([A-Za-z]*)")
 #: The fewest bits of a field whose unsigned reading is no usual number; the fewest digits of a number that is sent.
 _WIDE, _DIGITS = 16, 3
-#: Numbers with a point too, and their unit.
-_MEASURE = re.compile(r"(?<![\w.:/-])(-?\d{1,15}(?:\.\d{1,6})?)(?![\d:x.])\s*([A-Za-z°]+(?:/s)?)")
+#: Numbers with a point too, and their unit; a whole turn that is told in words.
+_MEASURE = re.compile(r"(?<![\w.:/-])(-?\d{1,15}(?:\.\d{1,6})?)(?![\d:x.])\s*([A-Za-z°]+(?:/s)?)?")
+_ONE_TURN = re.compile(r"\b(?:one|a) (?:full|whole|single|complete)?\s*(?:turn|rev(?:olution)?|rotation)\b", re.IGNORECASE)
 #: How people write the unit of a field, and units of the same quantity in which they think instead.
+_DEGREES = frozenset(("deg", "degree", "degrees", "grad", "°"))
 _SPELLED = {
-    "deg": frozenset(("deg", "degree", "degrees", "grad", "°")),
+    "deg": _DEGREES,
     "deg/s": frozenset(("dps", "deg/s", "°/s", "degrees/s", "rpm")),
     "V": frozenset(("v", "volt", "volts")),
 }
 #: Of those the ones that are another unit: a number fits there if the field has it in its own.
 _OTHER = frozenset(("rpm",))
+_AMPERES = frozenset(("a", "amp", "amps", "ampere", "amperes"))
+_TURNS = frozenset(("turn", "turns", "rev", "revs", "revolution", "revolutions", "rotation", "rotations"))
+#: Steps that a motor has a turn, each in so many parts; counts that its encoder has.
+_STEPS, _PARTS, _COUNTS = 200, tuple(1 << n for n in range(9)), 0x4000
 #: A smaller number is met by chance.
 _LEAST = 10
+#: Bits of the numbers that programs have, and how near a number that is printed comes to its value.
+_PROGRAM_BITS, _PRINTED = (16, 24, 32, 64), 1e-9
+#: The least number that is unsigned by no chance.
+_MUCH = 1 << 15
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect how numbers of the words become fields, and fields numbers."""
     words = "\n".join(scene.words)
-    yield from _scaled(scene, {(float(number), unit.lower()) for number, unit in _MEASURE.findall(words)})
-    said = [(int(number), unit.lower()) for number, unit in _NUMBER.findall(words)]
-    if not said:
+    measured = {(float(number), unit.lower()) for number, unit in _MEASURE.findall(words)}
+    yield from _scaled(scene, measured)
+    if not scene.noted or COMPLAINT.search(words) is not None:
+        yield from _of_other_steps(scene, measured | ({(1.0, "turn")} if _ONE_TURN.search(words) else set()))
+    said = {(int(number), unit.lower()) for number, unit in _NUMBER.findall(words)}
+    if not measured:
         return
-    numbers, with_unit = {number for number, _ in said}, set(said)
+    numbers, exact = {number for number, _ in said}, {number for number, _ in measured}
     signed: list[tuple[Piece, str, int, int]] = []
+    short: list[tuple[Piece, str, int, int]] = []
     digits: list[tuple[Piece, str, int, int]] = []
     for piece in scene.pieces:
         for field, value in _fields(piece):
-            if piece.is_reply and value < 0 and field.kind is FieldKind.INT and field.bit_width >= _WIDE:
-                unsigned = value + (1 << field.bit_width)
-                # A program that prints both knows.
-                if unsigned in numbers and value not in numbers:
+            if field.kind is FieldKind.INT and field.bit_width >= _WIDE:
+                if piece.is_reply and value < 0 and (unsigned := _as_unsigned(field, value, numbers | exact)):
                     signed.append((piece, field.name, unsigned, value))
+                elif piece.is_request and value >= _MUCH and value not in numbers:
+                    widths = (bits for bits in _PROGRAM_BITS if value < 1 << bits < 1 << field.bit_width)
+                    short += ((piece, field.name, value, value - (1 << n)) for n in widths if value - (1 << n) in numbers)
             unit, text = field.unit.lower(), f"{value:x}"
             of_digits = piece.is_request and unit and field.scale == 1 and len(text) >= _DIGITS and text.isdecimal()
-            if of_digits and (int(text), unit) in with_unit and (value, unit) not in with_unit:
+            if of_digits and (int(text), unit) in said and (value, unit) not in said:
                 digits.append((piece, field.name, value, int(text)))
     yield from _said(
         "unit_or_sign", signed, "The program prints {0} as {1}: the field is signed, and says {2}.",
         "Take the bytes as two's complement of the field's width",
+    )  # fmt: skip
+    yield from _said(
+        "unit_or_sign", short, "The field {0} says {1}: {2} is meant, in two's complement of fewer bits than the field has.",
+        "Extend the sign over all bytes of the field",
     )  # fmt: skip
     yield from _said(
         "decimal_as_hex", digits, "The decimal digits of {0} are sent as hexadecimal ones: {2} is meant, and {1} is sent.",
@@ -78,6 +98,44 @@ def _scaled(scene: Scene, said: set[tuple[float, str]]) -> Iterator[Suspicion]:
     yield from _said(
         "unit_or_sign", found, "The field {0} has another unit than the words: {1} in it is {2}.",
         "Multiply or divide by the step of the field: `servotap catalogue` has the unit of each",
+    )  # fmt: skip
+
+
+def _as_unsigned(field: Field, value: int, said: set[float]) -> int:
+    """Return the number that the words have where a negative value is taken for an unsigned one; 0 where they have none.
+
+    A program that prints both knows.
+    """
+    if value in said or field.physical(value) in said:
+        return 0
+    for bits in {field.bit_width, *_PROGRAM_BITS}:
+        unsigned = value + (1 << bits)
+        shown = (unsigned, float(field.physical(unsigned)))
+        if unsigned >= _MUCH and any(abs(number - each) <= _PRINTED * each for number in said for each in shown):
+            return unsigned
+    return 0
+
+
+def _of_other_steps(scene: Scene, said: set[tuple[float, str]]) -> Iterator[Suspicion]:
+    """Suspect steps of a motor where its encoder's counts are asked for, and the reverse; and parts of an ampere."""
+    turns = {number if unit in _TURNS else number / 360 for number, unit in said if unit in _TURNS | _DEGREES}
+    amperes = {number for number, unit in said if unit in _AMPERES}
+    found: list[tuple[Piece, str, int, str]] = []
+    for piece in scene.pieces:
+        for field, value in _fields(piece) if piece.is_request else ():
+            amount = abs(value)
+            if field.unit == "mA" and not any(number * 1000 == amount for number in amperes):
+                meant = [f"{number:g} A" for number in amperes if amount and amount in (number, 10 * number, 100 * number)]
+            elif field.unit == "counts" and amount not in {number * _COUNTS for number in turns}:
+                meant = [f"{n:g} turns" for n in turns if any(amount == n * _STEPS * parts for parts in _PARTS) and n]
+            elif field.unit == "pulses":
+                meant = [f"{number:g} turns" for number in turns if number and amount == number * _COUNTS]
+            else:
+                continue
+            found += ((piece, field.name, value, f"{value} {field.unit}, not {each}") for each in meant[:1])
+    yield from _said(
+        "unit_or_sign", found, "The field {0} has another unit than the words: {1} in it is {2}.",
+        "Convert the number before it is sent: `servotap catalogue` has the unit of each field",
     )  # fmt: skip
 
 

@@ -49,6 +49,8 @@ _MARKED_LINES = 3
 _PROSE_SCORE = 0.35
 #: Bytes from which on a line of a text that is no log counts.
 _SAID_BYTES, _PADDED_BYTES = 3, 5
+#: The least byte of two digits.
+_TWO_DIGITS = 0x10
 _REMARKS = ("#", "//", ";")
 _OPEN = ("{", "[", "(", ",")
 _LIST_ITEMS = r"(?:(?:0[xX])?[0-9A-Fa-f]{1,3}(?![0-9A-Fa-f])\s*+,?\s*+)*+"
@@ -91,8 +93,7 @@ def score(head: bytes) -> float:
     counted = sum(1 for p in parts if p.shape is not Shape.COMMENT or not p.text.startswith(("#", "//", ";")))
     plain = any(
         (len(p.data) >= _SAID_BYTES and (p.marked or _HEX_LETTER.search(p.data.hex())))
-        # Numbers of people have no zeros before them.
-        or (len(p.data) >= _PADDED_BYTES and p.data[0] < 10 and p.radix is Radix.HEX)
+        or (p.data[:1] < b"\n" and _is_padded(p))
         or spells_frame(p.data)
         for p in traffic
     )
@@ -103,7 +104,7 @@ def score(head: bytes) -> float:
     marked = sum(1 for p in traffic if p.marked and len(p.data) > 1)
     # Rows of decimal numbers pass for hex; real traffic is not free of letters for long.
     letters = any(_HEX_LETTER.search(p.data.hex()) for p in traffic) or "0x" in "".join(lines)
-    letters = letters or any(p.sign.startswith("each") or spells_frame(p.data) for p in traffic)
+    letters = letters or any(p.sign.startswith("each") or spells_frame(p.data) or _is_padded(p) for p in traffic)
     letters = letters or any(len(p.data) > _SAID_BYTES and (modbus_crc(p.data) == 0 or _is_tcp(p.data)) for p in traffic)
     if not letters and not marked and sum(len(p.data) for p in traffic) > 4:
         return max(0.1, _reported(lines))
@@ -112,6 +113,11 @@ def score(head: bytes) -> float:
     if ratio >= _LEAST_SHARE or (marked >= _MARKED_LINES and ratio >= _LEAST_MARKED_SHARE):
         return 0.4 + 0.5 * min(1.0, ratio)
     return max(said, 0.25 * ratio / _LEAST_SHARE)
+
+
+def _is_padded(line: HexLine) -> bool:
+    """Say whether bytes keep their zeros; numbers of people have none before them."""
+    return len(line.data) >= _PADDED_BYTES and min(line.data) < _TWO_DIGITS and line.radix is Radix.HEX
 
 
 def _is_tcp(data: bytes) -> bool:
@@ -219,7 +225,7 @@ class _Reader:
             t_ns = self._time(line)
             if line.shape is Shape.TRAFFIC and line.passed and (said := self._better(text, line)):
                 yield from self._quoted(t_ns, text, said)
-            elif line.shape is Shape.TRAFFIC and self._is_reprint(t_ns, line):
+            elif line.shape is Shape.TRAFFIC and self._is_reprint(t_ns, line, text):
                 yield source.comment(t_ns, text)
             elif line.shape is Shape.TRAFFIC and self._unsent and not line.marked:
                 self._below = True
@@ -364,10 +370,10 @@ class _Reader:
         )
         yield msgspec.structs.replace(self._chunk(t_ns, line, line.data), torn=True)
 
-    def _is_reprint(self, t_ns: int | None, line: HexLine) -> bool:
+    def _is_reprint(self, t_ns: int | None, line: HexLine, text: str) -> bool:
         """Say whether a program prints at once what the line before has, or a console how many bytes it has sent."""
         before = self._printed
-        if before is not None and before[1] is Role.REQUEST and not line.marked and line.data.hex() == str(len(before[0])):
+        if before is not None and before[1] is Role.REQUEST and not line.marked and text.strip() == str(len(before[0])):
             return True
         self._printed = (line.data, line.role, (line.sign, line.worded, line.passed), t_ns)
         # Of single bytes the layers take turns: one prints each bit by bit.

@@ -72,3 +72,35 @@ def test_a_number_in_another_unit_than_that_of_the_field(words, frame, found, ca
 def test_a_scaled_field_that_is_printed_as_unsigned(causes_of):
     log = "TX 01 04 00 39 00 02 A1 C6\nRX 01 04 04 FF FF FF CE 3B C4\nangle error = 4294967246\n"
     assert causes_of(log) == ["unit_or_sign"]
+
+
+@pytest.mark.parametrize(
+    ("words", "frame", "found"),
+    [
+        ("One full turn (360 degrees) should come of it:", "FA 02 F4 00 64 02 00 00 0C 80", ["unit_or_sign"]),
+        ("One full turn (360 degrees) should come of it:", "FA 02 F4 00 64 02 00 00 40 00", []),
+        ("One full turn should come of it:", "FA 02 FD 00 64 02 00 00 40 00", ["unit_or_sign"]),
+        ("One full turn should come of it:", "FA 02 FD 00 64 02 00 00 0C 80", []),
+        # A document.
+        ("One full turn of FD is 3200. F4 counts otherwise:", "FA 02 F4 00 64 02 00 00 0C 80", []),
+        ("It should have 1.6 A and has no torque:", "FA 02 83 00 10", ["unit_or_sign"]),
+        ("It should have 1.6 A and has no torque:", "FA 02 83 06 40", []),
+        ("It should have 1.6 A and has no torque; with 0.016 A too:", "FA 02 83 00 10", []),
+        # The sign of 16 or 24 bits in 32.
+        ("It should go to -16384 and goes on and on:", "FA 02 F5 02 58 02 00 FF C0 00", ["unit_or_sign"]),
+        ("It should go to -16384 and goes on and on:", "FA 02 F5 02 58 02 00 00 C0 00", ["unit_or_sign"]),
+        ("It should go to -16384 and goes on and on:", "FA 02 F5 02 58 02 FF FF C0 00", []),
+        ("It should go to 49152, not to -16384:", "FA 02 F5 02 58 02 00 00 C0 00", []),
+    ],
+)
+def test_a_number_in_steps_of_something_else(words, frame, found, causes_of):
+    code = frame.split()[2]
+    assert causes_of(f"{words}\n\nTX: {native(frame)}\nRX: {native(f'FB 02 {code} 01')}\n") == found
+
+
+@pytest.mark.parametrize(
+    ("printed", "found"), [("42949668.96", ["unit_or_sign"]), ("-4.00", []), ("42949668.96 (-4.00)", []), ("429496.96", [])]
+)
+def test_an_angle_of_64_bits_that_is_printed_as_unsigned_of_32(printed, found, causes_of):
+    log = "TX 3E 92 01 00 D1\nRX 3E 92 01 08 D9 70 FE FF FF FF FF FF FF 68\n"
+    assert causes_of(f"{log}the program now says angle = {printed} deg\n") == found
