@@ -120,6 +120,10 @@ def _of_another(scene: Scene, late: list[Placed]) -> Iterator[Suspicion]:
     )  # fmt: skip
 
 
+def _offset(trouble: Trouble) -> int:
+    return trouble.offset
+
+
 def _misaligned(scene: Scene) -> Iterator[Suspicion]:
     if not scene.directed and not any(read.firm for read in scene.reads):
         return
@@ -128,7 +132,7 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
     reads = shifted = turned = 0
     first: tuple[Turn, int] | None = None
     troubles: list[Trouble] = []
-    by_offset = {t.stretch.offset: t for t in scene.damaged if t.stretch is not None}
+    by_offset = sorted(scene.troubles, key=_offset)
     for chain in chains(scene):
         for exchange in chain:
             for turn in exchange.received:
@@ -139,7 +143,9 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
                 if shift:
                     shifted += 1
                     first = first or (turn, shift)
-                    troubles += [by_offset[turn.offset]] if turn.offset in by_offset else []
+                    # What is whole in such a read comes at the wrong time.
+                    inside = (bisect_left(by_offset, at, key=_offset) for at in (turn.offset, turn.stop))
+                    troubles += by_offset[slice(*inside)]
     # One that is a reply with a CRC, but for the place at which it begins, is no chance.
     least = 1 if turned else _SHIFTED
     if first is None or shifted < least or shifted < _SHIFTED_SHARE * reads:
