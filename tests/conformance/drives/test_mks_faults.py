@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import re
 
 import pytest
 
@@ -93,16 +92,6 @@ def test_the_faults_of_the_wire_serve_the_lingkong_drive_too():
 
 
 # --- the tables ------------------------------------------------------------------------------------------------------
-
-
-def test_names_are_unique_and_tell_what_they_do():
-    names = [each.name for each in (*FAULTS, *QUIRKS)]
-    assert len(names) == len(set(names))
-    for each in (*FAULTS, *QUIRKS):
-        assert re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", each.name)
-        assert each.text
-        assert len(each.text) < 110
-        assert set(each.dialects) <= {*NAMES, "lk-rs485"}
 
 
 def test_there_are_faults_of_every_theme():
