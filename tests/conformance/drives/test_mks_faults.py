@@ -40,17 +40,17 @@ def any_request(chance, dialect):
     """Return the bytes and the address of a request with any values, most of them good."""
     command = chance.choice(dialect.commands)
     form = chance.choice(command.request_forms)
-    data = chance.randbytes(50)
+    data = chance.randbytes(chance.choice([50, chance.randint(0, 60)]))
     if command.slots is None:
         values = {}
         for name, field in form.layout.named.items():
-            good = [v for v in (field.low, field.high, 5, 100) if field.allows(v)]
+            good = [v for v in (field.low, field.high, 5, 100, *field.choice_names) if field.allows(v)]
             wild = chance.randint(field.wire_minimum, field.wire_maximum)
             values[name] = chance.choice(good) if good and chance.random() < 0.8 else wild
             if field.fixed is not None:
                 values[name] = field.fixed
         data = codec(form.layout).encode(values)
-    address = chance.choice([1] * 8 + [0, 80, 2])
+    address = chance.choice([1] * 8 + [0, 80, 2, 255])
     return dialect.link.build(command, form, address, data, Role.REQUEST), address
 
 
