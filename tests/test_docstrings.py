@@ -4,27 +4,14 @@ from __future__ import annotations
 
 import ast
 import re
-from functools import cache
 
 from tests.test_layers import MODULES
 
 #: Names at the begin of a clause, then a colon, maybe behind the one value that is told: "`a`, `b`: ...", "`a` False: ...".
 CLAUSE = re.compile(r"(?:^|[.;)]\s+|\n\s*)((?:`\w+`(?:, | and | or )?)+)(?: (?:[A-Z]\w+|\d+))?: ")
 
-TREES = {name: ast.parse(path.read_text()) for name, path in MODULES.items()}
 
-
-@cache
-def classes() -> dict[str, list[ast.ClassDef]]:
-    found: dict[str, list[ast.ClassDef]] = {}
-    for tree in TREES.values():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ClassDef):
-                found.setdefault(node.name, []).append(node)
-    return found
-
-
-def known(node: ast.AST, seen: frozenset[str] = frozenset()) -> set[str]:
+def known(node: ast.AST, classes: dict[str, list[ast.ClassDef]], seen: frozenset[str] = frozenset()) -> set[str]:
     """Return all names and words within a class or a function; of a class those of its bases, too."""
     found = {"None"}
     for each in ast.walk(node):
@@ -36,9 +23,9 @@ def known(node: ast.AST, seen: frozenset[str] = frozenset()) -> set[str]:
     for base in node.bases if isinstance(node, ast.ClassDef) else ():
         inner = base.value if isinstance(base, ast.Subscript) else base
         name = getattr(inner, "id", getattr(inner, "attr", ""))
-        for other in classes().get(name, ()):
+        for other in classes.get(name, ()):
             if other is not node and name not in seen:
-                found |= known(other, seen | {name})
+                found |= known(other, classes, seen | {name})
     return found
 
 
@@ -55,11 +42,15 @@ def test_names_are_found_where_they_are_explained():
 def test_what_is_explained_is_there():
     explained = 0
     lost = []
-    for module, tree in TREES.items():
-        for node in ast.walk(tree):
-            if isinstance(node, (ast.ClassDef, ast.FunctionDef)):
-                names = told(ast.get_docstring(node) or "")
-                explained += len(names)
-                lost += [(module, node.name, name) for name in names if name not in known(node)]
+    nodes = [(module, node) for module, path in MODULES.items() for node in ast.walk(ast.parse(path.read_text()))]
+    classes: dict[str, list[ast.ClassDef]] = {}
+    for _, node in nodes:
+        if isinstance(node, ast.ClassDef):
+            classes.setdefault(node.name, []).append(node)
+    for module, node in nodes:
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and (names := told(ast.get_docstring(node) or "")):
+            explained += len(names)
+            within = known(node, classes)
+            lost += [(module, node.name, name) for name in names if name not in within]
     assert explained > 1000
     assert lost == []

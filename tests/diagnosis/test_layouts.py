@@ -11,7 +11,7 @@ from analyzer.link import modbus_crc
 from analyzer.records import Chunk
 from tests.diagnosis.test_diagnosis import diagnosed as untimed
 from tests.diagnosis.test_healthy import verdict
-from tests.diagnosis.test_log_forms import FORMS, pairs
+from tests.diagnosis.test_log_forms import log, pairs, shows
 from tests.diagnosis.test_pastes import diagnosed
 
 SERIAL = [dialect for dialect in registry.every() if dialect.bus == "serial"]
@@ -118,9 +118,7 @@ CHOSEN = (
 @pytest.mark.parametrize("form", CHOSEN)
 def test_a_cause_in_a_layout(form, story):
     rows, cause = STORIES[story]
-    found = diagnosed("".join(f"{FORMS[form](mark, number // 8, data)}\n" for number, (mark, data) in enumerate(rows)))
-    assert (found.causes[0].suspicion.cause if found.causes else None) == cause
-    assert found.verdict == ("trouble" if cause else "ok")
+    shows(log(form, rows, at_once=8), cause)
 
 
 def causes(text):

@@ -138,13 +138,23 @@ FORMS = {
 }
 
 
+def shows(text, cause):
+    """Prove that a text shows this cause first, or nothing wrong where it is None."""
+    found = diagnosed(text)
+    assert (found.causes[0].suspicion.cause if found.causes else None) == cause
+    assert found.verdict == ("ok" if cause is None else "trouble")
+
+
+def log(form, rows, at_once=1):
+    """Return the rows in a form; so many have one time."""
+    return "".join(f"{FORMS[form](mark, number // at_once, data)}\n" for number, (mark, data) in enumerate(rows))
+
+
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("form", FORMS)
 def test_a_trouble_in_a_log(form, case):
     rows, cause = CASES[case]
-    found = diagnosed("".join(f"{FORMS[form](mark, number, data)}\n" for number, (mark, data) in enumerate(rows)))
-    assert (found.causes[0].suspicion.cause if found.causes else None) == cause
-    assert found.verdict == ("ok" if cause is None else "trouble")
+    shows(log(form, rows), cause)
 
 
 CAN_CASES = {
@@ -174,8 +184,7 @@ CAN_FORMS = {
 @pytest.mark.parametrize("form", CAN_FORMS)
 def test_a_trouble_in_can_rows(form, case):
     rows, cause = CAN_CASES[case]
-    found = diagnosed("".join(CAN_FORMS[form](mark, number, data) for mark, number, data in rows))
-    assert (found.causes[0].suspicion.cause if found.causes else None) == cause
+    shows("".join(CAN_FORMS[form](mark, number, data) for mark, number, data in rows), cause)
 
 
 def test_the_name_of_a_host_on_all_lines_tells_no_sender():

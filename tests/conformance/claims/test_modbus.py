@@ -39,7 +39,7 @@ def test_other_dialects_have_no_such_claims(dialect):
     ],
 )
 def test_a_fault_is_refuted_by_the_claims_that_say_so(fault, names):
-    assert names <= refuted(Theme.MODBUS, f"mks-modbus@1,fault={fault}")
+    assert names <= refuted(Theme.MODBUS, f"mks-modbus@1,fault={fault}", *names)
 
 
 def test_silence_in_the_place_of_an_exception_is_observed():

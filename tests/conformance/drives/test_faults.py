@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
+from analyzer import dialects
 from analyzer.layout import Field, i16, u16
 from analyzer.protocols import lk_rs485, mks_can
 from conformance.drives.faults import numbers
 from conformance.drives.faults.numbers import Judge
 from conformance.drives.faults.places import CAN, EVERY, LK, MKS, SERIAL, asked, keeping, limit, reply, unstored
-from conformance.drives.make import every_fault
+from conformance.drives.make import every_fault, every_quirk
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "faults.jsonl"
 SIGNED, UNSIGNED = i16("speed"), u16("current", minimum=1, maximum=3000)
@@ -24,12 +26,17 @@ def test_each_fault_is_one_whose_refutations_are_kept() -> None:
     assert sorted(listed) == sorted(kept)
 
 
-def test_each_fault_touches_something() -> None:
-    names = [fault.name for fault in every_fault()]
-    assert len(names) == len(set(names))
-    for fault in every_fault():
-        assert fault.dialects, fault.name
-        assert fault.name.startswith("lk-") == (fault.dialects == LK), fault.name
+def test_each_fault_and_quirk_says_what_it_is_and_touches_something() -> None:
+    each = (*every_fault(), *every_quirk())
+    assert len({change.name for change in each}) == len(each)
+    known = {dialect.name for dialect in dialects.every()}
+    for change in each:
+        assert re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", change.name)
+        assert set() < set(change.dialects) <= known, change.name
+        assert change.name.startswith("lk-") == (set(change.dialects) == set(LK)), change.name
+        assert 0 < len(change.text) < 110
+        assert not change.text.endswith("."), change.name
+    assert all(fault.breaks for fault in every_fault())
 
 
 def test_the_bytes_of_a_number() -> None:

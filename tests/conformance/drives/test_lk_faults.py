@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import random
 from collections import defaultdict
+from functools import partial
 
 import pytest
 
 from conformance.drives.drive import Fault
 from conformance.drives.make import every_fault
 from tests.conformance.claims.test_conditions import REFUTED_BY
-from tests.conformance.drives.lk_bench import Bench
+from tests.conformance.drives.lk_bench import SECOND, STEP_NS, Bench
 from tests.conformance.drives.lk_motion_story import MOVED
 from tests.conformance.drives.lk_story import TOLD, readings
+from tests.conformance.drives.test_mks_faults import any_request
 
 #: The faults that only an LK drive has; the others are shown by the claims that refute them.
 FAULTS = [fault for fault in every_fault() if fault.dialects == ("lk-rs485",) and fault.name not in REFUTED_BY]
@@ -272,22 +275,17 @@ def test_fault_shows(fault: Fault) -> None:
     assert played(script, model, fault) != played(script, model)
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.name)
-def test_fault_says_what_it_is(fault: Fault) -> None:
-    assert fault.name.startswith("lk-")
-    assert fault.name == fault.name.lower()
-    assert " " not in fault.name
-    assert "_" not in fault.name
-    assert fault.dialects == ("lk-rs485",)
-    assert fault.text
-    assert not fault.text.endswith(".")
-    assert fault.breaks
-
-
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.name)
-def test_fault_never_raises(fault: Fault) -> None:
-    for script in SCRIPTS.values():
-        script(Bench(model="MS", faults=(fault,)))
+@pytest.mark.parametrize("model", ["MF", "MS"])
+def test_no_fault_makes_a_drive_raise(model: str) -> None:
+    chance = random.Random(model)
+    for fault in [f for f in every_fault() if "lk-rs485" in f.dialects]:
+        bench = Bench(model=model, faults=(fault,))
+        for _ in range(30):
+            if chance.random() < 0.1:
+                chance.choice([bench.drive.block, partial(bench.drive.hot, 300), partial(bench.drive.supply, 5)])()
+            bench.send(any_request(chance, bench.drive.dialect)[0])
+            bench.t_ns += chance.choice([0, STEP_NS, SECOND])
+            bench.drive.advance(bench.t_ns)
 
 
 def test_no_two_faults_are_one() -> None:

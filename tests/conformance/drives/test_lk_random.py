@@ -66,7 +66,7 @@ def sequences(draw: st.DrawFn) -> tuple[str, list[Any]]:
     )
     spoil = st.none() | st.integers(0, 17)
     step = st.one_of(st.tuples(requests(model), spoil), st.tuples(requests(model), st.none()), wait, scenario)
-    # 300 examples, about half of their steps requests: more than ten thousand.
+    # 150 examples, about half of their steps requests: more than five thousand.
     return model, draw(st.lists(step, min_size=70, max_size=90))
 
 
