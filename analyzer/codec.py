@@ -13,10 +13,11 @@ loop over the fields, and the same expressions can be compiled for columns later
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from decimal import Decimal
 from functools import cached_property
 from math import isfinite
+from sys import float_info
 from typing import Any
 
 import msgspec
@@ -267,13 +268,14 @@ class ReadCodec(Codec):
     def __init__(self, layout: ReadLayout) -> None:
         super().__init__(layout)
         self._reader = layout.reader
+        self._numbers = frozenset(name for name, field in layout.named.items() if field.kind is FieldKind.NUMBER)
         #: The last data, their values, and why they have none: each frame is asked for both, more than once.
         self._last: tuple[bytes | None, dict[str, Any], MisfitError | None] = (None, {}, None)
 
     def _read(self, data: bytes) -> tuple[bytes | None, dict[str, Any], MisfitError | None]:
         if self._last[0] != data:
             try:
-                self._last = data, _exact(self._reader(data)), None
+                self._last = data, _exact(self._reader(data), self._numbers), None
             except MisfitError as error:
                 self._last = data, {}, error
         return self._last
@@ -313,16 +315,23 @@ class ReadCodec(Codec):
         raise ValueError("what a reader reads cannot be written")
 
 
-def _exact(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values as JSON can hold them: a number that is none, or is too long, becomes a text beside or instead of it."""
+def _exact(values: Mapping[str, Any], numbers: Set[str]) -> dict[str, Any]:
+    """Return values as JSON and tables can hold them: a number that is none, or too long, has a text beside or instead of it.
+
+    `numbers`: the fields that tables hold as doubles; all others are whole and have 64 bits at most.
+    """
     result: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, float) and not isfinite(value):
             result[name + "_text"] = str(value)
             continue
-        result[name] = value
         if isinstance(value, int) and abs(value) > EXACT:
             result[name + "_text"] = str(value)
+            if name in numbers:
+                if abs(value) > float_info.max:
+                    continue
+                value = float(value)
+        result[name] = value
     return result
 
 

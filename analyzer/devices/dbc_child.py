@@ -31,13 +31,15 @@ if TYPE_CHECKING:
 
 #: Bytes of an answer. A file of the largest size that tools write takes half of it; the parent holds it in memory.
 MOST_ANSWERED = 16 << 20
+#: Bits of an integer that tables have a type for.
+_MOST_BITS = 64
 #: The longest message that J1939 carries, in bytes.
 _LONGEST = 1785
 
 
 @dataclass(frozen=True)
 class SignalFacts:
-    """What a file says of a signal. `length`: in bits. `is_scaled`: its values are no plain integers."""
+    """What a file says of a signal. `length`: in bits. `is_scaled`: its values are no integers of 64 bits."""
 
     name: str
     length: int
@@ -204,7 +206,7 @@ def _signal_facts(signal: Signal) -> SignalFacts:
         name=signal.name,
         length=signal.length,
         is_signed=signal.is_signed,
-        is_scaled=signal.is_float or signal.scale != 1 or signal.offset != 0,
+        is_scaled=signal.is_float or signal.scale != 1 or signal.offset != 0 or signal.length > _MOST_BITS,
         minimum=signal.minimum,
         maximum=signal.maximum,
         unit=signal.unit or "",

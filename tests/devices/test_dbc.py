@@ -167,7 +167,7 @@ def test_the_values_are_those_of_cantools(seed, tmp_path):
         wanted.append({n: str(v) for n, v in message.decode(frame.data).items()})
     shown = [physical(e.message) for e in read(devices(tmp_path, text), frames).entries]
     got = [
-        {n: str(each.get(f"{n}_name", each.get(n, each.get(f"{n}_text")))) for n in names}
+        {n: str(each.get(f"{n}_name", each.get(f"{n}_text", each.get(n)))) for n in names}
         for each, names in zip(shown, wanted, strict=True)
     ]
     assert got == wanted
@@ -224,6 +224,33 @@ def test_tables_have_the_signals(tmp_path, capsys):
     assert main(["export", log, "--dbc", dbc, "--wide", "-o", str(tmp_path / "w.csv")]) == 0
     assert "/can0/291/Status/message.Voltage [V]" in (tmp_path / "w.csv").read_text()
     assert main(["diagnose", log, "--dbc", dbc]) == 0
+
+
+#: Whole numbers that no integer of 64 bits holds: by the factor, by the offset, by the length of CAN FD; beyond a double.
+LONG = """VERSION ""
+BU_: A
+BO_ 291 Long: 64 A
+ SG_ Factor : 0|64@1+ (1000,0) [0|0] "" A
+ SG_ Offset : 64|8@1+ (1,1e30) [0|0] "" A
+ SG_ Length : 72|100@1- (1,0) [0|0] "" A
+ SG_ Beyond : 184|64@1+ (1e308,0) [0|0] "" A
+"""
+
+
+@pytest.mark.parametrize("byte", ["00", "7F", "80", "FF"])
+def test_numbers_beyond_64_bits_are_doubles_with_their_exact_text(byte, tmp_path, capsys):
+    pyarrow = pytest.importorskip("pyarrow.parquet")
+    log, dbc = write(tmp_path, f"(1700000000.000000) can0 123##1{byte * 64}\n", "bus.log"), write(tmp_path, LONG)
+    assert main(["decode", log, "--dbc", dbc, "--to", "parquet", "-o", str(tmp_path / "t")]) == 0
+    assert main(["export", log, "--dbc", dbc, "-o", str(tmp_path / "rows.parquet")]) == 0
+    assert main(["export", log, "--dbc", dbc, "--wide", "-o", str(tmp_path / "wide.csv")]) == 0
+    wanted = cantools.database.load_string(LONG, "dbc").decode_message(291, bytes.fromhex(byte * 64))
+    for table in ("t/battery.Long.message.parquet", "rows.parquet"):
+        (row,) = pyarrow.read_table(tmp_path / table).to_pylist()
+        for name, value in wanted.items():
+            if isinstance(value, int) and abs(value) > 1 << 53:
+                assert row[f"{name}_text"] == str(value)
+            assert row[name] == (float(value) if value <= sys.float_info.max else None)
 
 
 TWICE = BATTERY + "BO_ 291 Again: 8 A\n"
