@@ -7,14 +7,13 @@ FOLDER -o OUT      all captures of a folder and the folders in it; their logs li
 from __future__ import annotations
 
 import argparse
-import os
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import NamedTuple
 
-from analyzer.cli.output import free_target, target_of
+from analyzer.cli.output import Identity, free_target, identity, inputs, target_of
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.live.spool import spool_folder
 from analyzer.sources.logic.heads import saleae_channels
@@ -53,10 +52,11 @@ def _make_folders(folder: Path) -> None:
 def captures(arguments: argparse.Namespace) -> list[Capture]:
     """Return the captures with their targets. Raises UsageError where a target cannot be written."""
     given = [each for word in arguments.files for each in _found(word, arguments)]
+    read = inputs((*(path for path, _ in given), *arguments.dbc, *arguments.modbus_map))
     taken: dict[Path, int] = {}
     found = []
     for path, below in given:
-        target = _target(path, below, arguments, len(given), taken)
+        target = _target(path, below, arguments, len(given), taken, read)
         found.append(Capture(path, target, _size(path), below is not None))
     return found
 
@@ -82,8 +82,8 @@ def _found(word: str, arguments: argparse.Namespace) -> Iterator[tuple[str, Path
     if arguments.output is None:
         raise UsageError(f"{folder} is a folder of captures: name the folder for their logs with -o")
     target = target_of(Path(arguments.output))
-    known = {_identity(target)} if target.exists() else set()
-    if _identity(folder) in known:
+    known = {identity(target)} if target.exists() else set()
+    if identity(folder) in known:
         raise UsageError(f"-o {target} is the folder of the captures itself: name another one for their logs")
     found = list(_below(folder, known))
     if not found:
@@ -98,7 +98,7 @@ def _found(word: str, arguments: argparse.Namespace) -> Iterator[tuple[str, Path
         yield str(path), own / path.parent.relative_to(folder)
 
 
-def _below(folder: Path, known: set[tuple[int, int]]) -> Iterator[Path]:
+def _below(folder: Path, known: set[Identity]) -> Iterator[Path]:
     """Yield the files of a folder and those in it, and of a folder with logs the folder for them; no folder comes twice."""
     # By hand, not by recursion: folders may lie in one another deeper than Python calls.
     waiting = _entries(folder, known)
@@ -112,7 +112,7 @@ def _below(folder: Path, known: set[tuple[int, int]]) -> Iterator[Path]:
                 yield each
         elif saleae_channels(each):
             yield each
-        elif any(each.glob("*.mcap")) and _identity(each) not in known:
+        elif any(each.glob("*.mcap")) and identity(each) not in known:
             yield each
             waiting += _entries(each, known)
         elif each.suffix not in (".parquet", _SPOOL):
@@ -127,28 +127,25 @@ def _mode(path: Path) -> int:
         return 0
 
 
-def _entries(folder: Path, known: set[tuple[int, int]]) -> list[Path]:
+def _entries(folder: Path, known: set[Identity]) -> list[Path]:
     """Return what stands in a folder, by name from the last to the first; nothing for a folder that is known."""
     try:
-        identity = _identity(folder)
-        if identity in known:
+        own = identity(folder)
+        if own in known:
             return []
-        known.add(identity)
+        known.add(own)
         return sorted((each for each in folder.iterdir() if not each.name.startswith(".")), reverse=True)
     except OSError as error:
         print(f"note: {printable(str(folder))} is passed over: {error.strerror}", file=sys.stderr)
         return []
 
 
-def _identity(folder: Path) -> tuple[int, int]:
-    about = os.stat(folder)
-    return about.st_dev, about.st_ino
-
-
-def _target(path: str, below: Path | None, arguments: argparse.Namespace, count: int, taken: dict[Path, int]) -> Path:
+def _target(
+    path: str, below: Path | None, arguments: argparse.Namespace, count: int, taken: dict[Path, int], read: Set[Identity]
+) -> Path:
     """Return the log of a capture, or the folder of its tables: another one than those that are taken, and take it.
 
-    `taken`: each with the number that the last log of its name has.
+    `taken`: each with the number that the last log of its name has; `read`: the files that are read.
     """
     end = "." + arguments.to
     if arguments.output is None:
@@ -179,7 +176,7 @@ def _target(path: str, below: Path | None, arguments: argparse.Namespace, count:
             file=sys.stderr,
         )
     if arguments.to == "mcap":
-        return free_target(target, arguments.force, [path])
+        return free_target(target, arguments.force, read)
     if target.exists() and not arguments.force:
         raise UsageError(f"{target} exists; --force replaces it")
     return target

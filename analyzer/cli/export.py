@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO
 
 from analyzer.cli.export_table import export_table
-from analyzer.cli.output import free_target, target_of, whole
+from analyzer.cli.output import free_target, inputs, target_of, whole
 from analyzer.cli.reading import add_reading_arguments, progress, source_options
 from analyzer.cli.signals import Interrupt
 from analyzer.cli.time_range import TimeRange
@@ -149,7 +149,7 @@ def _target(arguments: argparse.Namespace) -> Path | None:
         if target.is_dir():
             name = "standard_input" if arguments.file == "-" else Path(arguments.file).name
             target = target / (name.removesuffix(".mcap") + ending)
-    return free_target(target, arguments.force, [arguments.file])
+    return free_target(target, arguments.force, inputs((arguments.file, *arguments.dbc, *arguments.modbus_map)))
 
 
 # --- raw bytes --------------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 
 from analyzer import __version__
-from analyzer.cli.output import free_target, whole
+from analyzer.cli.output import free_target, inputs, whole
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.sinks.mcap_chunk import CHUNK_SIZE
 from analyzer.sources import Source, open_source
@@ -175,7 +175,7 @@ def write_made(
     """
     with ExitStack() as stack:
         logs = [stack.enter_context(closing(Log(path))) for path in paths]
-        target = free_target(Path(arguments.output), arguments.force, [str(file) for log in logs for file in log.files])
+        target = free_target(Path(arguments.output), arguments.force, inputs(str(file) for log in logs for file in log.files))
         with whole(target, replace=arguments.force) as stream:
             said, notes = write(logs, stream)
     print(f"wrote {printable(arguments.output)}: {said}")

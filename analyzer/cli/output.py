@@ -14,7 +14,7 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Set
 from pathlib import Path
 from typing import IO
 
@@ -33,18 +33,38 @@ def target_of(path: Path) -> Path:
         raise UsageError(f"{path} is a symbolic link that leads back to itself: remove it, or name another file") from None
 
 
-def free_target(path: Path, replace: bool, captures: Iterable[str] = ()) -> Path:
+#: What tells a file from all others, whatever its names.
+Identity = tuple[int, int]
+
+
+def identity(path: Path) -> Identity:
+    """Return what tells a file or a folder from all others, behind links of any kind. Raises OSError."""
+    about = path.stat()
+    return about.st_dev, about.st_ino
+
+
+def inputs(words: Iterable[str]) -> frozenset[Identity]:
+    """Return which files are read: captures, device files, and of a folder the logs in it. `-` is standard input."""
+    found = set()
+    for path in (Path(word) for word in words if word != "-"):
+        # What cannot be looked at is told when it is read.
+        with contextlib.suppress(OSError, ValueError):
+            found |= {identity(each) for each in (path, *(path.glob("*.mcap") if path.is_dir() else ()))}
+    return frozenset(found)
+
+
+def free_target(path: Path, replace: bool, read: Set[Identity] = frozenset()) -> Path:
     """Return the file that is to be written, behind symbolic links, before any work is done for it.
 
-    `captures`: the files that are read; `-` is standard input. Raises UsageError for a folder, a device, a
-    pipe, and one of the captures. A file that exists is refused, too, unless `replace` is set.
+    `read`: the files that are read (see `inputs`). Raises UsageError for a folder, a device, a pipe, and one of
+    these files. A file that exists is refused, too, unless `replace` is set.
     """
     target = target_of(path)
     if target.exists():
         if not target.is_file():
             raise UsageError(f"{target} is {'a folder' if target.is_dir() else 'not a regular file'}: name a file")
-        if any(each != "-" and Path(each).exists() and target.samefile(each) for each in captures):
-            raise UsageError(f"{target} is the capture itself; choose another name with -o")
+        if identity(target) in read:
+            raise UsageError(f"{target} is one of the files that are read; choose another name with -o")
         if not replace:
             raise UsageError(f"{target} exists; --force replaces it")
     return target

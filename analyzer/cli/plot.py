@@ -16,7 +16,7 @@ from pathlib import Path
 
 from analyzer.cli.as_log import AsLog, as_log
 from analyzer.cli.filter import Filter, vocabulary
-from analyzer.cli.output import free_target, write_whole
+from analyzer.cli.output import free_target, inputs, write_whole
 from analyzer.cli.reading import add_reading_arguments
 from analyzer.dialects import every
 from analyzer.errors import UsageError
@@ -81,7 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _target(arguments: argparse.Namespace) -> Path:
     """Return the picture to write, once it is known that it can be drawn. Raises UsageError where it cannot."""
-    target = free_target(Path(arguments.output), arguments.force, [arguments.file])
+    read = inputs((arguments.file, *arguments.dbc, *arguments.modbus_map))
+    target = free_target(Path(arguments.output), arguments.force, read)
     if target.suffix.lower() not in _ENDINGS:
         raise UsageError(f"-o {arguments.output}: expected a name that ends in {', '.join(_ENDINGS)}")
     needed("matplotlib")

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from analyzer.cli.as_log import as_log
-from analyzer.cli.output import free_target, write_whole
+from analyzer.cli.output import free_target, inputs, write_whole
 from analyzer.cli.reading import add_reading_arguments, open_reading
 from analyzer.diagnosis.diagnose import Diagnosis, diagnosis
 from analyzer.diagnosis.watch import Watch
@@ -78,7 +78,7 @@ def _target(arguments: argparse.Namespace) -> Path:
         raise UsageError("name the page with -o OUT.html")
     else:
         target = Path(str(Path(arguments.files[0])).removesuffix(".mcap") + ".html")
-    return free_target(target, arguments.force, arguments.files)
+    return free_target(target, arguments.force, inputs((*arguments.files, *arguments.dbc, *arguments.modbus_map)))
 
 
 def _log(path: str, arguments: argparse.Namespace) -> Log:

@@ -127,7 +127,44 @@ def test_a_dialect_of_the_wrong_bus(tmp_path, cli):
 def test_the_capture_itself_is_never_the_target(tmp_path, cli):
     log = tmp_path / "a.mcap"
     main(["decode", str(BENCH), "-o", str(log)])
-    assert "is the capture itself" in cli("decode", log, "-o", log, "--force", status=2).err
+    assert "is one of the files that are read" in cli("decode", log, "-o", log, "--force", status=2).err
+
+
+@pytest.mark.parametrize("link", [None, os.link, os.symlink])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "decode a.log a.log.mcap --force",
+        "decode parts -o parts/1.mcap --force",
+        "cut parts -o parts/1.mcap --force",
+        "merge parts a.log.mcap -o parts/1.mcap --force",
+        "report parts -o parts/1.mcap --force",
+        "report a.log parts -o parts/1.mcap --force",
+        "export parts --to hex -o parts/1.mcap --force",
+        "decode a.log --dbc x.dbc -o x.dbc --force",
+        "decode a.log --modbus-map x.csv -o x.csv --force",
+        "report a.log --dbc x.dbc -o x.dbc --force",
+        "export a.log --to hex --dbc x.dbc -o x.dbc --force",
+        "export a.log --to csv --modbus-map x.csv -o x.csv --force",
+        "plot a.log speed --modbus-map x.csv -o x.csv --force",
+    ],
+)
+def test_nothing_that_is_read_is_replaced(words, link, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("parts").mkdir()
+    shutil.copy(BENCH, "a.log")
+    for name in ("a.log.mcap", "parts/1.mcap", "parts/2.mcap"):
+        shutil.copy(CAPTURES / "mks_rs485.mcap", name)
+    shutil.copy(CAPTURES / "devices" / "battery.dbc", "x.dbc")
+    shutil.copy(CAPTURES / "devices" / "meter.csv", "x.csv")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    given = words.split()
+    if link is not None and "-o" in given:
+        link(tmp_path / given[given.index("-o") + 1], "linked")
+        given[given.index("-o") + 1] = "linked"
+    assert main(given) == 2
+    assert "is one of the files that are read" in capsys.readouterr().err
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
 
 
 def test_a_disk_that_is_full_leaves_no_broken_log(tmp_path):

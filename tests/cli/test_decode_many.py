@@ -139,7 +139,8 @@ def test_each_of_many_captures_of_one_name_finds_its_log_at_once(tmp_path, monke
         return with_name(path, name)
 
     monkeypatch.setattr(Path, "with_name", counting)
-    found = captures(argparse.Namespace(files=["a/x-2", *["a/x"] * 100], output=str(tmp_path), to="mcap", force=False))
+    files = ["a/x-2", *["a/x"] * 100]
+    found = captures(argparse.Namespace(files=files, output=str(tmp_path), to="mcap", force=False, dbc=[], modbus_map=[]))
     assert [each.target.name for each in found[:4]] == ["x-2.mcap", "x.mcap", "x-3.mcap", "x-4.mcap"]
     assert len({each.target for each in found}) == 101
     assert tried <= 110

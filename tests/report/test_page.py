@@ -157,7 +157,7 @@ def test_a_page_is_replaced_only_by_force_and_never_the_capture(tmp_path, capsys
     capture = tmp_path / "x.html"
     capture.write_text((CAPTURES / "mks_rs485.log").read_text())
     for words, says in (
-        (["-o", str(capture)], "is the capture itself"),
+        (["-o", str(capture)], "is one of the files that are read"),
         (["-o", str(tmp_path)], "is a folder: name a file"),
         ([str(capture)], "name the page with -o OUT.html"),
     ):
