@@ -15,11 +15,14 @@ import stat
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
+
+from msgspec import structs
 
 from analyzer import dialects as registry
 from analyzer.cli.option_types import (
@@ -127,7 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
     dialects = dialects_of(arguments, endpoints, named)
     endpoints = [_at_its_speed(e, dialects[e.name], notes, quiet=arguments.json) for e in endpoints]
     config = configure(arguments, endpoints, target, notes, named)
-    return record(config, display, duration_ns=asked_duration_ns(arguments), replaces=arguments.replaces)
+    return record(config, display, duration_ns=asked_duration_ns(arguments), replaces=arguments.replaces, names=arguments.names)
 
 
 def display_of(arguments: argparse.Namespace, command: str) -> Display:
@@ -157,19 +160,41 @@ def record(
     duration_ns: int = 0,
     readers: ReaderMaker | None = None,
     replaces: Sequence[Path] = (),
+    names: Iterable[Path] = (),
 ) -> int:
     """Record as configured; return the exit status. Signals end it in order. `readers`, `replaces`: see `Supervisor`.
 
-    Raises the OSError of a line that could not be printed, once the log is whole.
+    `names`: what else the log may be called, where another recording takes its name before this one begins. Raises the
+    OSError of a line that could not be printed, once the log is whole.
     """
     from analyzer.cli.record_report import summarize
-    from analyzer.live.supervisor import Supervisor
+    from analyzer.live.supervisor import Supervisor, Taken
 
-    supervisor = Supervisor(
-        config, duration_ns=duration_ns, on_note=display.note, on_snapshot=display.snapshot, readers=readers, replaces=replaces
-    )
-    with handled(_Ending(supervisor, display.say)):
-        supervisor.start()
+    def made(config: RecordingConfig) -> Supervisor:
+        return Supervisor(
+            config,
+            duration_ns=duration_ns,
+            on_note=display.note,
+            on_snapshot=display.snapshot,
+            readers=readers,
+            replaces=replaces,
+        )
+
+    supervisor, others = made(config), iter(names)
+    ending = _Ending(supervisor, display.say)
+    with handled(ending):
+        while True:
+            try:
+                supervisor.start()
+                break
+            except Taken:
+                other = next(others, None)
+                if other is None:
+                    raise
+                asked, supervisor = supervisor.reason, made(structs.replace(config, log=str(other.absolute())))
+                ending.supervisor = supervisor
+                if asked:
+                    supervisor.stop(asked)
         # First: a reader of what is shown may stall.
         thread = threading.Thread(target=supervisor.run, name="supervisor")
         thread.start()
@@ -194,18 +219,18 @@ class _Ending:
     """
 
     def __init__(self, supervisor: Supervisor, say: Callable[[str], None]) -> None:
-        self._supervisor = supervisor
+        self.supervisor = supervisor
         self._say = say
         self._told = 0.0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        if not self._supervisor.reason:
-            self._supervisor.stop(ENDING[number])
+        if not self.supervisor.reason:
+            self.supervisor.stop(ENDING[number])
         elif not self._told:
             self._told = time.monotonic()
             self._say("finishing the log; press Ctrl-C again to leave that to servotap recover")
         elif number == signal.SIGINT and time.monotonic() - self._told > _SAME_PRESS_S:
-            self._supervisor.give_up()
+            self.supervisor.give_up()
 
 
 # --- what was asked for ---------------------------------------------------------------------------------------------------
@@ -226,10 +251,14 @@ def _endpoints(arguments: argparse.Namespace) -> tuple[list[Endpoint], list[Name
 
 def target_of(arguments: argparse.Namespace) -> Path:
     """Return the log to write. Raises UsageError where something is in the way."""
-    name = time.strftime("recording-%Y%m%d-%H%M%S.mcap")
-    target = Path(arguments.output or name)
+    target = Path(arguments.output or "")
     if target.is_dir():
-        target = target / name
+        names = _numbered(target / time.strftime("recording-%Y%m%d-%H%M%S.mcap"))
+        arguments.replaces, arguments.mode, arguments.names = [], None, names
+        target = next(names)
+        _in_the_way(target, force=False)
+        return target
+    arguments.names = ()
     if target.suffix != ".mcap" and (target.is_file() or not target.exists()):
         raise UsageError(f"got {str(target)!r}, expected a name that ends in .mcap")
     if target.is_symlink() and target.exists():
@@ -239,6 +268,17 @@ def target_of(arguments: argparse.Namespace) -> Path:
     logs = [path for path in arguments.replaces if path.is_file()]
     arguments.mode = stat.S_IMODE(logs[-1].stat().st_mode) if logs else None
     return target
+
+
+def _numbered(log: Path) -> Iterator[Path]:
+    """Yield names for a log that has none: this one, then the same with a number, without those that are taken."""
+    from analyzer.live.spool import spool_folder
+    from analyzer.sources.recording_parts import parts_named
+
+    for number in count(1):
+        name = log if number == 1 else log.with_stem(f"{log.stem}-{number}")
+        if not (os.path.lexists(name) or spool_folder(name).exists() or parts_named(name)):
+            yield name
 
 
 def _in_the_way(log: Path, force: bool, *, parts: bool = False) -> list[Path]:

@@ -53,6 +53,10 @@ def ignore(*_: object) -> None:
     """Take a note or a snapshot and do nothing."""
 
 
+class Taken(UsageError):
+    """Another recording has the name of this one."""
+
+
 class Supervisor:
     """One recording. `run` returns when it is over; `stop` and `mark` may be called from any thread.
 
@@ -147,12 +151,18 @@ class Supervisor:
     # --- the run --------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Open all ports and begin. Raises UsageError when one cannot be opened; then nothing is left behind."""
+        """Open all ports and begin. Raises UsageError when one cannot be opened; then nothing is left behind.
+
+        Raises Taken, before any port is opened, where another recording has taken the log's name meanwhile.
+        """
         try:
             if self.folder in self._replaces:
                 self.folder.rename(self._aside)
             # What replaces a private log is private.
             self.folder.mkdir(0o777 if self.config.mode is None else self.config.mode | 0o700, parents=True)
+        except FileExistsError:
+            self._put_back()
+            raise Taken(f"a recording to {self.config.log} has just begun") from None
         except OSError as error:
             self._put_back()
             raise UsageError(f"cannot write {self.folder}: {error.strerror}") from None

@@ -86,7 +86,9 @@ def run(arguments: argparse.Namespace) -> int:
             return {stems[1]: StoringChild(stems[1], [*command, *_options(arguments)], heard, READER_NICE, ends)}
 
         duration_ns = asked_duration_ns(arguments)
-        return record(config, display, duration_ns=duration_ns, readers=readers, replaces=arguments.replaces)
+        return record(
+            config, display, duration_ns=duration_ns, readers=readers, replaces=arguments.replaces, names=arguments.names
+        )
 
 
 def _endpoint(text: str) -> Endpoint:

@@ -106,6 +106,18 @@ def test_a_log_in_a_folder_and_without_a_name_is_called_after_the_time(tmp_path,
         assert re.fullmatch(r"recording-\d{8}-\d{6}\.mcap", record.target_of(arguments).name)
 
 
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize("taken", ["noon.mcap", "noon.mcap.spool", "noon-0001.mcap"])
+def test_a_name_of_the_time_that_is_taken_gets_a_number(tmp_path, monkeypatch, taken, force):
+    monkeypatch.setattr(record.time, "strftime", lambda form: "noon.mcap")
+    arguments = parsed("serial:/dev/ttyS0", "-o", str(tmp_path), *["--force"] * force)
+    (tmp_path / taken).mkdir()
+    for name in ("noon-2.mcap", "noon-3.mcap"):
+        target = record.target_of(arguments)
+        assert (target, arguments.replaces) == (tmp_path / name, [])
+        target.touch()
+
+
 def test_foxglove_takes_a_place_and_no_endpoint(tmp_path):
     assert configured(tmp_path, "serial:A", "--foxglove").foxglove == record.FOXGLOVE
     assert configured(tmp_path, "serial:A", "--foxglove", "0.0.0.0:99").foxglove == "0.0.0.0:99"

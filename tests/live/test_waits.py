@@ -13,14 +13,16 @@ import shutil
 import signal
 from pathlib import Path
 from types import SimpleNamespace
+from unittest import mock
 
 import pytest
 
 from analyzer.cli import main
+from analyzer.cli.record import record
 from analyzer.live import recorder, supervisor
 from analyzer.live.recorder import LAST_TRIES_NS, QUIET_NS, Recorder, Stalled
 from analyzer.live.recording import Recording
-from analyzer.live.supervisor import END_S, SILENT_S, Supervisor
+from analyzer.live.supervisor import END_S, SILENT_S, Supervisor, Taken
 from tests.collect import sum8
 from tests.conformance.drives.served import wait_for
 from tests.live.recorded import Recorded, pty_pair, small_disk
@@ -157,8 +159,10 @@ class Mute:
 
     alive, pid, due, killed, slipped = True, 1, None, False, False
 
-    def end(self):
+    def start(self):
         pass
+
+    end = start
 
     def drop_leash(self):
         self.slipped = True
@@ -169,7 +173,7 @@ class Mute:
     def wait(self, seconds):
         return False
 
-    close = end
+    close = start
 
 
 def test_a_supervisor_waits_for_no_process_for_ever(tmp_path, monkeypatch, clock):
@@ -187,6 +191,21 @@ def test_a_supervisor_waits_for_no_process_for_ever(tmp_path, monkeypatch, clock
     assert decoder.slipped
     assert clock.monotonic() - before <= END_S + SILENT_S + 1
     assert "servotap recover" in watched.unfinished
+
+
+def test_a_name_that_another_recording_takes_meanwhile_gets_the_next_number(tmp_path, monkeypatch):
+    """Two that begin at once see the same free names; the one that comes second opens no port and takes the next name."""
+    config, begun = spooled(tmp_path).config, []
+    next_one = tmp_path / "next.mcap"
+    monkeypatch.setattr(Supervisor, "_await_open", lambda self: begun.append(self.config.log) or self.stop("asked"))
+    monkeypatch.setattr(Supervisor, "run", lambda self: None)
+    monkeypatch.setattr("analyzer.live.supervisor.DecoderChild", lambda folder, heard: Mute())
+    monkeypatch.setattr("analyzer.cli.record_report.summarize", lambda supervisor: SimpleNamespace(lost=False))
+    display = mock.MagicMock(unprinted=None)
+    with pytest.raises(Taken, match="has just begun"):
+        record(config, display, readers=lambda folder, heard: {})
+    assert record(config, display, readers=lambda folder, heard: {}, names=[Path(config.log), next_one]) == 0
+    assert begun == [str(next_one)]
 
 
 @pytest.mark.parametrize("phase", ["ending", "finishing"])
