@@ -7,6 +7,7 @@ FOLDER -o OUT      all captures of a folder and the folders in it; their logs li
 from __future__ import annotations
 
 import argparse
+import os
 import stat
 import sys
 from collections.abc import Iterator, Set
@@ -17,8 +18,11 @@ from analyzer.cli.output import Identity, free_target, identity, inputs, target_
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.live.spool import spool_folder
 from analyzer.sources.logic.heads import saleae_channels
+from analyzer.sources.recording_parts import logs_in
 from analyzer.values import printable
 
+#: Bytes of the name of a log: 255 without what its name has while it is under construction, and a number.
+_LONGEST_NAME = 255 - len("..12345678.part") - len("-123456")
 _SPOOL = spool_folder(Path("log")).suffix
 
 
@@ -76,7 +80,7 @@ def _found(word: str, arguments: argparse.Namespace) -> Iterator[tuple[str, Path
     The folder for their logs is made where it is missing.
     """
     folder = Path(word)
-    if word in ("", "-") or not folder.is_dir() or any(folder.glob("*.mcap")) or saleae_channels(folder):
+    if word in ("", "-") or not folder.is_dir() or any(logs_in(folder)) or saleae_channels(folder):
         yield word, None
         return
     if arguments.output is None:
@@ -112,7 +116,7 @@ def _below(folder: Path, known: set[Identity]) -> Iterator[Path]:
                 yield each
         elif saleae_channels(each):
             yield each
-        elif any(each.glob("*.mcap")) and identity(each) not in known:
+        elif any(logs_in(each)) and identity(each) not in known:
             yield each
             waiting += _entries(each, known)
         elif each.suffix not in (".parquet", _SPOOL):
@@ -140,6 +144,14 @@ def _entries(folder: Path, known: set[Identity]) -> list[Path]:
         return []
 
 
+def _fitting(name: str, end: str) -> str:
+    """Return a name that a file system takes, also of a log under construction. One that is too long lacks its last bytes."""
+    encoded = os.fsencode(name)
+    if len(encoded) <= _LONGEST_NAME:
+        return name
+    return encoded[: _LONGEST_NAME - len(end)].decode(errors="ignore") + end
+
+
 def _target(
     path: str, below: Path | None, arguments: argparse.Namespace, count: int, taken: dict[Path, int], read: Set[Identity]
 ) -> Path:
@@ -161,7 +173,7 @@ def _target(
         target = target_of(Path(arguments.output))
         # A folder of tables that was named so is replaced; in any other the tables of each capture have one.
         if below is not None or (target.is_dir() and target.suffix != ".parquet"):
-            target = target / (below or Path()) / (Path("standard_input" if path == "-" else path).name + end)
+            target = target / (below or Path()) / _fitting(Path("standard_input" if path == "-" else path).name + end, end)
         elif count > 1:
             raise UsageError(f"-o {arguments.output} is one file for {count} captures; give a folder")
     first, number = target, taken.get(target, 0)

@@ -20,6 +20,7 @@ from typing import IO
 
 from analyzer.errors import UsageError
 from analyzer.live.lock import recorded
+from analyzer.sources.recording_parts import logs_in
 from analyzer.system.scratch import held, let_go, remove_left
 
 
@@ -49,7 +50,7 @@ def inputs(words: Iterable[str]) -> frozenset[Identity]:
     for path in (Path(word) for word in words if word != "-"):
         # What cannot be looked at is told when it is read.
         with contextlib.suppress(OSError, ValueError):
-            found |= {identity(each) for each in (path, *(path.glob("*.mcap") if path.is_dir() else ()))}
+            found |= {identity(each) for each in (path, *(logs_in(path) if path.is_dir() else ()))}
     return frozenset(found)
 
 
@@ -100,6 +101,19 @@ def whole(path: Path, *, replace: bool = True) -> Iterator[IO[bytes]]:
     output = Output(path, replace)
     with kept(output, "the incomplete file was removed"):
         yield output.stream
+
+
+def apart(arguments: argparse.Namespace, *options: str) -> None:
+    """Raise UsageError where two options name one file: what is read or written last would replace the other."""
+    named: dict[object, str] = {}
+    for option in options:
+        if not (place := getattr(arguments, option)):
+            continue
+        path = Path(place)
+        other = named.setdefault(identity(path) if path.exists() else path.resolve(), option)
+        if other != option:
+            one, two = (f"--{each.replace('_', '-')}" for each in (other, option))
+            raise UsageError(f"{one} and {two} name the same file, {path}: choose another name for one of them")
 
 
 class Output:

@@ -10,7 +10,7 @@ the names of its neighbours; that and not the name says what belongs together.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -96,13 +96,18 @@ def look(path: Path) -> Part:
     return Part(path, values.get("recording", ""), int(number) if number.isdecimal() and len(number) < _DIGITS else 0)
 
 
+def logs_in(folder: Path) -> Iterator[Path]:
+    """Yield the logs that lie in a folder. A folder may be called as a log is, and is none."""
+    return (path for path in folder.glob("*.mcap") if not path.is_dir())
+
+
 def in_folder(folder: Path) -> tuple[list[Part], list[str]]:
     """Return the parts of the one recording in a folder, in order, and notes on what is missing or left out.
 
     Without any recording all logs are given, by name. Raises UnreadableError for a folder without logs, and for one with
     several recordings.
     """
-    logs = [look(path) for path in sorted(folder.glob("*.mcap"))]
+    logs = [look(path) for path in sorted(logs_in(folder))]
     if not logs:
         raise UnreadableError(
             f"{folder} is a folder, expected a capture file, or a folder with the parts of a recording (*.mcap); "

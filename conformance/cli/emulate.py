@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from analyzer import dialects as registry
 from analyzer.catalogue import Dialect
 from analyzer.cli.option_types import number
+from analyzer.cli.output import apart
 from analyzer.cli.signals import handled
 from analyzer.errors import UsageError
 from analyzer.live import profile
@@ -94,6 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
             _print_changes(make.every_fault(), lambda fault: f"breaks: {fault.breaks}")
         return 0
     _untangle(arguments)
+    apart(arguments, "state", "log")
     specifications = [make.parse(named.text if (named := profile.drive(text)) else text) for text in arguments.drives]
     _check(specifications, arguments)
     with contextlib.ExitStack() as stack:

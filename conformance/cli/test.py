@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analyzer.cli.option_types import number
+from analyzer.cli.output import apart
 from analyzer.cli.reading import now_text
 from analyzer.cli.signals import ended_status
 from analyzer.errors import ServotapError, UsageError
@@ -109,6 +110,8 @@ def _keep_others(arguments: argparse.Namespace) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Test; return the exit status."""
     _keep_others(arguments)
+    apart(arguments, "baseline", "settings", "journal", "log", "report", "junitxml")
+    apart(arguments, "settings", "journal", "log", "report", "junitxml", "write_baseline")
     plan = plan_of(arguments)
     if arguments.list:
         return _list(plan)

@@ -112,6 +112,28 @@ def test_a_link_that_cannot_be_looked_at_ends_no_other_capture(leads, week, tmp_
     assert f"{week}/link" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("letter", ["n", "\N{GREEK SMALL LETTER ALPHA}", "\N{CJK UNIFIED IDEOGRAPH-4E00}"])
+def test_names_as_long_as_a_file_system_has_them_get_shorter_logs(letter, week, tmp_path, capsys):
+    size = len(os.fsencode(letter))
+    names = [letter * ((250 - len(end)) // size) + end for end in ("_1.log", "_2.log")]
+    for name in names:
+        shutil.copy(CAPTURES / "mks_rs485.log", week / name)
+    logs = tmp_path / "logs"
+    assert main(["decode", str(week), "-o", str(logs)]) == 0
+    assert "decoded 6 of 6 captures" in capsys.readouterr().out
+    assert len(tree(logs)) == 6
+    assert set(MIRRORED) < set(tree(logs))
+
+
+def test_a_folder_that_is_called_as_a_log_is_none(week, tmp_path, capsys):
+    (week / "tue").rename(week / "tue.mcap")
+    assert main(["decode", str(week), "-o", str(tmp_path / "logs")]) == 0
+    assert "tue.mcap/mks_can.asc.mcap" in tree(tmp_path / "logs")
+    shutil.copy(CAPTURES / "mks_rs485.mcap", week)
+    assert main(["show", str(week), "--limit", "1"]) == 0
+    assert "read_encoder_carry" in capsys.readouterr().out
+
+
 def test_logs_of_a_folder_are_one_log(week, tmp_path):
     assert main(["decode", str(week / "mks_rs485.log"), "-o", str(week / "tue" / "part.mcap")]) == 0
     assert main(["decode", str(week), "-o", str(tmp_path / "logs")]) == 0

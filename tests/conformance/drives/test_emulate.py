@@ -160,6 +160,15 @@ def test_tcp_a_duration_and_a_noisy_wire(tmp_path: Path) -> None:
 # --- in this process --------------------------------------------------------------------------------------------------
 
 
+def test_a_log_does_not_replace_the_state(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = ["mks-rs485@1", "--pty", "--duration", "0.05", "--state", str(tmp_path / "s")]
+    assert run(*words) == 0
+    capsys.readouterr()
+    kept = (tmp_path / "s").read_bytes()
+    assert "--state and --log name the same file" in refused(capsys, *words, "--log", str(tmp_path / "s"), "--force")
+    assert (tmp_path / "s").read_bytes() == kept
+
+
 def test_it_ends_by_itself_and_echoes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     log = tmp_path / "a.mcap"
     assert run("mks-rs485@1", "--echo", "--pty", "--duration", "0.05", "--log", str(log)) == 0

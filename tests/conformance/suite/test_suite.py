@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -253,6 +254,27 @@ def test_reports_of_a_command_line_that_is_no_utf_8_are_written(tmp_path, monkey
     monkeypatch.setattr("sys.argv", ["servotap", *words])
     assert main([*words, "--log", str(tmp_path / "l.mcap"), "--json"]) == 0
     assert r"r\udcff.html" in (tmp_path / "r\udcff.html").read_text()
+
+
+@pytest.mark.parametrize("link", [None, os.link, os.symlink])
+@pytest.mark.parametrize(
+    ("one", "two"),
+    [
+        ("--report", "--junitxml"),
+        ("--log", "--report"),
+        ("--journal", "--report"),
+        ("--settings", "--write-baseline"),
+        ("--baseline", "--junitxml"),
+    ],
+)
+def test_no_two_options_name_one_file(one, two, link, tmp_path, cli):
+    path, other = tmp_path / "x", tmp_path / "x"
+    if link is not None:
+        path.write_text("[]")
+        link(path, other := tmp_path / "y")
+    err = cli("test", "mks-rs485@1", *FEW, one, path, two, other, "--force", status=2).err
+    assert f"{one} and {two} name the same file" in err
+    assert not path.exists() or path.read_text() == "[]"
 
 
 @pytest.mark.parametrize(
