@@ -106,7 +106,6 @@ class Stream:
             self.exactly(count)
             return
         self._held = b""
-        os.lseek(self._fd, count - held, os.SEEK_CUR)
         self.position += count - held
         self._skipped = True
 
@@ -136,7 +135,8 @@ class Stream:
         if self._ended or self._fd < 0:
             return b""
         try:
-            data = os.read(self._fd, BLOCK)
+            # At its own position: a process forked meanwhile shares that of the descriptor.
+            data = os.read(self._fd, BLOCK) if self.size is None else _read_at(self._fd, BLOCK, self.position)
         except OSError as error:
             raise UnreadableError(f"{self.name}: reading failed at byte {self.position}: {error.strerror}") from None
         self._hash.update(data)
@@ -174,6 +174,15 @@ class Stream:
         for block in blocks:
             self.budget.unpacked(len(block))
             yield block
+
+
+def _at(fd: int, count: int, position: int) -> bytes:
+    os.lseek(fd, position, os.SEEK_SET)
+    return os.read(fd, count)
+
+
+#: Reads from a position; systems that cannot do so at once do not fork either.
+_read_at: Callable[[int, int, int], bytes] = getattr(os, "pread", _at)
 
 
 def _open(path: str) -> tuple[int, int | None]:

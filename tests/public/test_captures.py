@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import inspect
+import os
 import subprocess
 import sys
 from collections import Counter
@@ -15,6 +16,7 @@ import polars
 import pytest
 
 import servotap
+from analyzer.sources.stream import BLOCK
 
 matplotlib.use("Agg")
 ROOT = Path(__file__).parents[2]
@@ -127,6 +129,20 @@ def test_a_capture_that_breaks_off_gives_what_came_before(tmp_path):
     assert len(frames) > 39
     with pytest.warns(UserWarning, match="ends too early"):
         assert len(capture.to_pandas()) >= len(frames)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_fork_in_the_middle_takes_no_bytes_from_the_other_process(tmp_path):
+    """Both processes read on in one open file, whose position they share."""
+    path, count = tmp_path / "long.log", 3 * BLOCK // 30
+    path.write_text("".join(f"({n}.000000) can0 001#F601400238\n" for n in range(10**9, 10**9 + count)))
+    frames = iter(servotap.open(path).frames)
+    assert next(frames).t_ns == 10**18
+    child = os.fork()
+    if not child:
+        os._exit(0 if sum(1 for _ in frames) == count - 1 else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert sum(1 for _ in frames) == count - 1
 
 
 def test_wrong_use_is_told_at_once(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.records import Chunk, Comment
-from analyzer.sources import FORMATS, open_source
+from analyzer.sources import FORMATS, open_source, stream
 from analyzer.sources.source import FAR_NS, clean_port
 from tests.contracts.source_contract import read_all
 from tests.sources import builders
@@ -131,7 +131,7 @@ def test_a_medium_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     def fail(*_: object) -> bytes:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr(os, "read", fail)
+    monkeypatch.setattr(stream, "_read_at", fail)
     with source, pytest.raises(UnreadableError, match=r"bad\.log: reading failed at byte 65536: Input/output error"):
         list(source)
 
