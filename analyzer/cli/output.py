@@ -197,7 +197,7 @@ class OutputFolder:
     """
 
     def __init__(self, target: Path, replace: bool) -> None:
-        self.target = target
+        self.target, self._replace = target, replace
         if target.exists():
             if not replace:
                 raise UsageError(f"{target} exists; --force replaces it")
@@ -211,6 +211,7 @@ class OutputFolder:
             raise UsageError(f"cannot write {target}: {error.strerror}") from None
 
     def keep(self) -> None:
+        """Give the folder its name. Raises UsageError if another program created that folder meanwhile."""
         self._name_it()
         self._lock = let_go(self._lock)
 
@@ -218,8 +219,14 @@ class OutputFolder:
         umask = os.umask(0)
         os.umask(umask)
         self.part.chmod(0o777 & ~umask)
-        if not self.target.exists():
-            self.part.replace(self.target)
+        # A folder takes the place of no folder that holds anything.
+        if not self._replace or not self.target.exists():
+            try:
+                self.part.replace(self.target)
+            except OSError:
+                if self.target.exists():
+                    raise UsageError(f"{self.target} was created by another program meanwhile; --force replaces it") from None
+                raise
             return
         # At a kill in between the old one is still there, under the other name.
         old = self.part.with_suffix(".old")

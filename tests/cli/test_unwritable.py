@@ -12,6 +12,7 @@ import pytest
 
 from analyzer.cli import output
 from analyzer.cli.output import Output, OutputFolder
+from analyzer.errors import UsageError
 from analyzer.system.scratch import fcntl
 
 CAPTURES = Path(__file__).parents[2] / "captures"
@@ -112,3 +113,17 @@ def test_what_a_killed_process_left_goes_when_the_same_file_is_written_again(kin
     living.drop()
     again.keep()
     assert target.exists()
+
+
+@pytest.mark.parametrize("kind", [Output, OutputFolder])
+def test_what_another_program_created_meanwhile_stays(kind, tmp_path):
+    target = tmp_path / "a"
+    mine, other = kind(target, replace=False), kind(target, replace=False)
+    for each in (mine, other):
+        (each.part / "x.parquet" if kind is OutputFolder else each.part).write_bytes(str(each is mine).encode())
+    other.keep()
+    with pytest.raises(UsageError, match="was created by another program meanwhile; --force replaces it"):
+        mine.keep()
+    mine.drop()
+    assert (target / "x.parquet" if kind is OutputFolder else target).read_bytes() == b"False"
+    assert list(tmp_path.iterdir()) == [target]

@@ -46,6 +46,16 @@ def test_lists_and_intervals_are_text_in_csv(tmp_path):
     assert target.read_text().splitlines()[1] == '"[1, 2]","1 day","1.5"'
 
 
+@pytest.mark.parametrize(("words", "name"), [("ask {lake} captures", "x.parquet"), ("fleet {lake}", "x.html")])
+def test_no_file_of_the_lake_is_replaced(tmp_path, capsys, words, name):
+    lake(tmp_path / "lake")
+    own = tmp_path / "lake" / "captures" / name
+    own.write_text("rows")
+    assert main([*words.format(lake=tmp_path / "lake").split(), "-o", str(own), "--force"]) == 2
+    assert "lies in the lake, which is only read" in capsys.readouterr().err
+    assert own.read_text() == "rows"
+
+
 @pytest.mark.parametrize("name", ["captures/_delta_log/00000000000000000000.json", "journal/batch.json"])
 def test_a_damaged_lake_is_told_in_a_line(tmp_path, name):
     made = lake(tmp_path / "lake")

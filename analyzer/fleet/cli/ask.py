@@ -13,7 +13,7 @@ from analyzer.cli.option_types import positive
 from analyzer.cli.output import free_target, whole
 from analyzer.errors import UsageError
 from analyzer.fleet.ask import Question
-from analyzer.fleet.cli.stores import add_store_argument, lake
+from analyzer.fleet.cli.stores import add_store_argument, beside, lake
 from analyzer.table.extras import needed
 from analyzer.values import printable
 
@@ -56,6 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     if target is not None and target.suffix not in _SUFFIXES:
         raise UsageError(f"-o {target}: expected a name that ends in {' or '.join(_SUFFIXES)}")
     question = Question(lake(arguments.lake, arguments.store))
+    if target is not None:
+        beside(target, arguments.lake)
     query = arguments.query
     if query is None:
         _show(["table", "columns"], [[name, str(len(list(question.columns(name))))] for name in question.tables])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from analyzer.cli.output import free_target, write_whole
 from analyzer.fleet.ask import Question, answering
-from analyzer.fleet.cli.stores import add_store_argument, lake
+from analyzer.fleet.cli.stores import add_store_argument, beside, lake
 from analyzer.fleet.health import health, html
 from analyzer.table.extras import needed
 from analyzer.values import counted
@@ -33,6 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
         needed(package)
     target = free_target(Path(arguments.output), arguments.force)
     question = Question(lake(arguments.lake, arguments.store))
+    beside(target, arguments.lake)
     with answering():
         found = health(question)
     data = html(found).encode(errors="backslashreplace")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
 from analyzer.errors import UsageError
 from analyzer.fleet.files import PARTITIONS
@@ -43,6 +44,12 @@ def lake(url: str, options: Options, *, make: bool = False, partitions: str | No
     if partitions not in (None, own):
         raise UsageError(f"{found.place.url} is partitioned by {own}, and stays so: --partition-by is for a new lake")
     return found
+
+
+def beside(target: Path, url: str) -> None:
+    """Raise UsageError where a file that is to be written lies in the lake that is read."""
+    if target.resolve().is_relative_to(Path(url.removeprefix("file://")).resolve()):
+        raise UsageError(f"{target} lies in the lake, which is only read: choose another name with -o")
 
 
 def place(url: str, options: Options) -> Place:
