@@ -42,7 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Put back; return 0, or 1 if not all could be."""
     path = Path(arguments.journal)
-    changes = journal.open_changes(journal.read(path))
+    entries = journal.read(path)
+    if len(places := journal.places(entries)) > 1:
+        # A drive of one port may have the name of a drive of another one.
+        raise UnreadableError(f"{path}: expected the lines of one port, got {', '.join(places)}: give each a file of its own")
+    changes = journal.open_changes(entries)
     if not changes:
         print(f"{path}: nothing is left to be put back")
         return 0
@@ -57,14 +61,19 @@ def run(arguments: argparse.Namespace) -> int:
     place = arguments.on or changes[0].on
     if not place:
         raise UnreadableError(f"{path} does not say where the drive was: give --on ENDPOINT")
-    addresses = frozenset(change.address for change in changes)
+    endpoint = profile.endpoint(place)
+    dialects = {change.address: dialect_of(change) for change in changes}
+    for dialect in dialects.values():
+        if dialect.bus != endpoint.bus_kind:
+            raise UsageError(f"{dialect.name} is a dialect of {dialect.bus}, and {endpoint.text} is a {endpoint.bus_kind} bus")
+    addresses = frozenset(dialects)
     found: list[str] = []
     # Reads by this gate; what is put back, and nothing else, passes another one.
-    with gate_to(profile.endpoint(place), Allowance(addresses=addresses)) as gate:
+    with gate_to(endpoint, Allowance(addresses=addresses)) as gate:
         try:
             # A drive that may answer elsewhere is brought back first, for it has to be stopped there.
             restore(path, gate, link_only=True)
-            for address, dialect in {change.address: dialect_of(change) for change in changes}.items():
+            for address, dialect in dialects.items():
                 found.append(_stand(gate, dialect, address, arguments.cut_power))
             failure = restore(path, gate)
         except LineLost as error:

@@ -31,6 +31,7 @@ from conformance.safety.signals import as_interrupt
 from conformance.suite import plan as suite
 from conformance.suite import target
 from conformance.suite.options import add_safety_arguments, add_verdict_arguments, plan_from
+from conformance.suite.order import SHORT_SECONDS
 from conformance.suite.record import RunRecord, VerdictRecord, doubt_about
 
 if TYPE_CHECKING:
@@ -195,7 +196,7 @@ def _test(plan: Plan, arguments: argparse.Namespace, known: list[Deviation] | No
         if arguments.json:
             _print_json(done)
         else:
-            _show(records, done, total)
+            _show(records, done, total, over=plan.short and trouble is None and not stopped)
     except OSError as error:
         # What was judged, and whether a motor stands, counts more than that it could not be printed.
         unprinted = error
@@ -259,7 +260,8 @@ def _print_json(each: VerdictRecord | RunRecord) -> None:
     print(msgspec.json.encode(shown).decode(), flush=True)
 
 
-def _show(records: Sequence[VerdictRecord], run_record: RunRecord, total: int) -> None:
+def _show(records: Sequence[VerdictRecord], run_record: RunRecord, total: int, *, over: bool) -> None:
+    """Print what was found. `over`: claims without a verdict are those for which a short run had no time."""
     from analyzer.cli.console import Console
     from conformance.report import terminal
 
@@ -269,6 +271,8 @@ def _show(records: Sequence[VerdictRecord], run_record: RunRecord, total: int) -
     terminal.show(records, run_record, Console(width=width))
     ran = sum(record.outcome != Outcome.NOT_RUN for record in records)
     left = f", {total - ran} not run" if ran < total else ""
+    if over and len(records) < total:
+        left += f", {total - len(records)} of them since the {SHORT_SECONDS:g} s of a short run were over"
     print(f"{ran} of {total} claims ran in {run_record.seconds:.1f} s{left}")
 
 

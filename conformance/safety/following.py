@@ -110,4 +110,5 @@ def cannot_follow(gate: Gate, dialect: Dialect, command: Command, values: Mappin
 def answers(probe: Probe) -> bool:
     """Say whether the drive answers a read."""
     verb = next(v for v in _READS if v in probe.dialect.by_verb)
-    return any(a.message.frame.checksum_ok for a in probe.ask(verb, timeout_ns=_PAUSE_NS, quiet_ns=0).answers)
+    answer = probe.ask(verb, timeout_ns=_PAUSE_NS, quiet_ns=0).reply
+    return answer is not None and answer.message.frame.checksum_ok

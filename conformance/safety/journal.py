@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 import msgspec
 
@@ -28,10 +28,16 @@ from conformance.claim import RigFault
 _BEGIN = b'{"event":'
 
 
-class Entry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One line. `values`: integers as sent, by field, as they were before; `sent`: those that were sent since."""
+Event = Literal["change", "back", "end"]
 
-    event: str
+
+class Entry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
+    """One line. `values`: integers as sent, by field, as they were before; `sent`: those that were sent since.
+
+    `end` without a target is of all of them.
+    """
+
+    event: Event
     at: str = ""
     target: str = ""
     on: str = ""
@@ -150,9 +156,14 @@ def open_changes(entries: list[Entry]) -> list[Entry]:
             left[key] = msgspec.structs.replace(first, sent=first.sent + entry.sent)
         elif entry.event == "back":
             left.pop(key, None)
-        elif entry.event == "end":
-            left.clear()
+        else:
+            left = {k: change for k, change in left.items() if entry.target not in ("", change.target)}
     return list(reversed(left.values()))
+
+
+def places(entries: list[Entry]) -> list[str]:
+    """Return the ports of all changes."""
+    return sorted({entry.on for entry in entries if entry.event == "change" and entry.on})
 
 
 def values_text(command: Command, values: Mapping[str, int]) -> str:

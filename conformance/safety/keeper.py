@@ -167,7 +167,7 @@ class Keeper:
         kept.last = values
         self._kept[key] = kept
 
-    def _entry(self, event: str, command: Command, before: dict[str, int], *sent: dict[str, int]) -> Entry:
+    def _entry(self, event: journals.Event, command: Command, before: dict[str, int], *sent: dict[str, int]) -> Entry:
         # What was tells apart the settings of one command (LK's parameters).
         return Entry(
             event=event, target=self._target, on=self._on, command=command.name, address=self._address, values=before,

@@ -112,12 +112,12 @@ class EmulatedRig(ClaimRig):
         return _quiet[key]
 
     def _plain_probe(self) -> Probe:
-        return plain_probe(self.dialect, self.address, self._gate_to(self.make_drive()))
+        return plain_probe(self.dialect, self.address, self._gate_to(self.make_drive()), alone=True)
 
     def _gate_to(self, drive: Drive) -> Gate:
         """Return the gate of a line to a drive; what it does or keeps for power-on is ended first, as on a bench."""
         gate = Gate(EmulatedLine([drive]), self._allowance)
-        probe = plain_probe(self.dialect, self.address, gate)
+        probe = plain_probe(self.dialect, self.address, gate, alone=True)
         # A shaft that turns on is judged by the claims about stops; a stop may also need more than was allowed.
         with contextlib.suppress(Inconclusive, Refused):
             if drive.rest.since_ns < 0:
@@ -138,7 +138,7 @@ class EmulatedRig(ClaimRig):
         drive = self.make_drive()
         self.gate = self._gate_to(drive)
         if self._to_set and claim.risks & MAY_MOVE:
-            answering.set_loud(plain_probe(self.dialect, self.address, self.gate))
+            answering.set_loud(plain_probe(self.dialect, self.address, self.gate, alone=True))
         return Probe(self, claim, drive)
 
     def _answers_once_set(self) -> bool:

@@ -103,7 +103,7 @@ class Exchange:
     sent; `answers`: all frames that came, but for `foreign`: those of CAN nodes that are no drives; `received`: every byte
     that came (on CAN the data of the frames of drives); `passed`: bytes of CAN frames that came and were not read. `until_ns`:
     how long was listened. `awaited`: a reply was waited for. `again`: the same request sent once more, where the line had
-    damaged or lost something.
+    damaged or lost something. `own_only`: a reply in the name of another address is no reply to this.
     """
 
     sent: bytes | CanFrame | None
@@ -121,6 +121,7 @@ class Exchange:
     passed: int = 0
     awaited: bool = False
     again: Exchange | None = None
+    own_only: bool = False
 
     @property
     def silent(self) -> bool:
@@ -153,7 +154,8 @@ class Exchange:
     @property
     def reply(self) -> Answer | None:
         """The first answer of the asked command (or the first of all, where none was asked), or None."""
-        replies = [a for a in self.answers if a.message.role is not Role.REQUEST]
+        own = [a for a in self.answers if self.may_be_own(a)]
+        replies = [a for a in own if a.message.role is not Role.REQUEST]
         # The final reply of an earlier command may come first, or a frame of others with its code and a wrong checksum.
         asked = [a for a in replies if self.asked_for(a)]
         for answer in (*(a for a in asked if a.message.frame.checksum_ok), *asked):
@@ -161,12 +163,16 @@ class Exchange:
         for answer in replies:
             if self.command is None or answer.command is not None:
                 return answer
-        return self.answers[0] if self.answers else None
+        return own[0] if own else None
+
+    def may_be_own(self, answer: Answer) -> bool:
+        """Say whether an answer may be of the drive that was asked."""
+        return not self.own_only or answer.message.address == self.address
 
     def asked_for(self, answer: Answer) -> bool:
         """Say whether an answer is to the asked command, rather than the final reply of an earlier one."""
-        asked = self.command
-        return asked is not None and answer.command is not None and answer.command.name == asked.name
+        asked, got = self.command, answer.command
+        return asked is not None and got is not None and got.name == asked.name and self.may_be_own(answer)
 
     def owns(self, answer: Answer) -> bool:
         """Say whether the analyzer pairs an answer with what was sent here, rather than with an earlier request."""

@@ -72,7 +72,7 @@ class Rig:
     `dialect`: as its model speaks it. `allowed`: risks that the user opened. `late_ns`: a reply later than this counts as
     none. `quiet_ns`: how long to listen after an answer for a second one. `silence_ns`: how long nothing must come before it
     is called silence. `done_ns`: how long a command may take to its last reply. `write_gap_ns`: between settings. `accepted`:
-    known quirks that the user accepts, by name, or `all`.
+    known quirks that the user accepts, by name, or `all`. `own_only`: a reply in the name of another address is none.
     """
 
     gate: Gate
@@ -86,6 +86,7 @@ class Rig:
     done_ns: int = 20 * SECOND_NS
     write_gap_ns: int = 500 * MS
     accepted: frozenset[str] = frozenset()
+    own_only: bool = False
 
     def __init__(self, dialect: Dialect, address: int) -> None:
         self.dialect = dialect
@@ -341,6 +342,7 @@ class Probe:
             self.rig.before_send(item)
             # Raw bytes are no request that the analyzer could pair replies with.
             exchange = dialogue.send(item, built, shown=built is not None)
+        exchange.own_only = self.rig.own_only
         self.traffic.append(exchange)
         awaited = until is not Until.TIMEOUT and built is not None
         exchange.awaited = awaited and exchange.address == self.address
@@ -513,17 +515,22 @@ def _text(value: Any, unit: str) -> str:
     return f"{value} {unit}".rstrip()
 
 
-def plain_probe(dialect: Dialect, address: int, gate: Gate) -> Probe:
-    """Return a probe that serves no claim, for what has to talk to a drive besides: stop it, put its settings back."""
+def plain_probe(dialect: Dialect, address: int, gate: Gate, *, alone: bool = False) -> Probe:
+    """Return a probe that serves no claim, for what has to talk to a drive besides: stop it, put its settings back.
+
+    `alone`: no other drive is on the line. Without that, a reply in the name of another address is none: another host may
+    ask that one meanwhile, and that it stands says nothing of this one.
+    """
     rig = Rig(dialect, address)
-    rig.gate = gate
+    rig.gate, rig.own_only = gate, not alone
     name = f"{dialect.name}/{Theme.STATE}/none"
     return Probe(rig, Claim(name, Theme.STATE, dialect.name, "none", "", "nothing", lambda probe: None, Certainty.OPEN))
 
 
 def _answered(exchange: Exchange, new: Sequence[Answer]) -> bool:
     """Say whether a reply is there; what an earlier command says at its end is none."""
-    return any(exchange.command is None or a.command is None or exchange.asked_for(a) for a in new)
+    own = [a for a in new if exchange.may_be_own(a)]
+    return any(exchange.command is None or a.command is None or exchange.asked_for(a) for a in own)
 
 
 def _ended(exchange: Exchange, new: Sequence[Answer]) -> bool:

@@ -199,6 +199,44 @@ def test_a_journal_says_enough_to_lead_a_drive_back_after_a_crash(tmp_path):
     assert journal.open_changes(journal.read(tmp_path / "j")) == []
 
 
+_CHANGE = {"event": "change", "target": "mks-can@1", "on": "can:x:1", "command": "set_current", "address": 1,
+           "values": {"current": 1200}, "sent": [{"current": 900}]}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        ({"event": "chbnge"}, "Invalid enum value 'chbnge'"),
+        ({"sett": []}, "unknown field `sett`"),
+        ({"on": "can:x:2"}, "expected the lines of one port, got can:x:1, can:x:2"),
+        ({"on": "serial:x"}, "expected the lines of one port"),
+    ],
+)
+def test_a_journal_that_no_run_can_have_written_is_refused_as_a_whole(more, expected, tmp_path, capsys):
+    path = tmp_path / "j"
+    path.write_bytes(b"".join(msgspec.json.encode(each) + b"\n" for each in (_CHANGE, _CHANGE | more)))
+    before = path.read_bytes()
+    assert main(["restore", str(path), "--dry-run"]) == 2
+    told = capsys.readouterr()
+    assert expected in told.err
+    assert told.out == ""
+    assert path.read_bytes() == before
+
+
+def test_a_drive_of_another_kind_of_bus_is_no_drive_that_is_not_stopped(tmp_path, capsys):
+    path = tmp_path / "j"
+    path.write_bytes(msgspec.json.encode(_CHANGE))
+    assert main(["restore", str(path), "--on", "serial:none", "--cut-power", "false"]) == 2
+    assert "mks-can is a dialect of can, and serial:none is a serial bus" in capsys.readouterr().err
+
+
+def test_the_end_of_one_drive_leaves_the_changes_of_another_open():
+    one, other = (msgspec.convert(_CHANGE | {"target": name}, journal.Entry) for name in ("mks-can@1", "mks-can@2"))
+    for target, left in (("mks-can@1", ["mks-can@2"]), ("", [])):
+        entries = [one, other, journal.Entry(event="end", target=target)]
+        assert [entry.target for entry in journal.open_changes(entries)] == left
+
+
 def test_a_journal_that_is_gone_on_with_keeps_each_line_that_was_read(tmp_path):
     entry = journal.Entry(event="change", target="mks-can@1", command="set_current", address=1, values={"current": 1200})
     lines = b"".join(msgspec.json.encode(msgspec.structs.replace(entry, values={"current": n})) + b"\n" for n in (1200, 1300))

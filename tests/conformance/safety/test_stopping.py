@@ -9,22 +9,23 @@ import pytest
 from msgspec.structs import replace
 
 from analyzer.catalogue import MotionKind, Risk, Role
-from analyzer.encoder import build
+from analyzer.encoder import assemble, build
 from analyzer.records import CanFrame, Chunk
 from conformance import claims as registry
 from conformance.bus.emulated import EmulatedLine
 from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive, NotStopped
 from conformance.drives import make
+from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion, resting
 from conformance.motion.declared import GENTLE
-from conformance.safety import stopping
+from conformance.safety import following, settings, stopping
 from conformance.suite import target
 from conformance.suite.dry_run import StandInRig
 from conformance.suite.plan import Plan
 from conformance.suite.rig_emulated import EmulatedRig
-from conformance.talk.probe import SECOND_NS, Probe
+from conformance.talk.probe import SECOND_NS, Probe, plain_probe
 
 _DRIVE = "mks-rs485@1,work_mode=sr_vfoc"
 #: In rpm: below what three looks tell.
@@ -159,6 +160,30 @@ def test_stops_and_replies_that_are_lost_are_sent_once_more(monkeypatch):
     assert stopping.stop(probe.gate, rig.dialect, 1).failure == ""
     assert drive.motor.speed(drive.now_ns) == 0
     assert sent.count(build(rig.dialect, "stop_speed", 1, {"acceleration": GENTLE})) > 1
+
+
+@pytest.mark.parametrize("name", ["mks-rs485", "mks-modbus", "mks-can", "lk-rs485"])
+def test_what_another_drive_answers_tells_nothing_of_this_one(name, monkeypatch):
+    """The drive hangs, and another host asks its neighbour for what this one is asked."""
+    drives = [make.make(make.parse(f"{name}@{address}")) for address in (1, 2)]
+    dialect, line = drives[0].dialect, EmulatedLine(drives)
+    gate = Gate(line, Allowance())
+    command = next((c for c in dialect.commands if settings.readable(dialect, c) and settings.changes(c)), None)
+    probe = plain_probe(dialect, 1, gate)
+    assert stopping.standing_failure(gate, dialect, 1) == ""
+    write = line.write
+
+    def of_the_other_host(item):
+        asked = next(r for r in gate.interpret(item) if r.fits and r.dialect.name == name)
+        assert asked.command is not None
+        return write(assemble(dialect, asked.command, asked.address + 1, asked.values).item())
+
+    monkeypatch.setattr(line, "write", of_the_other_host)
+    assert "not answered" in stopping.standing_failure(gate, dialect, 1)
+    assert "not answered" in stopping.stop(gate.under(stopping.stopping(1)), dialect, 1).failure
+    assert not following.answers(probe)
+    if command is not None:
+        assert settings.read(probe, command, settings.every_selector(command)[0]) is None
 
 
 def test_a_shaft_that_turns_on_is_told_to_stop_each_second(monkeypatch):

@@ -7,6 +7,7 @@ from mcap.writer import Writer
 
 from benchmarks.gate import READS, sound
 from conformance.claim import NotStopped, Outcome, RigFault, Verdict, worst
+from conformance.suite import plan as suite
 from conformance.suite.record import doubt_about, most_inconclusive
 from tests.conformance.cli.test_stop import GoneReader
 from tests.conformance.drives.served import on_logged_pty, on_pty
@@ -48,6 +49,18 @@ def test_a_run_without_verdicts_or_with_many_inconclusive_ones_is_no_success(mos
 def test_a_limit_that_is_none(text):
     with pytest.raises(ValueError):
         most_inconclusive(text)
+
+
+def test_a_short_run_whose_time_was_over_says_so(capsys, monkeypatch):
+    """A drive that answers half frames makes each claim wait for the rest."""
+    whole = suite.run
+    monkeypatch.setattr(suite, "run", lambda plan, jobs: (verdict for verdict in list(whole(plan, 1))[:2]))
+    words = ["test", "mks-rs485@1", "--claim", "mks-rs485/shape/read_speed/*", "--jobs", "1"]
+    for more, said in (["--short"], True), ([], False):
+        assert main([*words, *more]) == 0
+        told = capsys.readouterr().out.splitlines()[-1]
+        assert told.startswith("2 of ")
+        assert ("of them since the 90 s of a short run were over" in told) is said
 
 
 def test_a_drive_whose_replies_cannot_be_read_is_refuted_and_not_moved(tmp_path, capsys, monkeypatch):
