@@ -149,6 +149,18 @@ def read(seen: str, line: Line, late: tuple[float, float] = (0.0, 0.0), begins: 
     return bytes(found)
 
 
+def at_once(one: bytes, other: bytes, late: int) -> Iterator[bytes]:
+    """Yield what is read of two frames at once, the other from 0 up to `late` cells behind: a low level wins."""
+    first, second = ("".join(cell * _PARTS for cell in levels(frame)) for frame in (one, other))
+    idle = "1" * max(len(first), late * _PARTS + len(second))
+    for behind in range(late * _PARTS):
+        yield read("".join(map(min, first + idle, idle[:behind] + second + idle)), Line(_PARTS))
+
+
+#: Parts of a cell by which two senders are apart.
+_PARTS = 4
+
+
 def unread(
     heard: bytes, line: Line, begins: Callable[[bytes], bool], whole: Callable[[bytes], bool]
 ) -> tuple[bytes, int] | None:

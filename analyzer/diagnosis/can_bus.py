@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from analyzer.catalogue import Role, Verb
-from analyzer.diagnosis.can_frames import extended_requests, sent_again, strangers, unanswered_objects
+from analyzer.diagnosis.can_frames import extended_requests, sent_again, serial_requests, strangers, unanswered_objects
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Suspicion, Trouble, shown, whole
 from analyzer.records import CanFrame
 from analyzer.values import counted
@@ -82,6 +82,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         else:
             changed = None
         yield from _errors(scene, _sorted(errors), heard, changed)
+    yield from serial_requests(scene, data)
     # A reply whose sum is wrong may be the frame of another make.
     replies = [p for p, _ in data if p.is_reply and p not in again]
     dialects = [d for d in scene.reader.dialects if d.bus == "can"]

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.other_makers import CODES_RMD
-from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.diagnosis.reader import Reader
+from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown, whole
 from analyzer.records import CanFrame
 from analyzer.values import counted, identifier
 
@@ -22,8 +23,27 @@ _LEAST = 2
 _LONGEST, _FD_SIZES = 8, (12, 16, 20, 24, 32, 48, 64)
 #: The last identifier of 11 bits.
 _STANDARD = 0x7FF
+#: The head of a request on RS485.
+_HEAD = b"\xfa"
 #: Bytes behind a request among which two may be no zeros.
 _TAIL = 4
+
+
+def serial_requests(scene: Scene, frames: list[tuple[Piece, CanFrame]]) -> Iterator[Suspicion]:
+    """Suspect requests of the RS485 manual in CAN frames."""
+    serial = Reader.of_bus("serial")
+    readings = [(p, serial.best(can.data, role=Role.REQUEST)) for p, can in frames if can.data.startswith(_HEAD)]
+    found = [piece for piece, reading in readings if reading is not None and reading.listed]
+    if len(found) < _LEAST or 2 * len(found) <= len(frames):
+        return
+    own = {trouble.offset: trouble for trouble in scene.troubles}
+    yield Suspicion(
+        "wrong_dialect", Confidence.CERTAIN, [own.get(p.offset) or Trouble("damaged", p.offset, None, p) for p in found],
+        "These are frames of the RS485 manual in CAN frames: head, address, and the sum over both.",
+        f"{whole(found[0])} at byte {found[0].offset}; {counted(len(found), 'time')}",
+        "Begin with the code: the identifier stands for head and address, and counts in the sum instead of them",
+        tuple(Shown(piece.offset, whole(piece)) for piece in found),
+    )  # fmt: skip
 
 
 def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list[Dialect]) -> Iterator[Suspicion]:

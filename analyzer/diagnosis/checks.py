@@ -67,9 +67,12 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if p.is_request and p.sound and "bad_checksum" not in p.rules and scene.direction(p.offset) is not Role.REPLY
     ]  # fmt: skip
     sent = [f for f in wrong if f.trouble.stretch is not None and f.trouble.stretch.direction is Role.REQUEST]
-    if wrong and wrong == sent and not scene.timed and not _resemble(wrong, sound):
+    # Noise hits something else, too, or a frame like those that got through.
+    alone = len(wrong) == len(scene.damaged)
+    unsure, of_program = False, wrong == sent and (alone or not scene.timed)
+    if (of_program or alone) and not _resemble(wrong, sound):
         # What a program or its log shows as sent was sent so: no line has damaged it.
-        sound = []
+        unsure, sound = bool(sound) and not of_program, []
     kept = _deliberate([each for each in missing if not _summed(each)], sound)
     # No chance takes the same byte of different requests.
     whole_but_sum = [each for each in missing if each.is_counted]
@@ -100,7 +103,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     if rest := _deliberate([f for f in wrong if f.trouble not in taken], sound):
         again = len(rest) > len({f.right for f in rest})
         yield _said(
-            "wrong_checksum", Confidence.LIKELY if again or not sound else Confidence.POSSIBLE, rest,
+            "wrong_checksum", Confidence.LIKELY if again or not (sound or unsure) else Confidence.POSSIBLE, rest,
             "has a checksum that is not the manual's", "Replace the check",
         )  # fmt: skip
     yield from _of_replies(scene)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect
 from analyzer.diagnosis import (
@@ -35,7 +37,7 @@ from analyzer.diagnosis import (
     wrapped,
 )
 from analyzer.diagnosis.ranking import Ranked, ranked
-from analyzer.diagnosis.scene import SILENT, Scene, Suspicion
+from analyzer.diagnosis.scene import SILENT, Confidence, Scene, Suspicion
 from analyzer.diagnosis.watch import Watch
 from analyzer.errors import PluginError
 from analyzer.pipeline import Pipeline
@@ -109,6 +111,13 @@ _NOT_SENT = "requests stand in a text, without replies: nothing shows that they 
 _MOST_FRAMES = 20
 #: Silent addresses that are a search.
 _SEARCHED = 3
+#: The share of the troubles that is most of them.
+_MOST = 0.8
+#: Replies from which on all went well for long, and troubles that are no chance.
+_WELL, _FEWEST = 4, 2
+#: Rules of findings about what a frame says, and causes by which no drive answers.
+_OF_CONTENT = frozenset(("failed_status", "refused_write", "modbus_exception", "out_of_range", "unknown_choice"))
+_OF_SILENCE = frozenset(("wrong_address", "can_wrong_id", "no_reply"))
 
 
 def suspected(scene: Scene) -> Iterator[Suspicion]:
@@ -119,6 +128,8 @@ def suspected(scene: Scene) -> Iterator[Suspicion]:
         with contextlib.suppress(PluginError):
             for each in hypothesis(scene):
                 scene.explained.update(each.troubles)
+                if each.confidence is Confidence.CERTAIN:
+                    scene.certain = max(scene.certain, len(set(each.troubles)))
                 yield each
 
 
@@ -130,13 +141,48 @@ def diagnosis(watch: Watch, dialects: Sequence[Dialect]) -> Diagnosis:
 def weighed(scenes: Sequence[Scene]) -> Diagnosis:
     """Return what is wrong on some buses."""
     troubles = [trouble for scene in scenes for trouble in scene.troubles]
-    suspicions = [each for scene in scenes for each in suspected(scene)]
+    suspicions = [each for scene in scenes for each in (*suspected(scene), *_since_trouble(scene))]
     causes = tuple(ranked(suspicions, troubles))
     known = any(p.message is not None and p.message.command is not None for scene in scenes for p in scene.pieces)
     lost = sum(scene.lost for scene in scenes)
     well = known and not lost and all(not scene.troubles or _is_search(scene) for scene in scenes)
     count = len(troubles) + lost
     return Diagnosis("trouble" if causes else "ok" if well else "unknown", causes, count, _unexplained(scenes, count))
+
+
+def _since_trouble(scene: Scene) -> Iterator[Suspicion]:
+    """Yield what is suspected from the first trouble on, where nothing certain is that explains most of the whole."""
+    later = None if scene.certain >= _MOST * len(scene.troubles) else _later(scene)
+    if later is None:
+        return
+    own = {(trouble.rule, trouble.offset): trouble for trouble in scene.troubles}
+    for each in suspected(later):
+        # Who answers at all the whole capture tells.
+        if each.cause not in _OF_SILENCE:
+            yield replace(each, troubles=[own.get((t.rule, t.offset), t) for t in each.troubles])
+
+
+def _later(scene: Scene) -> Scene | None:
+    """Return a bus from its first trouble on, where all went well for long before it, and little does since; else None.
+
+    What is set wrongly from then on spoils all of this part, and little of the whole.
+    """
+    # A drive that refuses gets and sends frames as they should be.
+    own = [trouble for trouble in scene.troubles if trouble.rule not in _OF_CONTENT]
+    first = min((trouble.offset for trouble in own), default=0)
+    asked = scene.asked_before(first)
+    begins = asked is not None and (asked.stop == first or asked.sequence not in scene.replies)
+    start = asked.offset if asked is not None and begins else first
+    replies = [piece.offset for piece in scene.pieces if piece.is_reply and piece.sound]
+    well = sum(offset < start for offset in replies)
+    if well < _WELL or len(replies) - well > len(own) or len(own) < _FEWEST:
+        return None
+    pieces = [piece for piece in scene.pieces if piece.offset >= start]
+    kept = {piece.sequence for piece in pieces}
+    return dataclasses.replace(
+        scene, pieces=pieces, reads=[read for read in scene.reads if read.stop > start],
+        findings=[found for found in scene.findings if found.sequence in kept], frames=len(pieces), explained=set(), certain=0,
+    )  # fmt: skip
 
 
 def _unexplained(scenes: Sequence[Scene], troubles: int) -> str:

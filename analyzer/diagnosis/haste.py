@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
+from analyzer.catalogue import Risk
 from analyzer.diagnosis.exchanges import Exchange, Turn, awaited, chains
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown, whole
 from analyzer.link import FUNCTIONS, modbus_crc
@@ -35,7 +36,7 @@ def _one_of_row(scene: Scene) -> Iterator[Suspicion]:
     quickest = min((replies[0].t_ns - asked[-1].t_ns for asked, replies in rows if _answers(replies[0], asked[-1])), default=0)
     hasty: list[tuple[list[Piece], list[Piece]]] = []
     answered: set[tuple[int, str]] = set()
-    sooner = True
+    sooner = waited = True
     for asked, replies in rows:
         came = {_asked_for(reply.message) for reply in replies}
         own = [p for p in asked if _asked_for(p.message) in came or (len(replies) == 1 and _answers(replies[0], p))]
@@ -44,14 +45,22 @@ def _one_of_row(scene: Scene) -> Iterator[Suspicion]:
             # One that is sent alone is not answered, either.
             return
         soon = scene.timed and asked[-1].t_ns - asked[0].t_ns < _SOON_NS
-        if len(asked) > 1 and len(own) == len(replies) == 1 and (soon or (own[0] is not asked[-1] and not scene.timed)):
+        waited &= own[-1:] == asked[-1:]
+        if len(asked) > 1 and len(own) == len(replies) == 1 and (soon or not scene.timed):
             hasty.append((asked, [piece for piece in asked if piece is not own[0]]))
             sooner &= scene.timed and all(other.t_ns - one.t_ns < quickest for one, other in pairwise(asked))
     failing = [piece for _, left in hasty for piece in left]
+    if waited and not scene.timed:
+        # Each drive may have had its time: what is answered elsewhere was asked too soon here.
+        drives = {address for address, _ in answered}
+        failing = [
+            p for p in failing if _asked_for(p.message) in answered or (_asked_for(p.message)[0] in drives and _reads(p))
+        ]
+        answered |= {_asked_for(piece.message) for piece in failing}
     if not (alone := any(_asked_for(p.message) in answered for p in failing)):
-        # What no drive ever answers may be silent by its setting.
+        # What no drive ever answers may be silent by its setting, but for reads.
         names = {name for _, name in answered}
-        failing = [piece for piece in failing if sooner and _asked_for(piece.message)[1] in names]
+        failing = [piece for piece in failing if sooner and (_asked_for(piece.message)[1] in names or _reads(piece))]
     if len(hasty) < _OFTEN or 2 * len(hasty) <= sum(len(asked) > 1 for asked, _ in rows):
         return
     if not alone and len(failing) < 2 * _OFTEN:
@@ -70,6 +79,11 @@ def _one_of_row(scene: Scene) -> Iterator[Suspicion]:
         "Send one request, wait for its reply or the timeout, then send the next, also to another address",
         tuple(Shown(piece.offset, whole(piece)) for piece in failing),
     )  # fmt: skip
+
+
+def _reads(piece: Piece) -> bool:
+    command = piece.message.command if piece.message is not None else None
+    return command is not None and command.all_risks == {Risk.READ}
 
 
 def _piece_rows(scene: Scene) -> Iterator[tuple[list[Piece], list[Piece]]]:

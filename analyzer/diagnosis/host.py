@@ -23,7 +23,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
 
 def _cut(scene: Scene) -> Iterator[Suspicion]:
     cut: list[tuple[Trouble, bytes, int]] = []
-    known = scene.directed
+    known, told = scene.directed, False
     heads = Counter(t.stretch.data[:_HEAD] for t in scene.damaged if t.stretch is not None)
     for trouble in scene.damaged:
         stretch = trouble.stretch
@@ -36,12 +36,17 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
         # What the capture ends in may have gone on; what goes on in the reads behind it was not cut.
         if wanted and not _goes_on(scene, stretch, wanted) and (scene.directed or stretch.stop != scene.pieces[-1].stop):
             cut.append((trouble, stretch.data, wanted))
-            known |= asked is not None
+            told |= asked is not None
     # A single byte can be anything, unless it is all that comes of each reply.
     if any(len(data) == 1 for _, data, _ in cut) and len(cut) < _SINGLE:
         cut = [row for row in cut if len(row[1]) > 1]
     if not scene.often(len(cut), Role.REPLY):
         return
+    # A promise stands among the bytes of another protocol by chance.
+    heard = [t for t in scene.damaged if t.stretch is not None and t.stretch.direction is not Role.REQUEST]
+    if not told and 2 * len(cut) < len(heard):
+        return
+    known |= told
     if not known and read_otherwise([data for _, data, _ in cut]):
         return
     first, data, wanted = cut[0]

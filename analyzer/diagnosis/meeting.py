@@ -7,20 +7,24 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import permutations
 from typing import NamedTuple
 
+from analyzer.diagnosis.bits import CELLS, at_once
 from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.scene import Piece, Scene, Stretch
 
 #: Bytes at each end that are right where two reports overlap.
 _EDGE = 2
+#: Reports that are compared.
+_MOST = 6
 #: Requests before damaged bytes among which a motion is looked for.
 _NEAR = 50
 
 
 class Meeting(NamedTuple):
-    """Two reports of which a receiver reads one sending. `whole`: they begin together, and every bit is that of both."""
+    """Two reports of which a receiver reads one sending. `whole`: every bit is that of both."""
 
     one: bytes
     other: bytes
@@ -29,9 +33,9 @@ class Meeting(NamedTuple):
 
 def meeting(scene: Scene, stretch: Stretch) -> Meeting | None:
     """Return the two awaited reports that meet in damaged bytes."""
-    pairs = list(permutations(_awaited(scene, stretch.offset), 2))
+    pairs = list(permutations(list(_awaited(scene, stretch.offset))[-_MOST:], 2))
     for one, other in pairs:
-        if len(one) == len(other) and stretch.data == bytes(a & b for a, b in zip(one, other, strict=True)):
+        if stretch.data in _heard(one, other):
             return Meeting(one, other, True)
     for one, other in pairs:
         size = len(stretch.data)
@@ -39,6 +43,12 @@ def meeting(scene: Scene, stretch: Stretch) -> Meeting | None:
         if overlaps and stretch.data.startswith(one[:_EDGE]) and stretch.data.endswith(other[-_EDGE:]):
             return Meeting(one, other, False)
     return None
+
+
+@lru_cache
+def _heard(one: bytes, other: bytes) -> frozenset[bytes]:
+    """Return what is read of two reports, the other at once or while the first is sent."""
+    return frozenset(at_once(one, other, CELLS * len(one)))
 
 
 def _awaited(scene: Scene, offset: int) -> Iterator[bytes]:

@@ -46,8 +46,11 @@ def same_line_noise(garbled: Sequence[Garbled], *, repeats: bool) -> bool:
     if not repeats or len(stretches) < FEWEST or _framed(stretches):
         return False
     most = Counter(data[0] for data in stretches).most_common(1)[0][1]
+    # A wake-up may stand before the frame, and an end behind its check.
+    awake = [data.lstrip(b"\xfe\xff") for data in stretches]
+    ways = (stretches, awake, [data[:-1] for data in awake])
     return most >= max(FEWEST, _BEGIN_ALIKE * len(stretches)) and not any(
-        sum(len(data) > 2 and check(data) for data in stretches) >= _CHECKED * len(stretches) for check in _CHECKS
+        sum(len(data) > ALIKE and check(data) for data in way) >= _CHECKED * len(stretches) for way in ways for check in _CHECKS
     )
 
 

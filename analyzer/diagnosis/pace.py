@@ -72,14 +72,16 @@ def _late_on_can(scene: Scene) -> Iterator[Suspicion]:
         if piece.is_request:
             asked[piece.sequence] = last[piece.message.address] = piece
         elif piece.asked_by in asked:
-            replies += 1
+            # All may have gone well before.
+            replies += bool(late)
             own, newer = asked[piece.asked_by], last[asked[piece.asked_by].message.address]  # type: ignore[union-attr]
-            if own is not newer and piece.t_ns - own.t_ns > _BEHIND_NS and newer.t_ns - own.t_ns > _BEHIND_NS:
+            behind = own is not newer and piece.t_ns - own.t_ns > _BEHIND_NS and newer.t_ns - own.t_ns > _BEHIND_NS
+            if behind or (own is not newer and not scene.timed and scene.behind.get(newer.sequence) is piece):
                 late.append(piece)
-    if not scene.timed or len(late) < _LATE or 2 * len(late) <= replies:
+    if len(late) < _LATE or 2 * len(late) <= replies + 1:
         return
     yield Suspicion(
-        "late_reply", Confidence.LIKELY,
+        "late_reply", Confidence.LIKELY if scene.timed else Confidence.POSSIBLE,
         scene.of(*_OUT_OF_STEP) or [Trouble("late_reply", piece.offset, None, piece) for piece in late],
         "Each reply answers an earlier request: the host has sent the next one before it came.",
         f"{whole(late[0])} at byte {late[0].offset} comes behind the next request; {counted(len(late), 'time')}",

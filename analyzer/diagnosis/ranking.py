@@ -15,7 +15,7 @@ _WEIGHT = {Confidence.CERTAIN: 1.0, Confidence.LIKELY: 0.7, Confidence.POSSIBLE:
 _SYMPTOMS = frozenset(("no_reply",))
 #: Where two weigh alike, what spoils all bytes on their way comes first, then what spoils the edges of frames, and then what
 #: is in them.
-_SPOILS = {"inverted_lines": 2, "lost_start": 1, "leading_glitch": 1, "trailing_glitch": 1}
+_SPOILS = {"inverted_lines": 2, "wrong_baud": 2, "lost_start": 1, "leading_glitch": 1, "trailing_glitch": 1}
 #: A cause that explains less than this of what no likelier one does is not told.
 _LEAST_NEW = 0.05
 

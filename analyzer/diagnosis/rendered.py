@@ -30,8 +30,8 @@ from analyzer.diagnosis.ways import (
     Way,
 )
 
-#: Addresses of the frames that are tried.
-ADDRESSES = range(1, 17)
+#: Addresses of the frames that are tried, at each speed and on swapped wires.
+ADDRESSES, _ADDRESSES = range(1, 17), range(1, 33)
 #: Speeds that are in use.
 RATES = (9600, 19200, 25000, 38400, 57600, 115200, 256000, 500000, 1000000)
 #: A sender's speed over the receiver's, from which on bytes are read otherwise.
@@ -90,19 +90,19 @@ def _common(came: bytes, data: bytes) -> int:
 
 
 @cache
-def likely() -> tuple[bytes, ...]:
+def likely(addresses: range = ADDRESSES) -> tuple[bytes, ...]:
     """Return frames that are sent often: requests without parameters, and replies that have one value."""
     found: dict[bytes, None] = {}
     for dialect in registry.every():
         if dialect.bus == "serial":
-            for frame in _of_dialect(dialect):
+            for frame in _of_dialect(dialect, addresses):
                 found[frame] = None
     return tuple(found)
 
 
-def _of_dialect(dialect: Dialect) -> Iterator[bytes]:
+def _of_dialect(dialect: Dialect, addresses: range) -> Iterator[bytes]:
     link = dialect.link
-    for address in ADDRESSES:
+    for address in addresses:
         for command in dialect.commands:
             for form in command.request_forms:
                 if not form.layout.byte_length and not form.layout.open_ended:
@@ -126,7 +126,7 @@ def _levels() -> tuple[tuple[str, ...], Rows]:
 def _inverted() -> dict[bytes, bytes]:
     """Return the likely frames by what a receiver reads of them whose lines are swapped."""
     line = Line(inverted=True)
-    return {came: frame for frame in likely() if len(came := read(levels(frame, line), line)) >= LEAST}
+    return {came: frame for frame in likely(_ADDRESSES) if len(came := read(levels(frame, line), line)) >= LEAST}
 
 
 def of_inverted(garbled: Sequence[Garbled]) -> Iterator[Fit]:

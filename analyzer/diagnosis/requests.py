@@ -30,6 +30,8 @@ EXCEPTIONS = {
 _FEW = 4
 #: The exception of a register that is not there.
 _NO_REGISTER = 0x02
+#: Bytes of a CAN frame.
+_LONGEST = 8
 #: First registers of each kind in the numbering of old controllers.
 _NUMBERED = (10001, 30001, 40001)
 
@@ -37,7 +39,7 @@ _NUMBERED = (10001, 30001, 40001)
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect what the requests ask for."""
     found: dict[tuple[str, str], list[_Wrong]] = {}
-    answers = {p.asked_by for p in scene.pieces if p.is_reply and not _refuses(p)}
+    answers = {p.asked_by for p in scene.pieces if p.is_reply and not _refuses(p) and not _is_long(p)}
     answered = {p.data for p in scene.pieces if p.is_request and p.sequence in answers}
     for troubles, piece, refusal in _failing(scene):
         if refusal is None and piece.sequence in answers:
@@ -120,7 +122,7 @@ def _failing(scene: Scene) -> Iterator[tuple[list[Trouble], Piece, Piece | None]
         refusal = refusals.get(piece.sequence)
         message = piece.message
         # What an exception answers is a request; a write of one register and its reply look alike.
-        asks = piece.is_request or refusal is not None or (known and _asks_nothing_known(piece))
+        asks = piece.is_request or refusal is not None or (known and _asks_nothing_known(piece)) or _is_long(piece)
         if message is None or not asks or not message.frame.checksum_ok:
             if piece.is_reply and piece.asked_by is None and piece.sound and "modbus_exception" in piece.rules:
                 yield own[piece.sequence], piece, piece
@@ -139,6 +141,14 @@ def _asks_nothing_known(piece: Piece) -> bool:
     return head.start == head.stop
 
 
+def _is_long(piece: Piece) -> bool:
+    """Say whether a frame has more than any reply of its code: without a mark it is a request, of a wrong length."""
+    message = piece.message
+    if message is None or piece.can is None or piece.is_request or message.command is None or "wrong_length" not in piece.rules:
+        return False
+    return len(message.data) > max((form.layout.byte_length for form in message.command.reply_forms), default=_LONGEST)
+
+
 def _why(scene: Scene, piece: Piece, refusal: Piece | None) -> _Why | None:
     """Return what is wrong with a request that no drive has answered well."""
     message = piece.message
@@ -149,7 +159,7 @@ def _why(scene: Scene, piece: Piece, refusal: Piece | None) -> _Why | None:
     replies = scene.replies.get(piece.sequence, [])
     if not replies and following is not None and following.is_reply and following.message is not None:
         replies = [following] if following.message.address == message.address else []
-    if any(not _refuses(p) for p in replies):
+    if any(not _refuses(p) and not _is_long(p) for p in replies):
         return None
     dialect, data = message.frame.dialect, piece.data
     head = dialect.link.parse(data, None if piece.can is None else piece.can.id)
@@ -170,9 +180,19 @@ def _why(scene: Scene, piece: Piece, refusal: Piece | None) -> _Why | None:
             found = _register(dialect, data, head.function, head.code)
             if found is not None:
                 return found
+            if refusal is None and message.address in _answering(scene, dialect):
+                what = f"The manual does not list the register {head.code:04X} under function {head.function:02X}."
+                return _Why("unknown_command", what)
     if refusal is not None:
         return _refused(scene, piece, refusal)
     return _silent_function(scene, piece) if head.function in REGISTER_READS else None
+
+
+def _answering(scene: Scene, dialect: Dialect) -> set[int]:
+    """Return the addresses at which a drive answers what its manual lists: another device has other registers."""
+    others = (None, *dialect.fallbacks.values())
+    answered = (p.message for p in scene.pieces if p.is_reply and p.sound and p.message and dialect.of_drives)
+    return {message.address for message in answered if message.command not in others}
 
 
 def _refused(scene: Scene, piece: Piece | None, refusal: Piece) -> _Why | None:

@@ -16,7 +16,7 @@ from itertools import takewhile
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.bits import CELLS, Line, levels, read
+from analyzer.diagnosis.bits import CELLS, at_once
 from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.meeting import lacks_end, meeting
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
@@ -200,17 +200,11 @@ def _head_is_right(spoiled: _Spoiled) -> bool:
 @cache
 def _overlaid(head: bytes) -> bytes:
     """Return the first bytes that are read of two frames with one head at once, up to a byte apart: a low level wins."""
-    one = "".join(cell * _STEPS for cell in levels(head))
-    idle = "1" * len(one)
-    found = bytearray()
-    for late in range(_STEPS * CELLS):
-        both = "".join(min(pair) for pair in zip(one + idle, idle[:late] + one + idle[late:], strict=True))
-        found += read(both, Line(_STEPS))[:1]
-    return bytes(found)
+    return bytes({data[0] for data in at_once(head, head, CELLS) if data})
 
 
-#: Bytes of a beginning that are compared, and steps of a cell by which two senders are apart.
-_BEGUN, _STEPS = 2, 4
+#: Bytes of a beginning that are compared.
+_BEGUN = 2
 
 
 def _too_early(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:

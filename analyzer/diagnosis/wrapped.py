@@ -13,7 +13,7 @@ from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.pace import ASKS_OF_PARTS
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.requests import EXCEPTIONS
-from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
+from analyzer.diagnosis.scene import SILENT, Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link import FUNCTIONS, READS, modbus_crc
 from analyzer.values import counted
 
@@ -305,6 +305,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     yield from _split_headers(scene)
     yield from _told_twice(scene)
     yield from _marked_replies(scene)
+    yield from _as_lines(scene)
     for dress in DRESSES:
         found: list[tuple[Trouble, bytes, bytes]] = []
         for trouble in scene.damaged:
@@ -332,6 +333,31 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             f"{dress.next}: {shown(frame)}" if frame else dress.next,
             tuple(Shown(t.offset, shown(d), shown(f)) for t, d, f in found),
         )  # fmt: skip
+
+
+def _as_lines(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a program that ends each request as a line of text."""
+    asked = {piece.stop: piece for piece in scene.requests}
+    ends = [t for t in scene.damaged if t.stretch is not None and t.stretch.data in _ENDS and t.offset in asked]
+    if len(ends) < _AGAIN or len(ends) < _MOSTLY * len(scene.damaged):
+        return
+    own = {asked[trouble.offset] for trouble in ends}
+    first = asked[ends[0].offset].data
+    yield Suspicion(
+        "text_mode", Confidence.CERTAIN, [*ends, *(t for t in scene.of(*SILENT) if t.piece in own)],
+        "The program writes each request as a line of text: an end of line stands behind it.",
+        f"{shown(_bytes(ends[0]))} stands behind {shown(first)} at byte {ends[0].offset}; {counted(len(ends), 'time')}",
+        f"Write the bytes alone: write instead of println, no end of line in the terminal: {shown(first)}",
+        tuple(Shown(t.offset, shown(asked[t.offset].data + _bytes(t)), shown(asked[t.offset].data)) for t in ends),
+    )  # fmt: skip
+
+
+def _bytes(trouble: Trouble) -> bytes:
+    return b"" if trouble.stretch is None else trouble.stretch.data
+
+
+#: Ends of lines, and how many are no chance.
+_ENDS, _AGAIN = (b"\r\n", b"\n", b"\r"), 2
 
 
 def _marked_replies(scene: Scene) -> Iterator[Suspicion]:

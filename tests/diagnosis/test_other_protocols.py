@@ -106,3 +106,19 @@ def test_what_one_frame_of_an_unknown_protocol_is_like_says_nothing_of_the_line(
         answer = chance.randbytes(size if not number % 3 else size + 1 + number % 3)
         rows += [(">", code + bytes(size) + tail), ("<", code + answer + chance.randbytes(1) + b"\x0d")]
     assert {each.cause for each in told(*rows)} <= {"unsupported_dialect"}
+
+
+def test_meters_that_wake_up_and_end_as_others_do_say_nothing_of_the_line():
+    def meter(body):
+        return framed(bytes.fromhex(f"68 01 02 03 04 05 06 68 {body}"), b"\x16")
+
+    asked = b"\xfe\xfe" + meter("11 04 33 33 34 33")
+    rows = [row for value in range(6) for row in (asked, meter(f"91 06 33 33 34 33 4{value} 55"))]
+    assert "wrong_baud" not in [each.cause for each in told(*rows)]
+
+
+def test_a_byte_count_among_the_bytes_of_another_protocol_is_no_promise():
+    chance = random.Random(1)
+    rows = [("<", bytes((0x0F, *chance.randbytes(22), 0, 0))) for _ in range(5)]
+    assert "reply_cut" in [each.cause for each in told(("<", b"\x0f\x03\x20" + rows[0][1][3:]))]
+    assert "reply_cut" not in [each.cause for each in told(*rows, ("<", b"\x0f\x03\x20" + rows[0][1][3:]))]
