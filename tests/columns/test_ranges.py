@@ -59,7 +59,7 @@ WRITERS = {
 
 def rows(name, odd):
     """Return traffic of a CAN dialect as the writers take it."""
-    for frame in frames(dialects.get(name), random.Random(6), 1500, 0.02, odd):
+    for frame in frames(dialects.get(name), random.Random(6), 750, 0.02, odd):
         special = "error" if frame.error else "extended" if frame.extended else ""
         yield frame.t_ns // 1000 * 1000, frame.id, frame.data, special
 

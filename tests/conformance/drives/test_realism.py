@@ -240,7 +240,7 @@ def test_an_honest_drive_of_its_own_kind_is_not_accused(drive, change, claim):
 def test_a_lie_is_found_on_a_drive_that_trembles(fault):
     each = rig(f"mks-rs485@1,fault={fault},real=bench")
     wanted = [c for c in registry.every(each.dialect) if "/motion/read_" in c.id]
-    assert Outcome.REFUTED in {v.outcome for v in engine.run(wanted, each)}
+    assert any(v.outcome is Outcome.REFUTED for v in engine.run(wanted, each))
 
 
 @pytest.mark.parametrize(
