@@ -4,7 +4,8 @@
     homing, then the emergency stop, or disabling, to the same address
 
 Rules kept here:
-- The speed alone is looked at: which way homing and a sign turn the shaft are other claims' matter.
+- Of what comes the speed alone is looked at, and of a run the way: of moves and homing that is other claims' matter.
+- Every second run that is taken over was begun by the same address.
 """
 
 from __future__ import annotations
@@ -51,9 +52,12 @@ def _while_turning(probe: Probe, many: Many, chosen: list[Ended]) -> None:
     motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
     homing.set_home(probe, home_speed=_RPM)
     to = many.join(probe)
-    for command, (stop, values) in chosen:
-        motion.run_at(probe, CALM)
-        probe.wait(_GOING_NS)
+    run = probe.command(Verb.RUN_SPEED)
+    going = declared.values_of(probe.dialect, run)
+    for number, (command, (stop, values)) in enumerate(chosen):
+        begun = many.frame(probe, run, going, to) if number % 2 else probe.build(run, going).item()
+        probe.send(begun, timeout_ns=_GOING_NS)
+        before = motion.speed(probe).value if command is run else 0.0
         sent = [probe.send(many.frame(probe, command, _values(probe, command), to), timeout_ns=_RUNS_NS)]
         seen = motion.speed(probe)
         if command.verb is Verb.HOME:
@@ -65,6 +69,9 @@ def _while_turning(probe: Probe, many: Many, chosen: list[Ended]) -> None:
         text = f"{command.name} by {many.what} is not executed while the shaft turns"
         within = 2 + 2 * CLOCK_SHARE * _RPM + seen.noise
         probe.expect(abs(seen.value), near=_RPM, within=within, unit="rpm", refutes=text, exchange=sent[0])
+        text = f"{command.name} by {many.what} turns the shaft the other way than to the drive itself"
+        got = f"{before:+g} rpm, then {seen.value:+g} rpm"
+        probe.expect(got, holds=before * seen.value <= 0, expected="one way, then the other", refutes=text, exchange=sent[0])
         for each in sent:
             expect_silence(probe, each, f"{command.name} by {many.what} is answered while the shaft turns")
 
