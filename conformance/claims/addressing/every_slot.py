@@ -17,6 +17,7 @@ from conformance.claim import Inconclusive
 from conformance.claims.addressing.package import frame_of, motions, of, of_packages, others_of, rpm_of
 from conformance.claims.control_reads import expect_silence, plain_read
 from conformance.claims.declare import Case
+from conformance.claims.motion.stops import expect_ended
 from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import undamaged
 from conformance.motion.declared import CALM, QUICK
@@ -92,7 +93,8 @@ def _turned_in_slot(
         how = {"acceleration": 0} if declared.of(stop).acceleration else {}
         slots[number] = {"address": probe.address, "command": stop.name, **how}
         ended = probe.send(frame_of(probe, command, slots), timeout_ns=_HALTS_NS)
-        return sent, seen, _expect_ended(probe, ended, f"{stop.name} in slot {number + 1} of a package does not stop the shaft")
+        text = f"{stop.name} in slot {number + 1} of a package does not stop the shaft"
+        return sent, seen, expect_ended(probe, ended, text, _LATE_NS)
     sent = probe.send(frame, timeout_ns=int(ramp.move_ns(_WAY / 360, _RPM, QUICK)))
     try:
         end = motion.wait_standing(probe, limit_ns=_LATE_NS)
@@ -100,17 +102,6 @@ def _turned_in_slot(
         # A slow one is on its way still.
         end = motion.stand_still(probe)
     return sent, end.value - rest.value, end
-
-
-def _expect_ended(probe: Probe, ended: Exchange, text: str) -> motion.Sample:
-    """Refute a shaft that goes on behind its stop; return where it rests."""
-    try:
-        return motion.wait_standing(probe, limit_ns=_LATE_NS)
-    except Inconclusive:
-        left = abs(motion.speed(probe).value)
-        motion.stand_still(probe)
-        probe.expect(left, at_most=CALM / 4, unit="rpm", refutes=text, exchange=ended)
-        raise
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------

@@ -46,6 +46,7 @@ from conformance.gate.gate import Item
 from conformance.motion import declared, effects, motion, ramp
 from conformance.motion.declared import CALM, MOVES, QUICK
 from conformance.motion.effects import STEP_NS, Observable
+from conformance.talk import restarts
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
 from conformance.talk.settings import changes_link
@@ -397,7 +398,7 @@ def _readable_settings(dialect: Dialect) -> Iterator[Case]:
     for many in addresses(dialect):
         needed = [edges.needs(dialect, c, [differing(c.request_forms[0])[0]]) for c in own]
         facts = {
-            "risks": many.risks(dialect).union(*(each["risks"] for each in needed)),
+            "risks": many.risks(dialect).union(dialect.by_verb[Verb.RESTART].all_risks, *(each["risks"] for each in needed)),
             "settings": (*many.settings, *(name for each in needed for name in each["settings"])),
         }
         if own:
@@ -406,17 +407,24 @@ def _readable_settings(dialect: Dialect) -> Iterator[Case]:
 
 @addressing("a setting that stays as it was, or an answer", _readable_settings, name="{many}/settings")
 def _settings(probe: Probe, many: Many, chosen: list[Command]) -> None:
-    """Settings by {what} are stored, and not answered."""
+    """Settings by {what} are stored, and not answered; a restart keeps them."""
     to = many.join(probe)
     if Verb.SET_WORK_MODE in probe.dialect.by_verb:
         # Some settings are refused in a pulse mode.
         mode = probe.command(Verb.SET_WORK_MODE)
         probe.ask(mode, {"work_mode": declared.choice(mode, "work_mode", declared.bus_modes(probe.dialect)[-1])})
+    held: list[tuple[Command, dict[str, int]]] = []
     for command in chosen:
         before, _ = setting_effects.stored(probe, command)
         values = next(v for v in differing(command.request_forms[0]) if v != before)
         sent = probe.ask(command, values, address=to, until=Until.TIMEOUT, timeout_ns=_SETTING_NS)
         _expect_silence(probe, sent, many.what)
         after, _ = setting_effects.stored(probe, command)
+        wanted = {n: values[n] for n in after}
+        held.append((command, wanted))
         text = f"{command.name} by {many.what} is not stored"
-        probe.expect(after, equal={n: values[n] for n in after}, refutes=text, exchange=sent)
+        probe.expect(after, equal=wanted, refutes=text, exchange=sent)
+    exchange = restarts.restart(probe)
+    for command, wanted in held:
+        text = f"{command.name} by {many.what} is another one after a restart"
+        probe.expect(setting_effects.stored(probe, command)[0], equal=wanted, refutes=text, exchange=exchange)

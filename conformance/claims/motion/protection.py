@@ -386,6 +386,9 @@ def _limp_either_way(probe: Probe) -> None:
         if move is None:
             motion.run_at(probe, way * _LIMP_RPM, QUICK)
             probe.wait(300 * MS)
+            text = "a motor that was given its current again does not turn"
+            turning = abs(motion.speed(probe).value)
+            probe.expect(turning, at_least=_LIMP_RPM / 2, unit="rpm", refutes=text, exchange=probe.traffic[-1])
             exchange, went = _give_current(probe, False), 0.0
             # The shaft that runs out lags behind by two turns.
             probe.wait(1500 * MS)

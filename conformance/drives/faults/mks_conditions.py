@@ -267,14 +267,14 @@ def _deaf_after_refusal(drive: MksCore) -> None:
     drive.hooks.accept.append(accept)
 
 
-def _lost_if_sent(to: Callable[[Drive, Message], bool]) -> Change:
-    """Lose settings by a restart that were sent so, and keep others."""
+def _lost_if_sent(to: Callable[[Drive, Message], bool], only: str = "") -> Change:
+    """Lose settings by a restart that were sent so, and keep others. `only`: but one."""
 
     def change(drive: MksCore) -> None:
         sent = _newest_is(drive, to)
 
         def store(_: Drive, name: str, value: int) -> tuple[str, int]:
-            (drive.forgetful.add if sent() else drive.forgetful.discard)(name)
+            (drive.forgetful.add if sent() and only in ("", name) else drive.forgetful.discard)(name)
             return name, value
 
         drive.hooks.stored.append(store)
@@ -1338,6 +1338,21 @@ DOING: Rows = {
             Change(_lost_if_sent(_is_for_group).install, having(Verb.SET_GROUP_ADDRESS)),
         ),
         Row("package-settings-lost", "a restart loses what was set in a package", _lost_if_sent(_in_a_package), NATIVE),
+        Row(
+            "turning-deaf-to-all-off",
+            "F3 to all drives is not heard while a run turns the shaft",
+            taken(
+                lambda drive, frame, message, wanted: (
+                    wanted
+                    and not (_is(message, Verb.ENABLE) and _is_for_all(drive, message) and mks(drive).memory.run is not None)
+                )
+            ),
+        ),
+        Row(
+            "tolerance-of-all-lost",
+            "a stall tolerance that was set by a broadcast is lost by a restart",
+            Change(_lost_if_sent(_is_for_all, "stall_tolerance").install, CAN),
+        ),
         Row(
             "homing-deaf-to-stops-of-all",
             "the emergency stop to all drives is not heard while homing",

@@ -224,6 +224,26 @@ def _kept_goes_on(drive: MksCore, of: Verb) -> None:
     )
 
 
+def _saves_older(drive: MksCore) -> None:
+    """Keep the run before the one that turns the shaft."""
+    runs: list[tuple[int, int, int] | None] = []
+    run, save = drive.behaviours[Verb.RUN_SPEED], drive.behaviours[Verb.SAVE_SPEED]
+
+    def begin(_: MksCore, request: Request) -> Values | None:
+        runs.append(drive.memory.run)
+        return run(drive, request)
+
+    def keep(_: MksCore, request: Request) -> Values | None:
+        newest = drive.memory.run
+        older = runs[-1] if runs else None
+        drive.memory.run = (older or newest) if newest else None
+        found = save(drive, request)
+        drive.memory.run = newest
+        return found
+
+    drive.behaviours |= {Verb.RUN_SPEED: begin, Verb.SAVE_SPEED: keep}
+
+
 def _forgets_newest(drive: MksCore) -> None:
     """Forget a run alone that was kept since the drive began."""
     save = drive.behaviours[Verb.SAVE_SPEED]
@@ -252,6 +272,19 @@ def _released_once(drive: MksCore) -> None:
         return release(drive, request)
 
     drive.behaviours[Verb.RELEASE_PROTECTION] = act
+
+
+def _current_not_put_back(drive: MksCore) -> None:
+    """Store no current that is the one before the last."""
+    sent: list[int] = []
+
+    def store(_: Drive, name: str, value: int) -> tuple[str, int] | None:
+        if name != "current":
+            return name, value
+        sent.append(value)
+        return None if len(sent) > 2 and sent[-3] == value != sent[-2] else (name, value)
+
+    drive.hooks.stored.append(store)
 
 
 def _alm_beside_pend(drive: Drive, command: Command, values: Values) -> Values:
@@ -670,6 +703,7 @@ SEQUENCES: Rows = {
                 ("kept-run-not-disabled", "F3", Verb.ENABLE),
             )
         ),
+        Row("saves-older-run", "FF keeps the run before the newest one", tuned(_saves_older, having(Verb.SAVE_SPEED))),
         Row(
             "forgets-newest-run",
             "FF CA forgets a run alone that was kept since power-on",
@@ -679,6 +713,11 @@ SEQUENCES: Rows = {
             "released-once",
             "3D releases the protection once until a restart",
             tuned(_released_once, having(Verb.RELEASE_PROTECTION)),
+        ),
+        Row(
+            "current-not-put-back",
+            "83 does not set a current back to the one before",
+            tuned(_current_not_put_back, having(Verb.SET_CURRENT)),
         ),
         Row("alm-beside-pend", "a write of PEND writes ALM with mask 2, too", request(_alm_beside_pend, Verb.WRITE_IO), CAN),
         Row(
