@@ -639,7 +639,7 @@ STATEMENTS: tuple[Statement, ...] = (
     unseen("3.4.1/not-in-pulse-modes", "In pulse modes no limit holds.", _PULSES),
     *_tables("3.4.2", "home", "91 without data", "a status of one byte"),
     said("3.4.2/status", "Status 1 says that it begins, and 2 that home is found.", "motion/home/replies"),
-    said("3.4.2/status-0", "Status 0 says that it failed.", "motion/home/disabled"),
+    said("3.4.2/status-0", "Status 0 says that it failed.", "motion/home/disabled", "motion/home/off"),
     said("3.4.2/from-closed", "From a closed end stop the motor first turns the other way.", "motion/home/from-closed-*"),
     said("3.4.2/from-closed-angle", "It turns that way by the return angle of 94.", "motion/home/backs-off-*"),
     *_tables("3.4.3", "set_zero", "92 without data", "a status of one byte"),

@@ -35,6 +35,7 @@ MODULES = (
     "addressing.own",
     "addressing.many",
     "addressing.under_way",
+    "addressing.protection",
     "addressing.links",
     "addressing.package",
     "addressing.every_slot",

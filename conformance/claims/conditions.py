@@ -156,9 +156,7 @@ def _trip(probe: Probe, present: bool) -> None:
 
 
 def _pulse_mode(probe: Probe) -> None:
-    modes = declared.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
-    by_pulses = [mode for mode in modes if mode not in declared.bus_modes(probe.dialect) and "no_encoder" not in mode]
-    motion.set_mode(probe, by_pulses[-1])
+    motion.set_mode(probe, [mode for mode in declared.pulse_modes(probe.dialect) if "no_encoder" not in mode][-1])
 
 
 def _refused_setting(probe: Probe) -> None:

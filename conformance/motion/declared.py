@@ -62,6 +62,12 @@ def bus_modes(dialect: Dialect) -> tuple[str, ...]:
     return dialect.by_verb[Verb.RUN_SPEED].modes
 
 
+def pulse_modes(dialect: Dialect) -> list[str]:
+    """Return the work modes in which pulses move the motor, by name."""
+    modes = field_of(dialect.by_verb[Verb.SET_WORK_MODE], "work_mode").choice_names.values()
+    return [mode for mode in modes if mode not in bus_modes(dialect)]
+
+
 def risks(dialect: Dialect, *more: Risk) -> frozenset[Risk]:
     """Return the risks of what `ready_to_move` and `stand_still` send, and more."""
     found: set[Risk] = {Risk.MOTION, *more}

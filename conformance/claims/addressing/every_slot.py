@@ -15,20 +15,21 @@ from collections.abc import Iterator
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive
 from conformance.claims.addressing.package import frame_of, motions, of, of_packages, others_of, rpm_of
-from conformance.claims.control_reads import plain_read
+from conformance.claims.control_reads import expect_silence, plain_read
 from conformance.claims.declare import Case
+from conformance.claims.motion.stops import expect_ended
 from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import undamaged
 from conformance.motion.declared import CALM, QUICK
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, Probe
 
-#: How long a shaft rises until its way is looked at: by the ramp to 150 rpm. How far a motion would go (degrees).
-_RISES_NS, _FAR = 60 * MS, 10 * 360
+#: The ramp of a run, 1.3 ms for a rpm, and how long it rises: to 60 rpm. How far a motion would go (degrees).
+_RISING, _RISES_NS, _FAR = 230, 80 * MS, 10 * 360
 #: How far a move goes, of a count and pulses with two bytes each (degrees), and how fast at most (rpm).
 _WAY, _RPM = 50, 260
-#: How long a shaft may go on behind a move by the law; how long a setting is listened to.
-_LATE_NS, _SETTING_NS = 300 * MS, 20 * MS
+#: How long a shaft may go on behind a move by the law or a stop; how long a setting and a stop are listened to.
+_LATE_NS, _SETTING_NS, _HALTS_NS = 300 * MS, 20 * MS, 20 * MS
 #: Subdivisions that a slot sets, in turns.
 _SUBDIVISIONS = (8, 32)
 
@@ -45,7 +46,10 @@ def _in_every_slot(dialect: Dialect) -> Iterator[Case]:
     "a shaft that stays, turns the other way, is slow, or goes elsewhere", name="{run}/every-slot", each=_in_every_slot
 )
 def _in_each_slot(probe: Probe, command: Command, run: Command) -> None:
-    """{run} in each slot of a package, beside other drives' slots, turns the shaft either way, and a move as far, as alone."""
+    """{run} in each slot of a package, beside other drives' slots, turns the shaft either way, and a move as far, as alone.
+
+    A stop in each slot ends a run.
+    """
     assert command.slots is not None
     motion.prepare(probe, run)
     motion.begin(probe, run, _FAR, rpm=rpm_of(run, 1))
@@ -71,7 +75,10 @@ def _turned_in_slot(
     assert command.slots is not None
     runs = declared.of(run).kind is MotionKind.RUN
     start, degrees = motion.place(probe, run), _FAR if runs else _WAY
-    own, other = (declared.values_of(probe.dialect, run, w * degrees, rpm=rpm_of(run, w), start=start) for w in (way, -way))
+    how = {"acceleration": _RISING} if runs else {}
+    own, other = (
+        declared.values_of(probe.dialect, run, w * degrees, rpm=rpm_of(run, w), start=start, **how) for w in (way, -way)
+    )
     slots = [
         {"address": address, "command": run.name, **other}
         for address in others_of(probe.dialect, probe.address, command.slots.count - 1)
@@ -81,7 +88,13 @@ def _turned_in_slot(
     if runs:
         sent = probe.send(frame, timeout_ns=_RISES_NS)
         seen = motion.turning(probe).value
-        return sent, seen, motion.stand_still(probe)
+        stops = probe.dialect.stops_of(run)
+        stop = stops[0 if way > 0 else -1]
+        how = {"acceleration": 0} if declared.of(stop).acceleration else {}
+        slots[number] = {"address": probe.address, "command": stop.name, **how}
+        ended = probe.send(frame_of(probe, command, slots), timeout_ns=_HALTS_NS)
+        text = f"{stop.name} in slot {number + 1} of a package does not stop the shaft"
+        return sent, seen, expect_ended(probe, ended, text, _LATE_NS)
     sent = probe.send(frame, timeout_ns=int(ramp.move_ns(_WAY / 360, _RPM, QUICK)))
     try:
         end = motion.wait_standing(probe, limit_ns=_LATE_NS)
@@ -128,4 +141,6 @@ def _set(probe: Probe, command: Command, number: int, verb: Verb, field: str, va
     others = others_of(probe.dialect, probe.address, command.slots.count - 1)
     slots = [{"address": address, "command": plain_read(probe.dialect).name} for address in others]
     slots.insert(number, {"address": probe.address, "command": probe.command(verb).name, field: value})
-    return probe.send(frame_of(probe, command, slots), timeout_ns=_SETTING_NS)
+    sent = probe.send(frame_of(probe, command, slots), timeout_ns=_SETTING_NS)
+    expect_silence(probe, sent, f"{verb.value} in a slot of a package is answered")
+    return sent

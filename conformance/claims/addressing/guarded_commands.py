@@ -158,8 +158,7 @@ def _own_ports(probe: Probe) -> object:
 
 
 def _pulse_mode(probe: Probe, command: Command) -> Mapping[str, int]:
-    modes = declared.field_of(command, "work_mode").choice_names
-    return {"work_mode": next(value for value, name in modes.items() if name not in declared.bus_modes(probe.dialect))}
+    return {"work_mode": declared.choice(command, "work_mode", declared.pulse_modes(probe.dialect)[0])}
 
 
 def _moves_by_bus(probe: Probe) -> float:

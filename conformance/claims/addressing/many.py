@@ -7,6 +7,7 @@ FC 00 .. 01 F3 00 .. drive 1 is disabled, and does not answer; motions in a pack
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -36,6 +37,7 @@ from conformance.claims.control_reads import (
 )
 from conformance.claims.declare import Case, Cases
 from conformance.claims.known_reads import every_read
+from conformance.claims.motion.motion_claim import expect_not_turned
 from conformance.claims.motion.stops import expect_standing
 from conformance.claims.ranges import edges
 from conformance.claims.settings import setting_effects
@@ -44,6 +46,7 @@ from conformance.gate.gate import Item
 from conformance.motion import declared, effects, motion, ramp
 from conformance.motion.declared import CALM, MOVES, QUICK
 from conformance.motion.effects import STEP_NS, Observable
+from conformance.talk import restarts
 from conformance.talk.exchange import Exchange, hex_of
 from conformance.talk.probe import Probe, Until
 from conformance.talk.settings import changes_link
@@ -56,8 +59,10 @@ _TURNS_NS = 100_000_000
 _BETWEEN_NS = 30_000_000
 #: A ramp of 2.5 ms for a rpm, by which a shaft rises in a while; how long a stop at once may take, and is then looked at.
 _HALTED_RAMP, _RISES_NS, _HALTS_NS, _LOOK_NS = 206, 160_000_000, 15_000_000, 40_000_000
-#: How far a move goes that is followed to its end (degrees).
-_SHORT = 45
+#: A speed of two bytes, whose low byte alone is slow; subdivisions that few claims set, at which a speed is as sent.
+_RPM, _SUBDIVISION = 260, 32
+#: How far a move goes that is followed to its end, and one that is sent to the drive itself (degrees).
+_SHORT, _OWN_WAY = 45, 36
 #: How long a setting is listened to; that a setting by several addresses is silent shows with the first of them too.
 _SETTING_NS = 60_000_000
 
@@ -174,14 +179,16 @@ def _motions(dialect: Dialect) -> Iterator[Case]:
 @addressing("a shaft that stands, or one that turns on", _motions, name="{many}/{run}/{stop}")
 def _turns_and_stops(probe: Probe, many: Many, run: Command, stop: Command) -> None:
     """{run} by {what} turns the shaft by its ramp and as far as sent, {stop} lets it stand, and neither is answered."""
-    motion.prepare(probe, run)
+    counted = declared.takes_pulses(run)
+    motion.ready_to_move(probe, subdivision=_SUBDIVISION if counted else None)
     to, first = many.join(probe), stop is probe.dialect.stops_of(run)[0]
     if many is GROUPS and first:
         _expect_stays(probe, run, _near_groups(probe, to))
-    # By its ramp the shaft would go on for 0.15 s.
+    # By its ramp the shaft would go on for 0.3 s.
     ramped = declared.of(run).acceleration
-    how = {"rpm": 2 * CALM, "acceleration": _HALTED_RAMP} if ramped else {}
-    values = declared.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run), **how)
+    scale = {"subdivision": _SUBDIVISION} if counted else {}
+    how = {"rpm": _RPM, "acceleration": _HALTED_RAMP} if ramped else {}
+    values = declared.values_of(probe.dialect, run, 10 * 360, start=motion.place(probe, run), **scale, **how)
     begun = probe.send(probe.build(run, values, address=to).item(), timeout_ns=_RISES_NS if ramped else _TURNS_NS)
     text = f"{run.name} by {many.what} does not turn the shaft"
     seen = motion.turning(probe)
@@ -205,24 +212,31 @@ def _turns_and_stops(probe: Probe, many: Many, run: Command, stop: Command) -> N
     expect_standing(probe, ended, text)
     for sent in (begun, ended):
         _expect_silence(probe, sent, many.what)
+    way = math.copysign(1, seen.value)
     if first and declared.of(run).kind in MOVES:
-        _expect_goes(probe, many, run, to)
+        _expect_goes_back(probe, many, run, to, way)
     if many is GROUPS and first:
-        own = probe.ask(run, declared.values_of(probe.dialect, run, 36, start=motion.place(probe, run)))
-        motion.stand_still(probe)
+        rest = motion.position(probe).value
+        values = declared.values_of(probe.dialect, run, _OWN_WAY, start=motion.place(probe, run), **scale)
+        own = probe.ask(run, values)
+        went = motion.stand_still(probe).value - rest
         text = f"a drive in a group no longer answers {run.name} to its own address"
         probe.expect(received_text(own), holds=not own.silent, expected="a reply", refutes=text, exchange=own)
+        text = f"{run.name} by {many.what} turns the shaft another way than to the drive itself"
+        probe.expect(went * way, at_least=-1, unit="degrees that way", refutes=text, exchange=begun)
 
 
-def _expect_goes(probe: Probe, many: Many, move: Command, to: int) -> None:
-    """Refute a move that does not go as far as was sent."""
+def _expect_goes_back(probe: Probe, many: Many, move: Command, to: int, way: float) -> None:
+    """Refute a move the other way that is answered, or does not go as far as was sent. `way`: that of the move before."""
     rest = motion.position(probe)
-    values = declared.values_of(probe.dialect, move, _SHORT, acceleration=QUICK, start=motion.place(probe, move))
+    scale = {"subdivision": _SUBDIVISION} if declared.takes_pulses(move) else {}
+    values = declared.values_of(probe.dialect, move, -_SHORT, acceleration=QUICK, start=motion.place(probe, move), **scale)
     law_ns = int(ramp.move_ns(_SHORT / 360, CALM, QUICK))
     sent = probe.send(probe.build(move, values, address=to).item(), timeout_ns=law_ns)
-    went, within = abs(motion.wait_standing(probe).value - rest.value), motion.miss(probe) + motion.same(probe)
+    went, within = (motion.wait_standing(probe).value - rest.value) * way, motion.miss(probe) + motion.same(probe)
     text = f"{move.name} by {many.what} does not go as far as was sent"
-    probe.expect(went, near=_SHORT, within=within, unit="degrees", refutes=text, exchange=sent)
+    probe.expect(went, near=-_SHORT, within=within, unit="degrees", refutes=text, exchange=sent)
+    _expect_silence(probe, sent, many.what)
 
 
 def _expect_stays(probe: Probe, run: Command, addresses: list[int]) -> None:
@@ -337,8 +351,8 @@ def _switched(probe: Probe, many: Many, switch: Command, shown: guarded_commands
 
 
 def _whatever_happens(dialect: Dialect) -> Iterator[Case]:
-    """Yield each address of several drives with what is refused while the motor is off."""
-    for many in addresses(dialect) if declared.can_move(dialect) else ():
+    """Yield each way to several drives with what is refused while the motor is off."""
+    for many in ways(dialect) if declared.can_move(dialect) else ():
         chosen = dialect.motions(MotionKind.RUN, *MOVES)
         sent = many.risks(dialect).union(*(c.all_risks for c in chosen)) - {Risk.UNKNOWN}
         risks = declared.risks(dialect, Risk.TORQUE, *sent)
@@ -346,22 +360,33 @@ def _whatever_happens(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, given={"many": many, "what": many.what, "chosen": chosen}, facts=facts)
 
 
-@addressing("any answer", _whatever_happens, name="{many}/outcomes")
+@addressing("any answer, or motion", _whatever_happens, name="{many}/outcomes")
 def _never_answered(probe: Probe, many: Many, chosen: tuple[Command, ...]) -> None:
-    """Nothing by {what} is answered: no read, and no motion of a motor that is off."""
+    """Nothing by {what} is answered: no read, and no motion of a motor that is off, or in a pulse mode; that turns nothing."""
     motion.ready_to_move(probe)
     to = many.join(probe)
-    for read, values in every_read(probe.dialect):
+    for read, values in every_read(probe.dialect) if many is not PACKAGES else ():
         _expect_silence(probe, probe.ask(read, values, address=to, until=Until.TIMEOUT, timeout_ns=_SETTING_NS), many.what)
+    way = -1 if many is GROUPS else 1
     motion.switch(probe, False)
+    _expect_not_moved(probe, many, chosen, to, way, "of a motor that is off")
+    motion.set_mode(probe, declared.pulse_modes(probe.dialect)[0])
+    _expect_not_moved(probe, many, chosen, to, -way, "in a pulse mode")
+
+
+def _expect_not_moved(probe: Probe, many: Many, chosen: tuple[Command, ...], to: int, way: int, when: str) -> None:
+    """Refute where a motion that must be refused is answered, or turns the shaft."""
+    before = motion.position(probe)
     for command in chosen:
-        # What moves turns nothing, or a tenth of a turn: a motor that is off may run all the same.
-        values = declared.values_of(probe.dialect, command, 36, start=motion.place(probe, command))
-        sent = probe.ask(command, values, address=to, until=Until.TIMEOUT, timeout_ns=probe.rig.silence_ns)
+        # What moves turns nothing, or a tenth of a turn: a drive may run all the same.
+        rpm = way * CALM if declared.of(command).kind is MotionKind.RUN else CALM
+        values = declared.values_of(probe.dialect, command, way * 36, rpm=rpm, start=motion.place(probe, command))
+        sent = probe.send(many.frame(probe, command, values, to), timeout_ns=probe.rig.silence_ns)
         if not sent.silent:
             motion.stand_still(probe)
-            motion.switch(probe, True)
+            motion.ready_to_move(probe)
         _expect_silence(probe, sent, many.what)
+    expect_not_turned(probe, before, sent, f"a motion by {many.what} turns the shaft {when}")
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------
@@ -373,7 +398,7 @@ def _readable_settings(dialect: Dialect) -> Iterator[Case]:
     for many in addresses(dialect):
         needed = [edges.needs(dialect, c, [differing(c.request_forms[0])[0]]) for c in own]
         facts = {
-            "risks": many.risks(dialect).union(*(each["risks"] for each in needed)),
+            "risks": many.risks(dialect).union(dialect.by_verb[Verb.RESTART].all_risks, *(each["risks"] for each in needed)),
             "settings": (*many.settings, *(name for each in needed for name in each["settings"])),
         }
         if own:
@@ -382,17 +407,24 @@ def _readable_settings(dialect: Dialect) -> Iterator[Case]:
 
 @addressing("a setting that stays as it was, or an answer", _readable_settings, name="{many}/settings")
 def _settings(probe: Probe, many: Many, chosen: list[Command]) -> None:
-    """Settings by {what} are stored, and not answered."""
+    """Settings by {what} are stored, and not answered; a restart keeps them."""
     to = many.join(probe)
     if Verb.SET_WORK_MODE in probe.dialect.by_verb:
         # Some settings are refused in a pulse mode.
         mode = probe.command(Verb.SET_WORK_MODE)
         probe.ask(mode, {"work_mode": declared.choice(mode, "work_mode", declared.bus_modes(probe.dialect)[-1])})
+    held: list[tuple[Command, dict[str, int]]] = []
     for command in chosen:
         before, _ = setting_effects.stored(probe, command)
         values = next(v for v in differing(command.request_forms[0]) if v != before)
         sent = probe.ask(command, values, address=to, until=Until.TIMEOUT, timeout_ns=_SETTING_NS)
         _expect_silence(probe, sent, many.what)
         after, _ = setting_effects.stored(probe, command)
+        wanted = {n: values[n] for n in after}
+        held.append((command, wanted))
         text = f"{command.name} by {many.what} is not stored"
-        probe.expect(after, equal={n: values[n] for n in after}, refutes=text, exchange=sent)
+        probe.expect(after, equal=wanted, refutes=text, exchange=sent)
+    exchange = restarts.restart(probe)
+    for command, wanted in held:
+        text = f"{command.name} by {many.what} is another one after a restart"
+        probe.expect(setting_effects.stored(probe, command)[0], equal=wanted, refutes=text, exchange=exchange)

@@ -51,18 +51,22 @@ _RAMP_SHARE, _BESIDE = 0.1, 1.0
 
 
 class Row(NamedTuple):
-    """A motion and its stop. `stop`: the acceleration as sent, -1 for the emergency stop, -2 for disabling the motor."""
+    """A motion and its stop. `stop`: the acceleration as sent, -1 for the emergency stop, -2 for disabling the motor.
+
+    `of`: the motion whose stop it is, where that is another one.
+    """
 
     command: str
     way: int
     stop: int
     rpm: int
     mode: str
+    of: str = ""
 
     def __str__(self) -> str:
         """Return it for people."""
         way = "a positive" if self.way > 0 else "a negative"
-        how = _HOW.get(self.stop, f"acceleration {self.stop}")
+        how = _HOW.get(self.stop, f"acceleration {self.stop}") + (f" of {self.of}" if self.of else "")
         return f"{self.command} {way} way at {self.rpm} rpm in {self.mode}, stopped by {how}"
 
 
@@ -147,6 +151,13 @@ def disablings(dialect: Dialect) -> tuple[Row, ...]:
     return tuple(sorted(rows, key=lambda row: (row.mode, row)))
 
 
+def strangers(dialect: Dialect) -> tuple[Row, ...]:
+    """Return the rows of a run that the stops of moves end."""
+    runs, mode = dialect.motions(MotionKind.RUN), declared.bus_modes(dialect)[-1]
+    moves = enumerate(command.name for command in motions_of(dialect) if command not in runs)
+    return tuple(Row(run.name, -((-1) ** n), 200 * (n % 2), 60, mode, name) for run in runs for n, name in moves)
+
+
 def stopped(probe: Probe, rows_of: Rows) -> tuple[Tried, ...]:
     """Carry out rows, those of the table aside that were carried out first, and return what was seen."""
     rows = rows_of(probe.dialect)
@@ -203,7 +214,7 @@ def _try(probe: Probe, row: Row) -> Tried:
     motion.begin(probe, command, degrees, rpm=row.way * row.rpm if runs else row.rpm, acceleration=_STEEP, quiet_ns=0)
     probe.wait(_GOING_NS)
     before = motion.position(probe)
-    stop, values = _ending(probe, command, row.stop)
+    stop, values = _ending(probe, probe.command(row.of) if row.of else command, row.stop)
     since = len(probe.traffic)
     exchange = probe.ask(stop, values, quiet_ns=0)
     refused = not exchange.is_read or probe.refused(exchange)
@@ -273,7 +284,7 @@ def _expect_stopped(probe: Probe, command: Command, wanted: Callable[[Row], bool
     if not any(each.sense for each in tried):
         raise Inconclusive("no row turned the shaft")
     for each in (each for each in tried if each.sense):
-        text = f"{command.name} does not stop {each.row.command} as it should in one condition"
+        text = f"{each.row.of or command.name} does not stop {each.row.command} as it should in one condition"
         expect_row_taken(probe, each.stop, each.row, text)
         if each.refused:
             continue
@@ -336,6 +347,18 @@ def _disabled(dialect: Dialect) -> Iterator[Case]:
 def _off(probe: Probe, command: Command) -> None:
     """Disabling the motor ends a move of each kind."""
     _expect_stopped(probe, command, lambda row: True, disablings)
+
+
+def _runs(dialect: Dialect) -> Iterator[Case]:
+    for run, _ in _every(dialect):
+        if declared.of(run).kind is MotionKind.RUN:
+            yield Case(dialect, run, facts=_facts(dialect))
+
+
+@_of_stops(each=_runs, name="{command}/ended-by-others", refuted_by="a shaft that goes on, or stops by another ramp")
+def _ended_by_others(probe: Probe, command: Command) -> None:
+    """The stop of each move ends {command}, too."""
+    _expect_stopped(probe, command, lambda row: True, strangers)
 
 
 def _counts_pulses(dialect: Dialect) -> Iterator[Case]:

@@ -18,6 +18,7 @@ from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by, that_tell_their_end
+from conformance.claims.motion.refusals import expect_refused
 from conformance.model import covering
 from conformance.motion import arriving, declared, motion
 from conformance.motion.attempts import undamaged
@@ -385,6 +386,22 @@ def _disabled(probe: Probe, command: Command) -> None:
     text = "homing is not refused while the motor is disabled"
     got = answer.data.hex(" ").upper()
     probe.expect(got, holds=probe.refused(exchange), expected="a refusal", refutes=text, exchange=exchange)
+
+
+@_of_homing(
+    "a motion, or an answer that says success",
+    each=lambda dialect: _homings(dialect) if Verb.ENABLE in dialect.by_verb else (),
+    name="{command}/off",
+    emulated=False,
+    risks=risks_by(Verb.ENABLE),
+    settings=(),
+    at_best=Certainty.OPEN,
+)
+def _off(probe: Probe, command: Command) -> None:
+    """Homing as the drive is set turns nothing while the motor is disabled, and is refused."""
+    motion.ready_to_move(probe)
+    motion.switch(probe, False)
+    expect_refused(probe, command, "while disabled", lambda: motion.switch(probe, True))
 
 
 def _statuses(probe: Probe, since: int, command: Command) -> list[int]:

@@ -67,7 +67,8 @@ def _switch_on(probe: Probe) -> None:
         probe.do(Verb.ENABLE, {"enabled": 1})
 
 
-def _is_protected(probe: Probe) -> int:
+def is_protected(probe: Probe) -> int:
+    """Return what 3E reads."""
     return probe.read(Verb.READ_PROTECTION, "status")
 
 
@@ -76,12 +77,12 @@ def protect(probe: Probe) -> None:
     _prepare(probe, 1)
     _held_move(probe)
     bench.hold(probe, False)
-    if not _is_protected(probe):
+    if not is_protected(probe):
         raise Inconclusive("the drive does not protect itself from a held shaft")
 
 
 def _expect(probe: Probe, exchange: Exchange, wanted: int, text: str) -> None:
-    probe.expect(_is_protected(probe), equal=wanted, refutes=text, exchange=exchange)
+    probe.expect(is_protected(probe), equal=wanted, refutes=text, exchange=exchange)
 
 
 def _expect_let_go(probe: Probe, exchange: Exchange) -> None:
@@ -210,7 +211,7 @@ def _held(probe: Probe, command: Command) -> None:
     """A move that a held shaft ends is not told as complete."""
     _prepare(probe, 1)
     exchange = _held_move(probe)
-    if not _is_protected(probe):
+    if not is_protected(probe):
         raise Inconclusive("the drive does not protect itself from a held shaft")
     statuses = arriving.statuses(probe.traffic, command)
     text = "a move that a held shaft ended is told as complete"
@@ -275,17 +276,21 @@ _MOVING = (
 )
 
 
-def _current(probe: Probe, on: bool) -> Exchange:
-    command = probe.command(Verb.SET_CURRENT)
-    default = command.request_forms[0].layout.named["current"].default
-    return probe.do(command, {"current": (default or _WEAK) if on else 0})
+def current(probe: Probe, on: bool) -> dict[str, int]:
+    """Return the default current of the motor, or none, as sent."""
+    default = declared.field_of(probe.command(Verb.SET_CURRENT), "current").default
+    return {"current": int(default or _WEAK) if on else 0}
+
+
+def _give_current(probe: Probe, on: bool) -> Exchange:
+    return probe.do(Verb.SET_CURRENT, current(probe, on))
 
 
 #: How fast a motor without current is asked to turn; how long the drive has to see that the shaft lags.
 _LIMP_RPM, _LAGS_NS = 240, 500 * MS
 
 
-def _limp_move(
+def limp_move(
     probe: Probe, degrees: float, watch_ns: int = _LAGS_NS, move: Verb | Command = Verb.MOVE_RELATIVE_AXIS
 ) -> tuple[Exchange, float]:
     """Ask a motor without current for a move; return by how many degrees it went all the same.
@@ -293,21 +298,21 @@ def _limp_move(
     `watch_ns`: how long the drive has, behind the time of the move, to see that the shaft lags.
     """
     before = motion.position(probe)
-    _current(probe, False)
+    _give_current(probe, False)
     exchange = motion.begin(probe, probe.command(move), degrees, rpm=_LIMP_RPM, acceleration=QUICK)
     probe.wait(int(ramp.move_ns(degrees / 360, _LIMP_RPM, QUICK)) + watch_ns)
     return exchange, motion.position(probe).value - before.value
 
 
-def _end_limp(probe: Probe) -> None:
+def end_limp(probe: Probe) -> None:
     """Drop what the motor still wants, and give it current again."""
     probe.ask(Verb.ENABLE, {"enabled": 0})
-    _current(probe, True)
+    _give_current(probe, True)
 
 
 def _expect_free(probe: Probe, exchange: Exchange, went: float) -> None:
     """Refute a drive that refuses motion as a protected one does, and says that it is none. Raises Inconclusive otherwise."""
-    _end_limp(probe)
+    end_limp(probe)
     probe.do(Verb.ENABLE, {"enabled": 1})
     refused = motion.refused(probe, motion.ask(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), 90, acceleration=QUICK))
     motion.stand_still(probe)
@@ -319,7 +324,7 @@ def _expect_free(probe: Probe, exchange: Exchange, went: float) -> None:
 def _expect_left(probe: Probe, exchange: Exchange) -> None:
     """Give a motor current again that is told as protected; refute where that turns the shaft: it was to be let go."""
     before = motion.position(probe)
-    _current(probe, True)
+    _give_current(probe, True)
     probe.wait(_LEAPS_NS)
     text = "a motor that is told as protected turns the shaft when it gets current again"
     expect_stays(before, motion.position(probe), exchange, text, _MISSING)
@@ -333,8 +338,8 @@ def _limp(probe: Probe, command: Command) -> None:
     """
     _prepare(probe, 1)
     _expect(probe, probe.traffic[-1], 0, "3E reads protected before the motor was to turn")
-    exchange, went = _limp_move(probe, _TURNS * 360)
-    if not _is_protected(probe):
+    exchange, went = limp_move(probe, _TURNS * 360)
+    if not is_protected(probe):
         _expect_free(probe, exchange, went)
     _expect_left(probe, exchange)
     for each in probe.dialect.motions(*RUNS_AND_MOVES):
@@ -362,9 +367,9 @@ def _off_again(probe: Probe) -> None:
     """With the protection on and off again a motor without current is not protected: 3E reads 0."""
     for protection in (1, 0):
         _prepare(probe, protection)
-    exchange, _ = _limp_move(probe, _TURNS * 360)
-    protected = _is_protected(probe)
-    _end_limp(probe)
+    exchange, _ = limp_move(probe, _TURNS * 360)
+    protected = is_protected(probe)
+    end_limp(probe)
     probe.do(Verb.ENABLE, {"enabled": 1})
     text = "a protection that was switched on and off again acts on"
     probe.expect(protected, equal=0, refutes=text, exchange=exchange)
@@ -381,20 +386,24 @@ def _limp_either_way(probe: Probe) -> None:
         if move is None:
             motion.run_at(probe, way * _LIMP_RPM, QUICK)
             probe.wait(300 * MS)
-            exchange, went = _current(probe, False), 0.0
+            text = "a motor that was given its current again does not turn"
+            turning = abs(motion.speed(probe).value)
+            probe.expect(turning, at_least=_LIMP_RPM / 2, unit="rpm", refutes=text, exchange=probe.traffic[-1])
+            exchange, went = _give_current(probe, False), 0.0
             # The shaft that runs out lags behind by two turns.
             probe.wait(1500 * MS)
         else:
-            exchange, went = _limp_move(probe, way * _TURNS * 360, move=move)
-        protected = _is_protected(probe)
+            exchange, went = limp_move(probe, way * _TURNS * 360, move=move)
+        protected = is_protected(probe)
         if not protected and not number:
             _expect_free(probe, exchange, went)
         if protected and (move is None or not number):
             _expect_left(probe, exchange)
-        _end_limp(probe)
-        probe.do(Verb.RELEASE_PROTECTION)
+        end_limp(probe)
+        released = probe.do(Verb.RELEASE_PROTECTION)
         text = f"a motor without current is not protected in {move.name if move else 'a run'}"
         probe.expect(protected, equal=1, refutes=text, exchange=exchange)
+        _expect(probe, released, 0, "3E reads protected after 3D")
         probe.do(Verb.ENABLE, {"enabled": 1})
 
 
@@ -409,11 +418,11 @@ def _limp_angle(probe: Probe, command: Command) -> None:
     for number, (sent, degrees, wanted) in enumerate(_LAGS):
         _prepare(probe, 1)
         probe.do(command, {"stall_tolerance": sent})
-        exchange, went = _limp_move(probe, degrees)
-        protected = _is_protected(probe)
+        exchange, went = limp_move(probe, degrees)
+        protected = is_protected(probe)
         if not protected and not number:
             _expect_free(probe, exchange, went)
-        _end_limp(probe)
+        end_limp(probe)
         probe.do(Verb.RELEASE_PROTECTION)
         probe.do(Verb.ENABLE, {"enabled": 1})
         text = f"with a tolerance of {sent * 1.8:g} degrees a motor without current lags behind by {abs(degrees)}"
@@ -424,9 +433,9 @@ def _limp_angle(probe: Probe, command: Command) -> None:
 def _limp_off(probe: Probe) -> None:
     """With the protection off, a motor without current that is to turn is not protected."""
     _prepare(probe, 0)
-    exchange, _ = _limp_move(probe, _TURNS * 360)
-    protected = _is_protected(probe)
-    _end_limp(probe)
+    exchange, _ = limp_move(probe, _TURNS * 360)
+    protected = is_protected(probe)
+    end_limp(probe)
     text = "3E reads protected although the protection is off"
     probe.expect(protected, equal=0, refutes=text, exchange=exchange)
 
@@ -443,9 +452,9 @@ def _limp_error(probe: Probe, command: Command) -> None:
     for degrees in (90.0, -45.0, 540.0):
         _prepare(probe, 0)
         # The move would be over, and nothing is to protect the motor.
-        exchange, went = _limp_move(probe, degrees, 100 * MS)
+        exchange, went = limp_move(probe, degrees, 100 * MS)
         error = float(field.physical(probe.read(command, "angle_error")))
-        _end_limp(probe)
+        end_limp(probe)
         text = "the angle error of a motor without current is not what is missing of its move"
         probe.expect(error, near=degrees - went, within=_MISSING, unit="degrees", refutes=text, exchange=exchange)
 

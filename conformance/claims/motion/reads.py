@@ -419,8 +419,7 @@ def _shows_enable_pin(probe: Probe, command: Command) -> None:
 def _is_enable_pin(probe: Probe, command: Command) -> None:
     """In a pulse mode in_2 of a 42E is the level at which the motor is enabled."""
     _not_remapped(probe)
-    names = declared.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
-    motion.set_mode(probe, next(name for name in names if name not in declared.bus_modes(probe.dialect)))
+    motion.set_mode(probe, declared.pulse_modes(probe.dialect)[0])
     for level in (0, 1):
         exchange = probe.do(Verb.SET_ENABLE_LEVEL, {"enable_level": level})
         enabled = probe.read(Verb.READ_ENABLED)

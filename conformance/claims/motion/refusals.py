@@ -175,9 +175,7 @@ def _risks_of_request(case: Case) -> frozenset[Risk]:
 )
 def _in_pulse_modes(probe: Probe, command: Command) -> None:
     """{command} is refused in the work modes in which pulses move the motor."""
-    modes = declared.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
-    by_pulses = [mode for mode in modes if mode not in declared.bus_modes(probe.dialect)]
-    for number, mode in enumerate(by_pulses):
+    for number, mode in enumerate(declared.pulse_modes(probe.dialect)):
         motion.set_mode(probe, mode)
         expect_refused(probe, command, f"in mode {mode}", ways=((-1) ** number,))
 

@@ -69,6 +69,17 @@ def expect_standing(probe: Probe, exchange: Exchange, refutes: str) -> None:
     _expect_stood(probe, seen, moved, exchange, refutes)
 
 
+def expect_ended(probe: Probe, ended: Exchange, refutes: str, limit_ns: int) -> Sample:
+    """Refute a shaft that goes on behind what was to end its motion; return where it rests. It has so long for that."""
+    try:
+        return motion.wait_standing(probe, limit_ns=limit_ns)
+    except Inconclusive:
+        left = abs(motion.speed(probe).value)
+        motion.stand_still(probe)
+        probe.expect(left, at_most=CALM / 4, unit="rpm", refutes=refutes, exchange=ended)
+        raise
+
+
 def _stands(probe: Probe, seen: Sample, moved: float) -> bool:
     return abs(seen.value) < 1 + seen.noise and abs(moved) <= motion.miss(probe)
 

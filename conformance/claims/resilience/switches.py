@@ -111,7 +111,9 @@ _DEEDS = (
 #: What is written to the ports cannot be read, and so not be put back: it runs where it is told what to put back.
 _PORTS = (
     _Deed("write_io", _ports(0, 1), _reads_ports(0, 1)),
-    _Deed("write_io", _ports(1, 0), _reads_ports(1, 0)),
+    # A mask of 2 keeps what the other field would change.
+    _Deed("write_io", {"alm_mask": 1, "pend_mask": 2, "alm": 1, "pend": 0}, _reads_ports(1, 1)),
+    _Deed("write_io", {"alm_mask": 2, "pend_mask": 1, "alm": 0, "pend": 0}, _reads_ports(1, 0)),
     _Deed("write_io", {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0}, lambda probe, exchange, when: None),
 )
 

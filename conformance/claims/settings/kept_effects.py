@@ -114,8 +114,7 @@ def _at_a_wall(probe: Probe) -> int:
 
 def _held_by_setting(probe: Probe) -> int:
     """Return whether the motor is enabled in a pulse mode with the En pin at its upper level."""
-    modes = declared.field_of(probe.command(Verb.SET_WORK_MODE), "work_mode").choice_names.values()
-    motion.set_mode(probe, next(mode for mode in modes if mode not in declared.bus_modes(probe.dialect)))
+    motion.set_mode(probe, declared.pulse_modes(probe.dialect)[0])
     bench.enable_pin(probe, 1)
     seen = probe.read(Verb.READ_ENABLED)
     bench.enable_pin(probe, 0)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from math import copysign
 
 from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Risk, Verb
-from conformance.claim import Refuted
+from conformance.claim import Inconclusive, Refuted
 from conformance.claims.declare import Case
 from conformance.claims.settings.read_back import of_read_back
 from conformance.motion import declared, motion
@@ -36,8 +36,8 @@ _KEEP, _FORGET = {"save_state": 0xC8}, {"save_state": 0xCA}
 #: How long a run is given to end where it should not, to show its way on a long ramp, and what is damaged to be answered.
 _GOES_ON_NS, _SHOWS_NS = 60 * MS, 150 * MS
 _DAMAGED_NS = 60 * MS
-#: How long a drive is given to begin a run that it should not, behind a setting that makes it start.
-_BEGINS_NS = 300 * MS
+#: How long a drive is given to begin a kept run, and its shaft to stand behind what ends it: without torque it runs out.
+_BEGINS_NS, _ENDS_NS = 300 * MS, 4_000 * MS
 
 
 def _saved_runs(dialect: Dialect) -> Iterator[Case]:
@@ -54,6 +54,8 @@ def _saved_runs(dialect: Dialect) -> Iterator[Case]:
 
 def _turning(probe: Probe, rpm: int, mode: str = "") -> float:
     motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
+    # An older run is not the one that is kept.
+    motion.run_at(probe, -rpm)
     motion.run_at(probe, rpm)
     probe.wait(200 * MS)
     return motion.speed(probe).value
@@ -114,7 +116,7 @@ def _saved_as_set(dialect: Dialect) -> Iterator[Case]:
 
 @of_read_back(each=_saved_as_set, name="{command}/as-it-was", refuted_by="another run, or none", rests_on=(Doubt.VALUES,))
 def _saved_as_it_was(probe: Probe, command: Command) -> None:
-    """In an open mode, at 8 subdivisions, a kept run has its speed, its way and its ramp after each of two restarts."""
+    """In an open mode, at 8 subdivisions, a kept run is as it was after each of two restarts, and disabling ends it."""
     need_axis_lock(probe)
     motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[0], subdivision=8)
     probe.do(Verb.SET_DIRECTION, {"motor_direction": 1})
@@ -139,15 +141,29 @@ def _saved_as_it_was(probe: Probe, command: Command) -> None:
         except Refuted:
             _forget(probe, command)
             raise
+    _expect_ended(probe, command, motion.switch(probe, False))
+    motion.switch(probe, True)
     _forget(probe, command)
+
+
+def _expect_ended(probe: Probe, command: Command, ended: Exchange) -> None:
+    """Refute a kept run that goes on behind what was to end it; it is forgotten then."""
+    assert ended.command is not None  # it was asked for
+    try:
+        motion.wait_standing(probe, limit_ns=_ENDS_NS)
+    except Inconclusive:
+        turning = motion.speed(probe)
+        _forget(probe, command)
+        text = f"{ended.command.name} does not end a kept run that began again"
+        probe.expect(turning.value, near=0, within=_RPM / 2, unit="rpm", refutes=text, exchange=ended)
+        raise
 
 
 def _made_ready(probe: Probe) -> Iterator[tuple[str, Exchange]]:
     """Make the motor ready in each way that is not a begin of the drive; yield each in words, and what was sent."""
     modes, buses = probe.command(Verb.SET_WORK_MODE), declared.bus_modes(probe.dialect)
-    of_pulses = next(m for m in declared.field_of(modes, "work_mode").choice_names.values() if m not in buses)
     for mode in (buses[0], buses[-1]):
-        motion.set_mode(probe, of_pulses)
+        motion.set_mode(probe, declared.pulse_modes(probe.dialect)[0])
         yield "a mode of pulses is left", probe.do(modes, {"work_mode": declared.choice(modes, "work_mode", mode)})
     yield "another mode is set", probe.do(modes, {"work_mode": declared.choice(modes, "work_mode", buses[0])})
     motion.switch(probe, False)
@@ -187,10 +203,13 @@ def _clean(probe: Probe, command: Command) -> None:
 
 @of_read_back(each=_saved_runs, name="{command}/clean-at-rest", refuted_by="a shaft that turns", rests_on=(Doubt.VALUES,))
 def _clean_at_rest(probe: Probe, command: Command) -> None:
-    """A run that was forgotten when the shaft stood does not begin after a restart."""
+    """A run that began again ends by the emergency stop; forgotten then, at rest, it does not begin after another restart."""
     _turning(probe, -_RPM)
     probe.do(command, _KEEP)
     motion.stand_still(probe)
+    restart(probe)
+    probe.wait(_BEGINS_NS)
+    _expect_ended(probe, command, probe.ask(Verb.EMERGENCY_STOP))
     probe.do(command, _FORGET)
     _expect_forgotten(probe, command)
 

@@ -313,10 +313,8 @@ def _locked(probe: Probe, command: Command, value: int) -> None:
     probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text)
     bench.expect_hold(probe, bool(value), f"with axis_lock {value} at power-on")
     modes = probe.command(Verb.SET_WORK_MODE)
-    buses = declared.bus_modes(probe.dialect)
-    by_pulses = next(m for m in declared.field_of(modes, "work_mode").choice_names.values() if m not in buses)
-    for mode in buses:
-        motion.set_mode(probe, by_pulses)
+    for mode in declared.bus_modes(probe.dialect):
+        motion.set_mode(probe, declared.pulse_modes(probe.dialect)[0])
         exchange = probe.do(modes, {"work_mode": declared.choice(modes, "work_mode", mode)})
         probe.wait(_START_NS)
         text = f"with axis_lock {value} the motor is in the other state when {mode} is set"

@@ -121,6 +121,8 @@ def _all_kept(probe: Probe, chosen: list[Setting], way: _Way) -> None:
     for each in sorted(chosen, key=lambda each: each.command.verb is Verb.SET_WORK_MODE):
         values = each.other(each.read(probe)) if isinstance(each, ReadableSetting) else each.values[0]
         exchange = way.send(probe, each.command, values)
+        if way.send is not _to_itself:
+            expect_silence(probe, exchange, f"{each.name}, sent {way.how}, is answered")
         held[each.name] = values
     restart(probe)
     for each in chosen:

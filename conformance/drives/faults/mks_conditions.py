@@ -16,7 +16,7 @@ from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned, when_home, with_state, wrapped
-from conformance.drives.faults.mks_frames import own
+from conformance.drives.faults.mks_frames import own, slots
 from conformance.drives.faults.places import (
     CAN,
     CAN_LONGEST,
@@ -267,14 +267,14 @@ def _deaf_after_refusal(drive: MksCore) -> None:
     drive.hooks.accept.append(accept)
 
 
-def _lost_if_sent(to: Callable[[Drive, Message], bool]) -> Change:
-    """Lose settings by a restart that were sent so, and keep others."""
+def _lost_if_sent(to: Callable[[Drive, Message], bool], only: str = "") -> Change:
+    """Lose settings by a restart that were sent so, and keep others. `only`: but one."""
 
     def change(drive: MksCore) -> None:
         sent = _newest_is(drive, to)
 
         def store(_: Drive, name: str, value: int) -> tuple[str, int]:
-            (drive.forgetful.add if sent() else drive.forgetful.discard)(name)
+            (drive.forgetful.add if sent() and only in ("", name) else drive.forgetful.discard)(name)
             return name, value
 
         drive.hooks.stored.append(store)
@@ -284,6 +284,65 @@ def _lost_if_sent(to: Callable[[Drive, Message], bool]) -> Change:
 
 def _to_group(of: Of, change: Callable[[Values], Values]) -> Change:
     return Change(_asked_to(_is_for_group, of, change).install, having(Verb.SET_GROUP_ADDRESS))
+
+
+def _in_a_package(drive: Drive, message: Message) -> bool:
+    return message.command is not None and message.command.slots is not None
+
+
+def _made_ready_by(
+    to: Callable[[Drive, Message], bool], of: Of, ready: Callable[[MksCore], object]
+) -> Callable[[MksCore], None]:
+    """Make the drive ready for what is sent so, whatever speaks against it."""
+    verbs = {of} if isinstance(of, Verb) else of
+
+    def install(drive: MksCore) -> None:
+        so, behave = _newest_is(drive, to), drive.behave
+
+        def obey(request: Request) -> Values | None:
+            if so() and request.command.verb in verbs:
+                ready(drive)
+            return behave(request)
+
+        drive.behave = obey  # type: ignore[method-assign]
+
+    return install
+
+
+def _switch_on(drive: MksCore) -> None:
+    drive.memory.enabled = True
+    drive.grip()
+
+
+def _unprotect(drive: MksCore) -> None:
+    drive.memory.protected = False
+    drive.grip()
+
+
+def _guards(to: Callable[[Drive, Message], bool]) -> Callable[[MksCore], None]:
+    """Have no protection while a motion is under way that was sent so."""
+
+    def install(drive: MksCore) -> None:
+        so = _newest_is(drive, to)
+
+        def note(_: Drive, command: Command, values: Values) -> Values:
+            if command.verb in MOTIONS:
+                (drive.heedless.add if so() else drive.heedless.discard)("protection")
+            return values
+
+        drive.hooks.request.append(note)
+
+    return install
+
+
+def _answers_enabling_in_slots(drive: MksCore) -> None:
+    so, obey = _newest_is(drive, _in_a_package), drive.obey
+
+    def aloud(request: Request) -> None:
+        request.answered |= so() and request.command.verb is Verb.ENABLE
+        obey(request)
+
+    drive.obey = aloud  # type: ignore[method-assign]
 
 
 def _heard_by_group(bit: int) -> Change:
@@ -344,6 +403,30 @@ HEARING: Rows = {
             "FE to all drives has no ramp",
             _asked_to(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, lambda values: values | {"acceleration": 0}),
         ),
+        Row(
+            "broadcast-one-way",
+            "F6 to all drives turns the shaft one way alone",
+            _asked_to(_is_for_all, Verb.RUN_SPEED, lambda values: values | {"direction": 0}),
+        ),
+        Row(
+            "off-obeys-all",
+            "F4 to all drives is executed by a motor that is off",
+            tuned(_made_ready_by(_is_for_all, Verb.MOVE_RELATIVE_AXIS, _switch_on)),
+        ),
+        Row(
+            "protected-obeys-all",
+            "FE to all drives is executed by a motor that is protected",
+            tuned(_made_ready_by(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, _unprotect), having(Verb.RELEASE_PROTECTION)),
+        ),
+        Row("unguarded-by-all", "a motion to all drives is not protected against a locked rotor", tuned(_guards(_is_for_all))),
+        Row(
+            "subdivision-of-all-answered",
+            "84 to all drives is answered",
+            answered(
+                lambda drive, message, wanted: wanted or (_is_for_all(drive, message) and _is(message, Verb.SET_SUBDIVISION))
+            ),
+            SERIAL,
+        ),
         Row("broadcast-unchecked", "motion to all drives is executed with any checksum", _unchecked(MOTIONS, True)),
         Row("stop-unchecked", "F7 is executed with any checksum", _unchecked(Verb.EMERGENCY_STOP)),
     ),
@@ -359,6 +442,24 @@ HEARING: Rows = {
             "group-pulses-byte",
             "FD to the group has the low byte of its pulses",
             _to_group(Verb.MOVE_RELATIVE_PULSES, lambda values: values | {"pulses": values["pulses"] & 0xFF}),
+        ),
+        Row(
+            "group-speed-byte",
+            "F4 to the group has the low byte of its speed",
+            _to_group(Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"speed": values["speed"] & 0xFF}),
+        ),
+        Row(
+            "group-answered-backwards",
+            "FD to the group is answered where it turns the shaft clockwise",
+            answered(
+                lambda drive, message, wanted: (
+                    wanted
+                    or (
+                        _is_for_group(drive, message) and _is(message, Verb.MOVE_RELATIVE_PULSES) and _backwards(message.values)
+                    )
+                )
+            ),
+            TELLING,
         ),
         Row("hears-bad-group-bit-7", "a group address whose highest bit in a byte differs is obeyed", _heard_by_group(7)),
         Row("hears-bad-group-bit-4", "a group address that differs by 10h is obeyed", _heard_by_group(4)),
@@ -1136,6 +1237,13 @@ DOING: Rows = {
         Row("home-over-motion-refused", "91 is refused while the shaft turns", refused_when(_turns, Verb.HOME)),
         Row("fast-stop-ignored", "stops are ignored above 1000 rpm", undone_when(_faster(_VERY_FAST), _ENDS)),
         Row("fast-at-once-by-ramp", "stops with acceleration 0 are slow above 1000 rpm", request(_slow_when_fast, STOPS)),
+        Row(
+            "run-unstopped-by-fd",
+            "the stop of FD does not end a run of F6 that turns clockwise",
+            undone_when(
+                lambda drive: drive.memory.run is not None and drive.motor.speed(drive.now_ns) < 0, Verb.STOP_RELATIVE_PULSES
+            ),
+        ),
         Row("rising-stop-ignored", "stops are ignored while the shaft speeds up", undone_when(_rises, _ENDS)),
         Row(
             "falling-emergency-ignored", "F7 does nothing while the shaft slows down", undone_when(_falls, Verb.EMERGENCY_STOP)
@@ -1229,11 +1337,21 @@ DOING: Rows = {
             "a restart loses what the group was set to",
             Change(_lost_if_sent(_is_for_group).install, having(Verb.SET_GROUP_ADDRESS)),
         ),
+        Row("package-settings-lost", "a restart loses what was set in a package", _lost_if_sent(_in_a_package), NATIVE),
         Row(
-            "package-settings-lost",
-            "a restart loses what was set in a package",
-            _lost_if_sent(lambda drive, message: message.command is not None and message.command.slots is not None),
-            NATIVE,
+            "turning-deaf-to-all-off",
+            "F3 to all drives is not heard while a run turns the shaft",
+            taken(
+                lambda drive, frame, message, wanted: (
+                    wanted
+                    and not (_is(message, Verb.ENABLE) and _is_for_all(drive, message) and mks(drive).memory.run is not None)
+                )
+            ),
+        ),
+        Row(
+            "tolerance-of-all-lost",
+            "a stall tolerance that was set by a broadcast is lost by a restart",
+            Change(_lost_if_sent(_is_for_all, "stall_tolerance").install, CAN),
         ),
         Row(
             "homing-deaf-to-stops-of-all",
@@ -1319,6 +1437,25 @@ DOING: Rows = {
             "package-fourth-slot-enables",
             "F3 in the fourth slot of a package always enables",
             _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE, (4,)),
+        ),
+        Row("package-enabling-answered", "F3 in a package is answered", tuned(_answers_enabling_in_slots), NATIVE),
+        Row(
+            "package-last-slot-unstopped",
+            "F7 in the last slot of a package is not executed",
+            slots(
+                lambda own, every, wanted: [
+                    s
+                    for s in wanted
+                    if not (s is every[-1] and len(every) > 1 and s.command and s.command.verb is Verb.EMERGENCY_STOP)
+                ]
+            ),
+        ),
+        Row(
+            "pulse-mode-obeys-package",
+            "motion in a package is executed in a pulse mode",
+            Change(
+                tuned(_made_ready_by(_in_a_package, MOTIONS, lambda drive: drive.heedless.add("work_mode"))).install, NATIVE
+            ),
         ),
         Row(
             "package-fourth-slot-unsigned",

@@ -6,12 +6,13 @@ Also those that need a value that few send: a step of a few units, a frame in th
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from functools import partial
 
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
 from analyzer.decoder import Slot
-from analyzer.protocols import mks_rs485, mks_shared
+from analyzer.protocols import mks_can, mks_rs485, mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Request, Values
 from conformance.drives.faults import numbers
@@ -19,6 +20,7 @@ from conformance.drives.faults.mks_behaviour import OK, before, homing_by, mks, 
 from conformance.drives.faults.mks_conditions import refused_when, undone_when
 from conformance.drives.faults.mks_frames import mine, slots
 from conformance.drives.faults.places import (
+    CAN,
     NATIVE,
     SERIAL,
     TELLING,
@@ -199,6 +201,95 @@ def _begins_kept(ready: Callable[[Request], bool]) -> Callable[[Behaviour], Beha
         return act
 
     return wrap
+
+
+def _kept_goes_on(drive: MksCore, of: Verb) -> None:
+    """Let the emergency stop, or disabling, end no run that began by itself."""
+    begun, power_on, end = False, drive.power_on, drive.behaviours[of]
+
+    def start(_: MksCore) -> None:
+        nonlocal begun
+        power_on(drive)
+        begun = drive.memory.run is not None
+
+    def note(_: Drive, command: Command, values: Values) -> Values:
+        nonlocal begun
+        begun = begun and command.verb not in MOTIONS
+        return values
+
+    drive.power_on = start
+    drive.hooks.request.append(note)
+    drive.behaviours[of] = lambda _, request: (
+        dict(OK) if begun and drive.memory.run and not request.values.get("enabled") else end(drive, request)
+    )
+
+
+def _saves_older(drive: MksCore) -> None:
+    """Keep the run before the one that turns the shaft."""
+    runs: list[tuple[int, int, int] | None] = []
+    run, save = drive.behaviours[Verb.RUN_SPEED], drive.behaviours[Verb.SAVE_SPEED]
+
+    def begin(_: MksCore, request: Request) -> Values | None:
+        runs.append(drive.memory.run)
+        return run(drive, request)
+
+    def keep(_: MksCore, request: Request) -> Values | None:
+        newest = drive.memory.run
+        older = runs[-1] if runs else None
+        drive.memory.run = (older or newest) if newest else None
+        found = save(drive, request)
+        drive.memory.run = newest
+        return found
+
+    drive.behaviours |= {Verb.RUN_SPEED: begin, Verb.SAVE_SPEED: keep}
+
+
+def _forgets_newest(drive: MksCore) -> None:
+    """Forget a run alone that was kept since the drive began."""
+    save = drive.behaviours[Verb.SAVE_SPEED]
+    memory = None
+
+    def act(_: MksCore, request: Request) -> Values | None:
+        nonlocal memory
+        if request.values["save_state"] == mks_shared.SaveState.SAVE:
+            memory = drive.memory
+        elif memory is not drive.memory:
+            return dict(OK)
+        return save(drive, request)
+
+    drive.behaviours[Verb.SAVE_SPEED] = act
+
+
+def _released_once(drive: MksCore) -> None:
+    """Release one protection alone until a restart."""
+    release, memory = drive.behaviours[Verb.RELEASE_PROTECTION], None
+
+    def act(_: MksCore, request: Request) -> Values | None:
+        nonlocal memory
+        if memory is drive.memory:
+            return dict(OK)
+        memory = drive.memory if drive.memory.protected else memory
+        return release(drive, request)
+
+    drive.behaviours[Verb.RELEASE_PROTECTION] = act
+
+
+def _current_not_put_back(drive: MksCore) -> None:
+    """Store no current that is the one before the last."""
+    sent: list[int] = []
+
+    def store(_: Drive, name: str, value: int) -> tuple[str, int] | None:
+        if name != "current":
+            return name, value
+        sent.append(value)
+        return None if len(sent) > 2 and sent[-3] == value != sent[-2] else (name, value)
+
+    drive.hooks.stored.append(store)
+
+
+def _alm_beside_pend(drive: Drive, command: Command, values: Values) -> Values:
+    """Write ALM with PEND, whatever its mask says."""
+    return values | {"alm_mask": 1} if values["pend_mask"] == 1 and values["alm_mask"] == mks_can.PortMask.KEEP else values
 
 
 def _move_told_turned(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
@@ -605,6 +696,30 @@ SEQUENCES: Rows = {
             "3D enables a motor that is off and was not protected",
             before(Verb.RELEASE_PROTECTION, _released_enabled),
         ),
+        *(
+            Row(name, f"{code} does not end a run that began at power-on", tuned(partial(_kept_goes_on, of=of), having(of)))
+            for name, code, of in (
+                ("kept-run-unstopped", "F7", Verb.EMERGENCY_STOP),
+                ("kept-run-not-disabled", "F3", Verb.ENABLE),
+            )
+        ),
+        Row("saves-older-run", "FF keeps the run before the newest one", tuned(_saves_older, having(Verb.SAVE_SPEED))),
+        Row(
+            "forgets-newest-run",
+            "FF CA forgets a run alone that was kept since power-on",
+            tuned(_forgets_newest, having(Verb.SAVE_SPEED)),
+        ),
+        Row(
+            "released-once",
+            "3D releases the protection once until a restart",
+            tuned(_released_once, having(Verb.RELEASE_PROTECTION)),
+        ),
+        Row(
+            "current-not-put-back",
+            "83 does not set a current back to the one before",
+            tuned(_current_not_put_back, having(Verb.SET_CURRENT)),
+        ),
+        Row("alm-beside-pend", "a write of PEND writes ALM with mask 2, too", request(_alm_beside_pend, Verb.WRITE_IO), CAN),
         Row(
             "save-speed-begun-by-mode",
             "the kept run begins when 82 sets a mode by the bus",
