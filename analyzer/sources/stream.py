@@ -48,8 +48,8 @@ Report = Callable[[str], None]
 class Stream:
     """The unpacked bytes of a file or a pipe, in order, once.
 
-    `report` is told what is wrong with the compressed data. `size`: bytes of the file, None for a pipe. `compression`:
-    "gzip", "zstd" or "".
+    `report` is told what is wrong with the compressed data, and of a file that is cut while it is read. `size`: bytes of
+    the file, None for a pipe. `compression`: "gzip", "zstd" or "".
     """
 
     def __init__(self, path: str, report: Report) -> None:
@@ -143,6 +143,9 @@ class Stream:
         self.position += len(data)
         self.budget.read += len(data)
         self._ended = not data
+        if self._ended and self.size is not None and self.position < self.size:
+            self._skipped = True
+            self._report(f"the file ends at byte {self.position} of {self.size}: it was cut while it was read")
         return data
 
     def _start(self) -> Iterator[bytes]:

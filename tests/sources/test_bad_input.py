@@ -136,6 +136,18 @@ def test_a_medium_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         list(source)
 
 
+def test_a_file_that_is_cut_while_it_is_read(tmp_path: Path) -> None:
+    path, line = tmp_path / "cut.log", b"FA 01 F6\n"
+    path.write_bytes(line * 20_000)
+    with open_source(path) as source:
+        for number, _ in enumerate(source):
+            if not number:
+                os.truncate(path, 90_000)
+    assert number + 1 == 10_000
+    assert "the file ends at byte 90000 of 180000: it was cut while it was read" in source.notes[-1]
+    assert source.sha256 is None
+
+
 @pytest.mark.parametrize(
     ("given", "hint"), [("candmp", "candump"), ("pcap-ng", "pcapng"), ("CANDUMP", "candump"), ("hexx", "hex")]
 )
