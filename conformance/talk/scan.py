@@ -336,7 +336,7 @@ class Finder:
         """Ask for a drive; return it, if one answered, and the exchange. Raises LineLost."""
         command = search_read(dialect, address, self.dialogue.gate)
         exchange = self._ask(dialect, command, address)
-        answers = [a for a in exchange.answers if _is_of(a, dialect)]
+        answers = [a for a in exchange.answers if _is_of(a, dialect) and (a.paired or _may_answer(a, command, address))]
         # A late answer of a drive that was asked before is not this one's, as long as there is another.
         answer = next((a for a in answers if exchange.owns(a) or not a.paired), next(iter(answers), None))
         return None if answer is None else self._found(answer, dialect, address, command), exchange
@@ -389,6 +389,16 @@ def _is_of(answer: Answer, dialect: Dialect) -> bool:
     if message.frame.dialect.name != dialect.name or message.role is not Role.REPLY:
         return False
     return message.frame.checksum_ok or message.form is not None
+
+
+def _may_answer(answer: Answer, asked: Command, address: int) -> bool:
+    """Say whether a reply may be to what was asked: by its address, or by its command and a fitting checksum.
+
+    On a CAN bus any node sends, and what it sends may look like some reply with a wrong checksum.
+    """
+    if answer.message.address == address:
+        return True
+    return answer.message.frame.checksum_ok and answer.command is not None and answer.command.name == asked.name
 
 
 def _stray_kind(exchange: Exchange, dialect: Dialect | None, address: int | None) -> StrayKind:

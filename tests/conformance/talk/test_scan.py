@@ -177,6 +177,24 @@ def test_a_bus_in_use_is_left_alone():
     assert heard(request, reply, busy=True).asked == 3
 
 
+def test_what_other_nodes_say_on_can_is_no_drive(monkeypatch: pytest.MonkeyPatch):
+    """By chance one frame of theirs fits as a reply does, and from then on the node passes for a drive."""
+    bus = gate("mks-can@3", speed=None)
+    said = [bytes.fromhex(text) for text in ("F6 01 2C", "FC CF 17 D7 D4 D0 78 45", "32 01 02 03", "31 01 02 03 04 05 06 07")]
+    receive, write, waiting = bus.line.receive, bus.line.write, list[bytes]()
+
+    def written(item: bytes | CanFrame) -> int:
+        waiting.append(said[bus.sent % len(said)])
+        return write(item)
+
+    def received(timeout_ns: int) -> Chunk | CanFrame | None:
+        return CanFrame(bus.line.now_ns(), "emulated", 0x235, waiting.pop()) if waiting else receive(timeout_ns)
+
+    monkeypatch.setattr(bus.line, "write", written)
+    monkeypatch.setattr(bus.line, "receive", received)
+    assert [found.name for found in scan(bus, [CAN], addresses=range(1, 9), busy=True).found] == ["mks-can@3"]
+
+
 def test_a_low_line_and_noise_are_told_apart():
     low = heard(bytes(20))
     assert low.strays[0].kind is StrayKind.LOW
