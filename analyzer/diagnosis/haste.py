@@ -51,11 +51,10 @@ def _one_of_row(scene: Scene) -> Iterator[Suspicion]:
             sooner &= scene.timed and all(other.t_ns - one.t_ns < quickest for one, other in pairwise(asked))
     failing = [piece for _, left in hasty for piece in left]
     if waited and not scene.timed:
-        # Each drive may have had its time: what is answered elsewhere was asked too soon here.
+        # Each drive may have had its time: a read of one that answers elsewhere came too soon; a motion may be silent by a
+        # setting.
         drives = {address for address, _ in answered}
-        failing = [
-            p for p in failing if _asked_for(p.message) in answered or (_asked_for(p.message)[0] in drives and _reads(p))
-        ]
+        failing = [piece for piece in failing if _asked_for(piece.message)[0] in drives and _reads(piece)]
         answered |= {_asked_for(piece.message) for piece in failing}
     if not (alone := any(_asked_for(p.message) in answered for p in failing)):
         # What no drive ever answers may be silent by its setting, but for reads.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import permutations
 from typing import NamedTuple
 
@@ -35,7 +35,8 @@ def meeting(scene: Scene, stretch: Stretch) -> Meeting | None:
     """Return the two awaited reports that meet in damaged bytes."""
     pairs = list(permutations(list(_awaited(scene, stretch.offset))[-_MOST:], 2))
     for one, other in pairs:
-        if stretch.data in _heard(one, other):
+        begins = stretch.data[0] == one[0] or stretch.data[0] in overlaid(one[:_EDGE])
+        if begins and len(stretch.data) < len(one) + len(other) and stretch.data in _heard(one, other):
             return Meeting(one, other, True)
     for one, other in pairs:
         size = len(stretch.data)
@@ -43,6 +44,12 @@ def meeting(scene: Scene, stretch: Stretch) -> Meeting | None:
         if overlaps and stretch.data.startswith(one[:_EDGE]) and stretch.data.endswith(other[-_EDGE:]):
             return Meeting(one, other, False)
     return None
+
+
+@cache
+def overlaid(head: bytes) -> bytes:
+    """Return the first bytes that are read of two frames with one head at once, up to a byte apart: a low level wins."""
+    return bytes({data[0] for data in at_once(head, head, CELLS) if data})
 
 
 @lru_cache

@@ -11,14 +11,12 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher
-from functools import cache
 from itertools import takewhile
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.bits import CELLS, at_once
 from analyzer.diagnosis.exchanges import replies_to
-from analyzer.diagnosis.meeting import lacks_end, meeting
+from analyzer.diagnosis.meeting import lacks_end, meeting, overlaid
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link import modbus_crc
 from analyzer.values import counted
@@ -194,13 +192,7 @@ def _head_is_right(spoiled: _Spoiled) -> bool:
     """Say whether a reply begins as it should, or as two do that begin a little apart."""
     assert spoiled.asked is not None  # of one address
     data = spoiled.stretch.data
-    return any(data[:_BEGUN] == reply.head[:_BEGUN] or data[0] in _overlaid(reply.head) for reply in replies_to(spoiled.asked))
-
-
-@cache
-def _overlaid(head: bytes) -> bytes:
-    """Return the first bytes that are read of two frames with one head at once, up to a byte apart: a low level wins."""
-    return bytes({data[0] for data in at_once(head, head, CELLS) if data})
+    return any(data[:_BEGUN] == reply.head[:_BEGUN] or data[0] in overlaid(reply.head) for reply in replies_to(spoiled.asked))
 
 
 #: Bytes of a beginning that are compared.

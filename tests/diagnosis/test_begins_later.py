@@ -122,6 +122,12 @@ def test_reads_of_several_drives_without_a_pause(dialect):
     assert "too_fast" not in causes(log(row * 4, step=0))
 
 
+def test_motions_that_are_silent_by_a_setting_are_not_too_fast():
+    move = native(9, 0xF6, 0, 90, 2)
+    rows = [(move, reply(9, 0xF6, 1)), *WELL["native"][:9], *[(move, []), WELL["native"][2]] * 4]
+    assert "too_fast" not in causes(log(rows, step=0))
+
+
 def test_causes_on_can():
     frames = [pairs(each).replace(" ", "") for each in (POSITION, STATUS, SPEED)]
     assert causes(can(*(f"004#{each}" for each in frames))) == ["wrong_dialect"]
