@@ -49,9 +49,9 @@ def quote(text: str, longest: int = 60) -> str:
     return _cut(text, longest, ascii)
 
 
-def brief(value: object, longest: int = 60) -> str:
+def brief(value: object) -> str:
     """Return a value as Python writes it, in ASCII, cut where it is long."""
-    return _cut(ascii(value), longest, str)
+    return _cut(ascii(value), 60, str)
 
 
 def _cut(text: str, longest: int, show: Callable[[str], str]) -> str:

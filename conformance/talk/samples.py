@@ -2,7 +2,6 @@
 
     sample(dialect, command)            the values of its first form, integers as sent
     sample(dialect, command, form)      those of another form
-    every(dialect)                      (command, values) of all of them, in the manual's order
 
 Rules kept here:
 - Every value is one that the manual allows. Where a value says how something moves, it is small and slow: 60 rpm at 16
@@ -17,7 +16,7 @@ place is one within the turn.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from analyzer.catalogue import Command, Dialect, Form
@@ -97,9 +96,3 @@ def plain_value(field: Field) -> int:
     named = PLAIN.get(field.name, PLAIN_BY_UNIT.get((field.name, field.unit)))
     candidates = (named, field.default, 0, field.low, *sorted(field.values or field.choice_names))
     return next(int(c) for c in candidates if c is not None and field.allows(int(c)))
-
-
-def every(dialect: Dialect, *, address: int = 1) -> Iterator[tuple[Command, dict[str, Any]]]:
-    """Yield each command of a dialect with its plain values."""
-    for command in dialect.commands:
-        yield command, sample(dialect, command, address=address)

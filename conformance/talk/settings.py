@@ -30,13 +30,13 @@ def to_defaults(probe: Probe, *names: str) -> None:
             probe.do(command, held | usual)
 
 
-def read_back(probe: Probe, command: Command, quiet_ns: int | None = None) -> tuple[dict[str, int] | None, Exchange]:
+def read_back(probe: Probe, command: Command) -> tuple[dict[str, int] | None, Exchange]:
     """Read a setting back; return its fields as sent, and the exchange.
 
     None instead of fields: the drive says that it cannot be read. No fields: it answered by another layout. Raises
     Inconclusive where there is no readable reply.
     """
-    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": command.code}, quiet_ns=quiet_ns)
+    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": command.code})
     answer = probe.reply(exchange)
     if probe.refused(exchange):
         return None, exchange

@@ -11,6 +11,7 @@ import sys
 
 import pytest
 
+from analyzer.fleet import ingest as ingesting
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Place
 from tests.fleet.lakes import candump, hall, ingest, rows
@@ -120,15 +121,17 @@ def test_ingests_at_once_bring_each_content_once(mortal, captures, clean, tmp_pa
         healed(tmp_path / str(number), captures, clean)
 
 
-def test_many_small_files(tmp_path):
-    for number in range(300):
+def test_many_small_files(tmp_path, monkeypatch):
+    # More than one task has room for.
+    monkeypatch.setattr(ingesting, "TASK_FILES", 80)
+    for number in range(120):
         path = tmp_path / "in" / f"m{number % 3}" / "2026-03-01" / f"{number}.log"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(candump(number, 6))
     made = Lake(Place(str(tmp_path / "lake")), make=True)
-    assert (ingest(made, tmp_path / "in").new, ingest(made, tmp_path / "in").known) == (300, 300)
+    assert (ingest(made, tmp_path / "in").new, ingest(made, tmp_path / "in").known) == (120, 120)
     found = rows(made)
-    assert len({row["capture"] for row in found["captures"]}) == len(found["captures"]) == 300
+    assert len({row["capture"] for row in found["captures"]}) == len(found["captures"]) == 120
     frames = sum(row["frames"] for row in found["captures"])
     assert frames == sum(len(table) for name, table in found.items() if "." in name or name in ("unknown", "foreign"))
     # A file holds many captures: it is the tables that count, not they.
