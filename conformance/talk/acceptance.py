@@ -65,8 +65,9 @@ def answers(probe: Probe, address: int | None = None) -> bool:
 def need_reliable_replies(probe: Probe) -> None:
     """Raise Inconclusive where the line loses replies or the drive is late: then silence says nothing."""
     read = plain_read(probe.dialect)
-    for _ in range(_RELIABLE):
-        probe.reply(probe.ask(read), once_more=False)
+    for left in reversed(range(_RELIABLE)):
+        # What is told twice is heard behind the last one.
+        probe.reply(probe.ask(read, quiet_ns=0 if left else None), once_more=False)
 
 
 def need_plain_replies(probe: Probe) -> None:
