@@ -89,8 +89,8 @@ _BACKS = (
     _Back(_BY_DIRECTION, _CCW, 4, -0.3),
     _Back(_BY_DIRECTION, _CCW, 0, -0.45),
 )
-#: Between two looks at a shaft on its way back, and the speed of one that surely turns.
-_ON_WAY_NS, _TURNS_RPM = 25 * MS, 10
+#: Between two looks at a shaft on its way back, and the speed of one that surely turns; how long it has to set off.
+_ON_WAY_NS, _TURNS_RPM, _UNDER_WAY_NS = 25 * MS, 10, 150 * MS
 
 
 @of_read_back(
@@ -192,7 +192,7 @@ def _returns_to_none(probe: Probe, command: Command, how: str, before: dict[str,
     was = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
     exchange = restart(probe, arrives=False)
     # One that goes back is under way by then.
-    probe.wait(400 * MS)
+    probe.wait(_UNDER_WAY_NS)
     motion.wait_standing(probe)
     now = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
     probe.do(command, _CLEANED)
