@@ -36,7 +36,8 @@ _KEEP, _FORGET = {"save_state": 0xC8}, {"save_state": 0xCA}
 #: How long a run is given to end where it should not, to show its way on a long ramp, and what is damaged to be answered.
 _GOES_ON_NS, _SHOWS_NS = 60 * MS, 150 * MS
 _DAMAGED_NS = 60 * MS
-#: How long a drive is given to begin a kept run once it answers, and its shaft to stand behind what ends it: without torque it runs out.
+#: How long a drive that answers is given to begin a kept run, and its shaft to stand behind what ends it: without torque it
+#: runs out.
 _BEGINS_NS, _ENDS_NS = 300 * MS, 4_000 * MS
 
 
