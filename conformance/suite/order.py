@@ -144,25 +144,41 @@ def _together(claims: Sequence[Claim], rate: int) -> list[Claim]:
     return found
 
 
+class Recorded:
+    """What the claims of a run have recorded, by name: what others recorded is judged without being done again."""
+
+    def __init__(self) -> None:
+        self._names: set[str] = set()
+
+    def seconds(self, claim: Claim, rate: int) -> float:
+        """Return how long a claim takes now, with what others were to record for it and have not."""
+        name = claim.id.split("/", 1)[1]
+        own = seconds(claim, rate) if name not in self._names else 0.0
+        return own + sum(table(claim.dialect).first[other].seconds(rate) for other in self._missing(claim))
+
+    def add(self, claim: Claim) -> None:
+        """Take note that a claim runs, and records what it needs."""
+        self._names |= {claim.id.split("/", 1)[1], *self._missing(claim)}
+
+    def _missing(self, claim: Claim) -> set[str]:
+        return {*table(claim.dialect).behind.get(claim.id.split("/", 1)[1], ())} - self._names
+
+
 def fitting(claims: Iterable[Claim], rate: int, within: float) -> list[Claim]:
     """Return the claims that fit into so many seconds, the first ones first. One that would take much of them is left out.
 
     Once one does not fit, later ones that were measured fill what is left: an estimate is too rough for that.
     """
     found, longest, full = [], within * LONGEST, False
-    recorded: set[str] = set()
+    recorded = Recorded()
     for claim in claims:
-        name = claim.id.split("/", 1)[1]
-        # What another claim was to record it records itself.
-        others = {other for other in table(claim.dialect).behind.get(name, ()) if other not in recorded}
-        own = sum(table(claim.dialect).first[other].seconds(rate) for other in others)
-        own += seconds(claim, rate) if name not in recorded else 0
+        own = recorded.seconds(claim, rate)
         if own > longest:
             continue
         full = full or own > within
-        if full and (own > within or name not in table(claim.dialect).first):
+        if full and (own > within or claim.id.split("/", 1)[1] not in table(claim.dialect).first):
             continue
         within -= own
-        recorded |= {name, *others}
+        recorded.add(claim)
         found.append(claim)
     return found

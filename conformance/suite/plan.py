@@ -224,17 +224,18 @@ def verdicts(plan: Plan, target: Target, selected: Sequence[Claim], rig: ClaimRi
 
 
 def _in_time(claims: Iterable[Claim], target: Target, rig: ClaimRig) -> Iterator[Claim]:
-    """Yield claims until the time of a short run is over: a port may be slower than what was measured."""
+    """Yield the claims for which a short run has the time: a port, or a drive, may be slower than what was measured."""
     planned = 0.0
     first_ns = rig.gate.now_ns()
+    recorded = order.Recorded()
     for claim in claims:
         now_ns = rig.gate.now_ns()
         slower = max(1.0, (now_ns - first_ns) / 1e9 / planned) if planned > _TELLING_SECONDS else 1.0
-        own = order.seconds(claim, target.rate)
-        if (now_ns - rig.began_ns) / 1e9 + own * slower + order.ENDING_SECONDS > order.SHORT_SECONDS:
-            return
-        planned += own
-        yield claim
+        own = recorded.seconds(claim, target.rate)
+        if (now_ns - rig.began_ns) / 1e9 + own * slower + order.ENDING_SECONDS <= order.SHORT_SECONDS:
+            planned += own
+            recorded.add(claim)
+            yield claim
 
 
 def _run_target(plan: Plan, target: Target) -> Iterator[VerdictRecord]:

@@ -14,6 +14,7 @@ Rules kept here:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from enum import Enum
 from itertools import pairwise
@@ -57,16 +58,26 @@ def plain_read(dialect: Dialect) -> Command:
 
 def answers(probe: Probe, address: int | None = None) -> bool:
     """Say whether the drive answers a read (at an address), asked three times: one reply may be lost."""
-    read = plain_read(probe.dialect)
-    asked = (probe.ask(read, address=address, timeout_ns=probe.rig.silence_ns) for _ in range(3))
-    return any(a.message.frame.checksum_ok and a.command is not None for exchange in asked for a in exchange.answers)
+    return any(is_there(probe, address, quiet_ns=None) for _ in range(3))
+
+
+def is_there(probe: Probe, address: int | None = None, *, most_ns: float = math.inf, quiet_ns: int | None = 0) -> bool:
+    """Say whether a drive that may be elsewhere, or may start, answers a read, asked once.
+
+    Silence is an answer here, and nothing that the line has lost.
+    """
+    timeout_ns = int(min(most_ns, probe.rig.silence_ns))
+    exchange = probe.ask(plain_read(probe.dialect), address=address, timeout_ns=timeout_ns, quiet_ns=quiet_ns)
+    exchange.awaited = False
+    return any(a.message.frame.checksum_ok and a.command is not None for a in exchange.answers)
 
 
 def need_reliable_replies(probe: Probe) -> None:
     """Raise Inconclusive where the line loses replies or the drive is late: then silence says nothing."""
     read = plain_read(probe.dialect)
-    for _ in range(_RELIABLE):
-        probe.reply(probe.ask(read), once_more=False)
+    for left in reversed(range(_RELIABLE)):
+        # What is told twice is heard behind the last one.
+        probe.reply(probe.ask(read, quiet_ns=0 if left else None), once_more=False)
 
 
 def need_plain_replies(probe: Probe) -> None:

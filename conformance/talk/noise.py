@@ -90,6 +90,11 @@ class Noise:
         return max(self.degrees, self.loop, self.rpm, self.share) > 0
 
     @property
+    def settles(self) -> bool:
+        """Whether a shaft that has arrived may still move a little."""
+        return self.live or self.lag > 0
+
+    @property
     def silence_ns(self) -> int:
         """How long nothing must come before it is called silence: several times what the drive's replies took."""
         return _LEAST_SILENCE_NS + _SILENCE_LATENCIES * self.latency_ns

@@ -14,7 +14,7 @@ from analyzer.catalogue import Verb
 from analyzer.protocols.mks_shared import ZeroStatus
 from conformance.claim import Inconclusive
 from conformance.talk import settings
-from conformance.talk.acceptance import plain_read
+from conformance.talk.acceptance import is_there
 from conformance.talk.exchange import Exchange
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _SECOND_NS = 1_000_000_000
 #: A restarting drive hears nothing for a while; a read at once would only be waited for in vain.
-DEAF_NS = 300_000_000
+DEAF_NS = 200_000_000
 LIMIT_NS = 10 * _SECOND_NS
 
 
@@ -55,13 +55,11 @@ def wait_for_answer(
 
     `arrives`: as `restart` takes it.
     """
-    read = plain_read(probe.dialect)
     begun_ns = probe.gate.now_ns()
     probe.wait(deaf_ns)
     while probe.gate.now_ns() - begun_ns <= limit_ns:
         for address in addresses or (probe.address,):
-            exchange = probe.ask(read, address=address, timeout_ns=probe.rig.silence_ns, quiet_ns=0)
-            if any(a.message.frame.checksum_ok and a.command is not None for a in exchange.answers):
+            if is_there(probe, address):
                 if arrives:
                     wait_for_arrival(probe, address)
                 return

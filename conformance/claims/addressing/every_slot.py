@@ -20,7 +20,7 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.stops import expect_ended
 from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.declared import CALM, QUICK
+from conformance.motion.declared import CALM, QUICK, SUBDIVISION
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, Probe
 
@@ -64,8 +64,10 @@ def _in_each_slot(probe: Probe, command: Command, run: Command) -> None:
         if declared.of(run).kind is MotionKind.RUN:
             probe.expect(went, at_least=CALM / 2, unit="rpm that way", refutes=text, exchange=sent, key=key)
         else:
-            within = motion.miss(probe) + motion.same(probe)
-            probe.expect(went, near=_WAY, within=within, unit="degrees that way", refutes=text, exchange=sent, key=key)
+            # A shaft may rest between two pulses, and the place that is read is one of them.
+            unit = 360 / declared.units_per_turn(probe.dialect, run, SUBDIVISION)
+            asked, within = round(_WAY / unit) * unit, motion.miss(probe) + motion.same(probe) + unit
+            probe.expect(went, near=asked, within=within, unit="degrees that way", refutes=text, exchange=sent, key=key)
 
 
 def _turned_in_slot(

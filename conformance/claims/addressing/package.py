@@ -7,6 +7,7 @@ What a slot makes the drive do is a small move, whose length tells which slot wa
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -34,7 +35,7 @@ _STEPS_NS = 160_000_000
 #: A value that enabling does not have.
 _NO_CHOICE = 2
 #: How long a motion and a stop are listened to: their ramps take 104 ms, and a shaft that stopped settles.
-_TURNS_NS, _STANDS_NS = 130_000_000, 200_000_000
+_TURNS_NS, _FALLS_NS, _STANDS_NS = 130_000_000, 105_000_000, 200_000_000
 #: How far a motion would go (degrees).
 _FAR = 10 * 360
 #: A speed of two bytes, whose low byte alone is slow.
@@ -325,9 +326,12 @@ def _run_and_stop(probe: Probe, command: Command, run: Command, stop: Command, b
     values = declared.values_of(probe.dialect, run, way * _FAR, rpm=rpm_of(run, way), start=start)
     seen = []
     ending = {"acceleration": QUICK} if declared.of(stop).acceleration else {}
-    for order, data, time_ns in ((run, values, _TURNS_NS), (stop, ending, _STANDS_NS)):
+    for order, data, time_ns in ((run, values, _TURNS_NS), (stop, ending, _FALLS_NS)):
         slot = {"address": probe.address, "command": order.name, **data}
         sent = probe.send(frame_of(probe, command, [EMPTY] * before + [slot]), timeout_ns=time_ns)
+        if order is stop:
+            with contextlib.suppress(Inconclusive):
+                motion.wait_standing(probe, limit_ns=_STANDS_NS - _FALLS_NS)
         seen.append((motion.turning(probe).value, sent))
     (rpm, begun), (rest, ended) = seen
     turning, left = abs(rpm), abs(rest)

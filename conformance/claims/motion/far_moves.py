@@ -31,7 +31,7 @@ _counted = motions(*MOVES, where=takes_counts)
 def _expect_begins(probe: Probe, command: Command, ends: Mapping[int, int]) -> None:
     """Refute a shaft that does not begin to turn to each end: `ends` by side, 0 where a short move goes, 1 the other."""
     field = declared.field_of(command, declared.of(command).distance)
-    short = arriving.follow(probe, command, 36)
+    short = arriving.follow(probe, command, 36, rpm=_RPM)
     back = 0.0
     for side, value in ends.items():
         before = motion.position(probe)

@@ -198,7 +198,7 @@ def expect_at_rest(probe: Probe, command: Command, exchange: Exchange, refutes: 
     told = tuple(exchange.status(command.replies.status)[-1:])
     motion.wait_standing(probe)
     # A shaft that settles may stand for a moment, beside where it comes to rest.
-    probe.wait(_SETTLES_NS)
+    probe.wait(_SETTLES_NS if probe.noise.settles else 0)
     expect_rested(probe, command, told, at_once, motion.position(probe), exchange, refutes)
 
 

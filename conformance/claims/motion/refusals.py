@@ -19,7 +19,7 @@ from conformance.claims.control_reads import judge_next
 from conformance.claims.declare import Case, motions
 from conformance.claims.motion.motion_claim import command_of, expect_not_turned, expect_stays, of_motion, risks_by
 from conformance.gate.gate import Refused
-from conformance.motion import declared, motion
+from conformance.motion import arriving, declared, motion
 from conformance.motion.attempts import undamaged
 from conformance.motion.declared import CALM, MOVES, QUICK, SUBDIVISION
 from conformance.talk.acceptance import need_reliable_replies
@@ -31,8 +31,8 @@ from conformance.talk.samples import sample
 _SURE = (MotionKind.RUN, *MOVES)
 #: How long is looked whether the shaft turns: at 60 rpm it would go by 17 degrees.
 _LOOKED_AT_NS = 60 * MS
-#: The speed of what is asked for downwards (rpm).
-_FAST = 900
+#: The speed of what is asked for downwards (rpm); how long a quarter turn at the slower speed takes at most.
+_FAST, _MOVES_NS = 900, 500 * MS
 
 
 def _can_refuse(command: Command) -> bool:
@@ -130,9 +130,7 @@ def _behind_refusals(probe: Probe, command: Command) -> None:
     probe.expect(is_on, equal=True, refutes=text, exchange=exchange)
     probe.expect("a motion", holds=probe.refused(refusal), expected="a refusal", refutes=f"{command.name} is not refused")
     exchange = probe.ask(command, values, quiet_ns=0)
-    # The move takes 0.3 s.
-    probe.wait(600 * MS)
-    moved = abs(motion.position(probe).value - before.value)
+    moved = abs(arriving.come_to_rest(probe, exchange, 0, _MOVES_NS).value - before.value)
     text = f"{command.name} behind a refused one is not carried out"
     probe.expect(moved, near=90, within=motion.miss(probe), unit="degrees", refutes=text, exchange=exchange)
 

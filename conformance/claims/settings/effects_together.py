@@ -15,7 +15,7 @@ from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, Probe, Until
 
 #: How long a setting that is not answered is given, and a move of `PULSES` at 16 subdivisions and more.
-SILENT_NS, _MOVE_NS = 60 * MS, 450 * MS
+SILENT_NS, _MOVE_NS = 30 * MS, 300 * MS
 #: Speeds that are one; a speed that a coarse subdivision reaches too, and when it is reached.
 SPEED_SHARE, _RUN_RPM, _RUN_NS = 0.06, 60, 100 * MS
 

@@ -36,7 +36,8 @@ _KEEP, _FORGET = {"save_state": 0xC8}, {"save_state": 0xCA}
 #: How long a run is given to end where it should not, to show its way on a long ramp, and what is damaged to be answered.
 _GOES_ON_NS, _SHOWS_NS = 60 * MS, 150 * MS
 _DAMAGED_NS = 60 * MS
-#: How long a drive is given to begin a kept run, and its shaft to stand behind what ends it: without torque it runs out.
+#: How long a drive that answers is given to begin a kept run, and its shaft to stand behind what ends it: without torque it
+#: runs out.
 _BEGINS_NS, _ENDS_NS = 300 * MS, 4_000 * MS
 
 
@@ -57,19 +58,28 @@ def _turning(probe: Probe, rpm: int, mode: str = "") -> float:
     # An older run is not the one that is kept.
     motion.run_at(probe, -rpm)
     motion.run_at(probe, rpm)
-    probe.wait(200 * MS)
+    probe.wait(100 * MS)
     return motion.speed(probe).value
 
 
-def _after(probe: Probe, begin_again: BeginsAgain, stop: Verb = Verb.STOP_SPEED) -> tuple[float, Exchange]:
-    """Stop the shaft at once, let the drive begin again, and return how fast it turns then, and what was sent last."""
+def _after(probe: Probe, begin_again: BeginsAgain, stop: Verb = Verb.STOP_SPEED, rpm: float = 0.0) -> tuple[float, Exchange]:
+    """Stop the shaft at once, let the drive begin again, and return how fast it turns then, and what was sent last.
+
+    `rpm`: a speed at which no more is waited for.
+    """
     command = probe.command(stop)
     probe.ask(command, {"acceleration": 0} if "acceleration" in command.request_forms[0].layout.named else None)
     motion.wait_standing(probe)
     begin_again(probe)
     exchange = probe.traffic[-1]
-    probe.wait(600 * MS)
-    return motion.speed(probe).value, exchange
+    seen = [0.0]
+
+    def turns() -> bool:
+        seen.append(motion.speed(probe).value)
+        return bool(rpm) and abs(seen[-1] - rpm) <= abs(rpm) * _SHARE
+
+    motion.wait_until(probe, turns, limit_ns=2 * _BEGINS_NS if rpm else _BEGINS_NS)
+    return seen[-1], exchange
 
 
 def _forget(probe: Probe, command: Command) -> None:
@@ -96,7 +106,7 @@ def _saved(probe: Probe, command: Command, mode: str, how: str, begin_again: Beg
     text = "a run does not go on when it is kept"
     within = max(2.0, abs(before) * _SHARE)
     probe.expect(motion.speed(probe).value, near=before, within=within, unit="rpm", refutes=text, exchange=exchange)
-    after, exchange = _after(probe, begin_again, Verb.EMERGENCY_STOP)
+    after, exchange = _after(probe, begin_again, Verb.EMERGENCY_STOP, before)
     _forget(probe, command)
     probe.expect(
         after,

@@ -23,7 +23,6 @@ from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by
-from conformance.claims.settings import setting_effects
 from conformance.claims.settings.read_back import of_read_back
 from conformance.claims.settings.setting_effects import STEEP
 from conformance.motion import arriving, declared, motion
@@ -88,10 +87,10 @@ _BACKS = (
     _Back(_NEAR, _CCW, 0, 0.3),
     _Back(_BY_DIRECTION, _CW, 4, 0.3),
     _Back(_BY_DIRECTION, _CCW, 4, -0.3),
-    _Back(_BY_DIRECTION, _CCW, 0, -0.3),
+    _Back(_BY_DIRECTION, _CCW, 0, -0.45),
 )
-#: Between two looks at a shaft on its way back, and the speed of one that surely turns.
-_ON_WAY_NS, _TURNS_RPM = 25 * MS, 10
+#: Between two looks at a shaft on its way back, and the speed of one that surely turns; how long it has to set off.
+_ON_WAY_NS, _TURNS_RPM, _UNDER_WAY_NS = 25 * MS, 10, 150 * MS
 
 
 @of_read_back(
@@ -141,13 +140,17 @@ def _come_back(probe: Probe, command: Command, back: _Back, sense: int) -> _Came
     values = {"zero_mode": back.mode, "set_zero": 1, "zero_speed": back.speed, "zero_direction": back.direction}
     probe.do(command, values)
     away = back.turns * (sense if by_direction else 1)
-    setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 120, "acceleration": STEEP, "position": round(away * turn)})
+    _go_away(probe, away)
     exchange = restart(probe, arrives=False)
     rpm = _on_its_way(probe)
     motion.wait_standing(probe)
     status, now = probe.read(Verb.READ_ZERO_STATUS), probe.read(Verb.READ_ENCODER_CARRY, "encoder")
     wanted = sense * (1 if back.direction == _CW else -1) if by_direction else (-1 if away > 0 else 1)
     return _Came(back, exchange, wanted, rpm, status, min(now, turn - now))
+
+
+def _go_away(probe: Probe, turns: float) -> None:
+    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns * 360, rpm=120, acceleration=STEEP)
 
 
 def _on_its_way(probe: Probe) -> float | None:
@@ -183,13 +186,13 @@ def _returns_to_none(probe: Probe, command: Command, how: str, before: dict[str,
     restart(probe)
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     probe.do(command, before)
-    setting_effects.shift(probe, Verb.MOVE_RELATIVE_AXIS, {"speed": 120, "acceleration": STEEP, "position": turn // 4})
+    _go_away(probe, 0.25)
     if after is not None:
         probe.do(command, after)
     was = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
     exchange = restart(probe, arrives=False)
     # One that goes back is under way by then.
-    probe.wait(400 * MS)
+    probe.wait(_UNDER_WAY_NS)
     motion.wait_standing(probe)
     now = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
     probe.do(command, _CLEANED)

@@ -14,7 +14,7 @@ from analyzer.catalogue import Command, Dialect
 from analyzer.errors import UsageError
 from analyzer.layout import Effect
 from conformance.claim import Inconclusive, NotRun
-from conformance.talk.acceptance import Acceptance, acceptance, answers, plain_read
+from conformance.talk.acceptance import Acceptance, acceptance, answers, is_there
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, Probe, Until
 
@@ -58,8 +58,7 @@ def settle(probe: Probe, address: int | None = None) -> None:
     """Wait until a drive that changes its link answers, at its address or this one: not longer than it gets for that."""
     until_ns = probe.gate.now_ns() + SETTLE_NS
     while (left_ns := until_ns - probe.gate.now_ns()) > 0:
-        asked = probe.ask(plain_read(probe.dialect), address=address, timeout_ns=min(left_ns, probe.rig.silence_ns), quiet_ns=0)
-        if any(a.message.frame.checksum_ok and a.command is not None for a in asked.answers):
+        if is_there(probe, address, most_ns=left_ns):
             return
 
 

@@ -14,6 +14,7 @@ Rules kept here:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -71,7 +72,7 @@ def _to(probe: Probe, address: int, command: Command, values: Mapping[str, int])
 
 
 def _in_slot(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
-    return probe.send(package.in_own_slot(probe, command, values), timeout_ns=SILENT_NS)
+    return probe.send(package.in_own_slot(probe, command, values), timeout_ns=max(SILENT_NS, probe.rig.silence_ns))
 
 
 #: What shows by a move, a run and homing; what shows where it can be read.
@@ -205,7 +206,7 @@ def _kept_run(probe: Probe, command: Command, way: _Way) -> None:
     # Which way a positive speed turns the manual does not say for sure.
     sense = 1 if motion.turning(probe).value > 0 else -1
     motion.run_at(probe, -_RPM)
-    kept, sent = _after_restart(probe, way)
+    kept, sent = _after_restart(probe, way, _RPM / 2)
     kept *= sense
     forgotten = 0.0
     if kept > _RPM / 2:
@@ -220,9 +221,9 @@ def _kept_run(probe: Probe, command: Command, way: _Way) -> None:
     expect_silence(probe, sent, f"a restart {way.how} is answered")
 
 
-def _after_restart(probe: Probe, way: _Way) -> tuple[float, Exchange]:
-    """Restart a drive whose shaft turns; return how fast it turns then, and the restart."""
+def _after_restart(probe: Probe, way: _Way, rpm: float = math.inf) -> tuple[float, Exchange]:
+    """Restart a drive whose shaft turns; return how fast it turns then, and the restart. No more is waited for at `rpm`."""
     sent = way.send(probe, probe.command(Verb.RESTART), {})
     wait_for_answer(probe)
-    probe.wait(_SETS_OFF_NS)
+    motion.wait_until(probe, lambda: abs(motion.speed(probe).value) > rpm, limit_ns=_SETS_OFF_NS)
     return motion.speed(probe).value, sent

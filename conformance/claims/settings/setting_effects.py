@@ -242,7 +242,7 @@ def shift(probe: Probe, verb: Verb, values: Mapping[str, Any]) -> int:
     if exchange.answers and probe.refused(exchange):
         raise Inconclusive(f"{probe.command(verb).name} was refused")
     motion.wait_standing(probe)
-    probe.wait(SETTLING_NS)
+    probe.wait(SETTLING_NS if probe.noise.settles else 0)
     return counts(probe) - start
 
 
