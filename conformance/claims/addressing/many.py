@@ -395,14 +395,13 @@ def _expect_not_moved(probe: Probe, many: Many, chosen: tuple[Command, ...], to:
 def _readable_settings(dialect: Dialect) -> Iterator[Case]:
     """Yield each address of several drives with the settings that can be read."""
     own = [c for c in dialect.commands if c.readable and not changes_link(c) and c.verb not in _OF_REPLIES]
-    for many in addresses(dialect):
+    for many in addresses(dialect) if own and Verb.RESTART in dialect.by_verb else ():
         needed = [edges.needs(dialect, c, [differing(c.request_forms[0])[0]]) for c in own]
         facts = {
             "risks": many.risks(dialect).union(dialect.by_verb[Verb.RESTART].all_risks, *(each["risks"] for each in needed)),
             "settings": (*many.settings, *(name for each in needed for name in each["settings"])),
         }
-        if own:
-            yield Case(dialect, given={"many": many, "what": many.what, "chosen": own}, facts=facts)
+        yield Case(dialect, given={"many": many, "what": many.what, "chosen": own}, facts=facts)
 
 
 @addressing("a setting that stays as it was, or an answer", _readable_settings, name="{many}/settings")

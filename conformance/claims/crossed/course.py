@@ -359,7 +359,7 @@ def _try(probe: Probe, command: Command, row: Row, reads: Iterator[Command], bef
                 probe.listen(max(0, left_ns) + TOLD_LATE_NS + _SETTLES_NS, Until.REPLY)
         else:
             during += looks.on_the_way(probe, reads, _LOOK_NS, _ends(last, lasts_ns, slack_ns))
-        probe.wait(_SETTLES_NS if probe.noise.settles else 0)
+        probe.wait(_SETTLES_NS)
     after = looks.at_rest(probe, reads_of(probe.dialect))
     told = tuple(arriving.statuses(probe.traffic[since:], command)) if command.replies.status else ()
     damaged = looks.damaged(probe.traffic[since:], told, ends=last.command is not None and declared.of(last.command).tells_end)
