@@ -184,6 +184,7 @@ class Source:
         if not self._parts:
             return False
         self.stream.drain()
+        self.stream.check()
         self._passed += self.stream.position
         self.stream.close()
         self.stream = Stream(str(self._parts.pop(0)), self.problem)
@@ -303,9 +304,11 @@ class Source:
             closing = getattr(records, "close", None)
             if closing is not None:
                 closing()
+        self.stream.check()
         # A pipe whose reading broke off may go on for ever.
         if self.size is not None or not self.problem_count:
             self.stream.drain()
+            self.stream.check()
         if not self._given:
             if self.problem_count:
                 raise UnreadableError(f"{self.name}: cannot be read as {self.title}: {self.problems[0]}")

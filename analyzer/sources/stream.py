@@ -60,6 +60,7 @@ class Stream:
         self._closable = path != "-"
         self._hash = hashlib.sha256()
         self._ended = self._skipped = False
+        self._failure: UnreadableError | None = None
         self.position = 0
         self.budget = Budget(self.name)
         self.compression = ""
@@ -71,7 +72,7 @@ class Stream:
     def block(self) -> bytes:
         """Return the next bytes, as many as there are at once; none at the end.
 
-        Raises UnreadableError for a decompression bomb and for a medium that fails.
+        Raises UnreadableError for a decompression bomb, and for a medium that fails at once: see `check`.
         """
         if self._held:
             held, self._held = self._held, b""
@@ -118,6 +119,11 @@ class Stream:
         while self._raw():
             pass
 
+    def check(self) -> None:
+        """Raise UnreadableError where the medium failed on the way: so its bytes before that place come first."""
+        if self._failure is not None:
+            raise self._failure
+
     @property
     def sha256(self) -> str | None:
         """SHA-256 of the file as it lies, in hex; None before its end was read."""
@@ -138,7 +144,11 @@ class Stream:
             # At its own position: a process forked meanwhile shares that of the descriptor.
             data = os.read(self._fd, BLOCK) if self.size is None else _read_at(self._fd, BLOCK, self.position)
         except OSError as error:
-            raise UnreadableError(f"{self.name}: reading failed at byte {self.position}: {error.strerror}") from None
+            failure = UnreadableError(f"{self.name}: reading failed at byte {self.position}: {error.strerror}")
+            if not self.position:
+                raise failure from None
+            self._failure, self._ended, self._skipped = failure, True, True
+            return b""
         self._hash.update(data)
         self.position += len(data)
         self.budget.read += len(data)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from analyzer.columns.block import ByteBlock, CanBlock
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.records import Chunk, Comment
 from analyzer.sources import FORMATS, open_source, stream
@@ -134,6 +135,26 @@ def test_a_medium_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(stream, "_read_at", fail)
     with source, pytest.raises(UnreadableError, match=r"bad\.log: reading failed at byte 65536: Input/output error"):
         list(source)
+    assert source.sha256 is None
+
+
+def test_a_medium_that_fails_loses_nothing_before_that_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, line = tmp_path / "bad.log", "(1436509052.249713) can0 001#F60140023A\n"
+    path.write_text(line * 40_000)
+    good, whole = 1_000_000, stream._read_at
+
+    def fails(fd: int, count: int, position: int) -> bytes:
+        if position >= good:
+            raise OSError(5, "Input/output error")
+        return whole(fd, min(count, good - position), position)
+
+    monkeypatch.setattr(stream, "_read_at", fails)
+    items: list[Record | CanBlock | ByteBlock] = []
+    with open_source(path) as source:
+        source.in_blocks = True
+        with pytest.raises(UnreadableError, match=rf"bad\.log: reading failed at byte {good}: Input/output error"):
+            items.extend(source.items())
+    assert sum(len(item) if isinstance(item, CanBlock) else 1 for item in items) == good // len(line)
 
 
 def test_a_file_that_is_cut_while_it_is_read(tmp_path: Path) -> None:
