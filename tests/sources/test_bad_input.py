@@ -10,7 +10,7 @@ import pytest
 
 from analyzer.columns.block import ByteBlock, CanBlock
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.records import Chunk, Comment
+from analyzer.records import Chunk, Comment, Record
 from analyzer.sources import FORMATS, open_source, stream
 from analyzer.sources.source import FAR_NS, clean_port
 from tests.contracts.source_contract import read_all
