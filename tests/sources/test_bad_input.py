@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.columns.block import ByteBlock, CanBlock
+from analyzer.columns.block import CanBlock
 from analyzer.errors import UnreadableError, UsageError
-from analyzer.records import Chunk, Comment, Record
+from analyzer.records import Chunk, Comment
 from analyzer.sources import FORMATS, open_source, stream
 from analyzer.sources.source import FAR_NS, clean_port
 from tests.contracts.source_contract import read_all
@@ -149,7 +149,7 @@ def test_a_medium_that_fails_loses_nothing_before_that_place(tmp_path: Path, mon
         return whole(fd, min(count, good - position), position)
 
     monkeypatch.setattr(stream, "_read_at", fails)
-    items: list[Record | CanBlock | ByteBlock] = []
+    items: list[object] = []
     with open_source(path) as source:
         source.in_blocks = True
         with pytest.raises(UnreadableError, match=rf"bad\.log: reading failed at byte {good}: Input/output error"):
