@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _SECOND_NS = 1_000_000_000
 #: A restarting drive hears nothing for a while; a read at once would only be waited for in vain.
-DEAF_NS = 200_000_000
+DEAF_NS = 250_000_000
 LIMIT_NS = 10 * _SECOND_NS
 
 
