@@ -28,6 +28,8 @@ ANSWERED = f"> {native('FA 03 F1')}\n< {native('FB 03 F1 01')}\n"
         GROUPED + f"> {READ}\n" + ANSWERED,
         # The group was given its address before.
         f"> {MOTION}\ntimed out\n" * 3 + ANSWERED,
+        # Each command once, and each time words for nothing.
+        GROUPED + "".join(f"tx {native(f'FA 60 F6 00 {n} 05')} rx nothing!\n" for n in (10, 20)) + ANSWERED,
         # So for all.
         ANSWERED + f"> {native('FA 00 F6 00 50 05')}\nno response\n" * 3,
     ],
