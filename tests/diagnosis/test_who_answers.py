@@ -111,6 +111,17 @@ def test_a_report_that_meets_a_reply(causes_of):
     assert causes_of("".join((*lines[:at], lines[at].replace("02 31", "02 11"), *lines[at + 1 :])))[0] == "collision"
 
 
+@pytest.mark.parametrize(("address", "cause"), [(2, "collision"), (1, "duplicate_address")])
+def test_a_request_onto_a_reply_brings_a_reply_that_none_asked_for(address, cause, causes_of):
+    log = ""
+    for n in range(6):
+        spoiled = native(f"FB 01 31 00 00 00 00 10 {n:02X}").replace("FB 01 31", "FA 01 30")
+        rows = [native("FA 01 31"), spoiled, native("FA 03 F1"), native("FB 03 F1 01")]
+        rows[2:2] = [native("FB 02 31 00 00 00 00 02 00")] if address == 2 else []
+        log += "".join(f"{n + at / 100:.3f}  {data}\n" for at, data in enumerate(rows))
+    assert causes_of(log)[0] == cause
+
+
 @pytest.mark.parametrize(("lost", "cause"), [(True, ["collision"]), (False, [])])
 def test_a_report_that_meets_the_request(lost, cause, causes_of):
     """The drive ends its motion while it is asked: it hears nothing, and the host reads both at once."""
