@@ -71,7 +71,7 @@ def _waited_on(scene: Scene) -> Iterator[Suspicion]:
     So it is where words miss a reply as often as none came.
     """
     missed = sum(_WAITED.search(words) is not None for words in scene.words)
-    if scene.noted or not missed:
+    if not missed:
         return
     silent = sum(piece.sequence not in scene.replies for piece in scene.requests)
     groups = _groups(scene)
@@ -88,7 +88,7 @@ def _waited_on(scene: Scene) -> Iterator[Suspicion]:
             sent.setdefault(drive, []).append(piece)
     for drive, pieces in sent.items():
         message = pieces[0].message
-        again = len(pieces) > len({piece.data for piece in pieces})
+        again = not scene.noted and len(pieces) > len({piece.data for piece in pieces})
         if message is None or not (again or missed >= silent >= _TWICE):
             continue
         sure = drive in groups or message.address == message.frame.dialect.broadcast
@@ -111,6 +111,8 @@ _WAITED = re.compile(
     r"time[ds]?[ -]?out\b(?!\s*(?:[:=(]|of|is|ms|in\b))|\bretr(?:y|ies)\b"
     r"|\bno (?:response|answer|reply)\b(?! (?:is )?(?:expected|needed|wanted|due))"
     r"|\b(?:never|n't|not) (?:answer|repl|respond|confirm)\w*"
+    # What a console of Python has read.
+    r"|^(?:b(?:''|\"\")|\[\])$"
     # `rx nothing`, `recv: b''`, `<- []`.
     r"|(?:\b(?:rxd?|rd|re?c(?:v|ei?ved?)|read|got|reply|response|answer|returned)\b|<[-=]*)[\s:=>-]*"
     r"(?:[(<]?(?:nothing|none|empty)\b(?! (?:else|special|wrong|needed|expected))|b?(?:''|\"\")|\[\]|<Buffer ?>|-{1,3}$)",
