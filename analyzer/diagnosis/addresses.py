@@ -66,9 +66,14 @@ def _to_all(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _waited_on(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect motion commands to a group whose replies a host waits for: words say so, and it sends them again."""
-    if scene.noted or not any(_WAITED.search(words) for words in scene.words):
+    """Suspect motion commands to a group whose replies a host waits for: words say so, and it sends them again.
+
+    So it is where words miss a reply as often as none came.
+    """
+    missed = sum(_WAITED.search(words) is not None for words in scene.words)
+    if not missed:
         return
+    silent = sum(piece.sequence not in scene.replies for piece in scene.requests)
     groups = _groups(scene)
     known = {_drive(p.message) for p in scene.pieces if p.is_reply and p.message is not None}
     # An address that is asked for no read may be a group that was set before.
@@ -83,7 +88,8 @@ def _waited_on(scene: Scene) -> Iterator[Suspicion]:
             sent.setdefault(drive, []).append(piece)
     for drive, pieces in sent.items():
         message = pieces[0].message
-        if len(pieces) == len({piece.data for piece in pieces}) or message is None:
+        again = not scene.noted and len(pieces) > len({piece.data for piece in pieces})
+        if message is None or not (again or missed >= silent >= _TWICE):
             continue
         sure = drive in groups or message.address == message.frame.dialect.broadcast
         yield Suspicion(
@@ -98,11 +104,18 @@ def _waited_on(scene: Scene) -> Iterator[Suspicion]:
         )  # fmt: skip
 
 
+#: One word of waiting may speak of anything.
+_TWICE = 2
 #: Words of a program that waits for a reply in vain.
 _WAITED = re.compile(
     r"time[ds]?[ -]?out\b(?!\s*(?:[:=(]|of|is|ms|in\b))|\bretr(?:y|ies)\b"
     r"|\bno (?:response|answer|reply)\b(?! (?:is )?(?:expected|needed|wanted|due))"
-    r"|\b(?:never|n't|not) (?:answer|repl|respond|confirm)\w*",
+    r"|\b(?:never|n't|not) (?:answer|repl|respond|confirm)\w*"
+    # What a console of Python has read.
+    r"|^(?:b(?:''|\"\")|\[\])$"
+    # `rx nothing`, `recv: b''`, `<- []`.
+    r"|(?:\b(?:rxd?|rd|re?c(?:v|ei?ved?)|read|got|reply|response|answer|returned)\b|<[-=]*)[\s:=>-]*"
+    r"(?:[(<]?(?:nothing|none|empty)\b(?! (?:else|special|wrong|needed|expected))|b?(?:''|\"\")|\[\]|<Buffer ?>|-{1,3}$)",
     re.IGNORECASE,
 )
 

@@ -14,6 +14,8 @@ from analyzer.values import counted
 
 #: Requests from which on it is no chance.
 _OFTEN = 2
+#: How many requests that are sent alone may come to one that is answered.
+_MOSTLY = 1.2
 #: A pause before a request that any drive stands; and one that only a drive that stores a setting needs.
 _SHORT_NS = 20_000_000
 _LONG_NS = 1_000_000_000
@@ -24,6 +26,43 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     yield from _at_once(scene)
     yield from _too_fast(scene)
     yield from _one_of_row(scene)
+    yield from _none_of_row(scene)
+
+
+def _none_of_row(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect requests that follow each other sooner than any reply comes: none is answered, and those sent alone are.
+
+    A unit of Modbus takes what comes without a silence of 3.5 characters between for one frame.
+    """
+    latencies = [came[0].t_ns - p.t_ns for p in scene.requests if (came := scene.replies.get(p.sequence))]
+    rows: list[list[Piece]] = []
+    for piece in scene.requests if scene.timed and latencies else ():
+        if rows and piece.t_ns - rows[-1][-1].t_ns < min(latencies):
+            rows[-1].append(piece)
+        else:
+            rows.append([piece])
+    alone = [row[0] for row in rows if len(row) == 1]
+    good = [piece for piece in alone if piece.sequence in scene.replies]
+    there = {_asked_for(piece.message)[0] for piece in good}
+    rows = [row for row in rows if len(row) > 1]
+    hasty = [
+        row for row in rows
+        if len({piece.data for piece in row}) == len(row) and all("unanswered" in piece.rules for piece in row)
+        and there.issuperset(_asked_for(piece.message)[0] for piece in row)
+    ]  # fmt: skip
+    if min(len(hasty), len(good)) < _OFTEN or 2 * len(hasty) <= len(rows) or len(alone) > _MOSTLY * len(good):
+        return
+    one, other = hasty[0][:2]
+    failing = {piece for row in hasty for piece in row}
+    yield Suspicion(
+        "too_fast", Confidence.LIKELY, [t for t in scene.of("unanswered") if t.piece in failing],
+        "The host sends the next request before the reply to the one before can come: none of them is answered.",
+        f"{whole(other)} at byte {other.offset} begins {(other.t_ns - one.t_ns) / 1e6:.3g} ms after {whole(one)} does, and no "
+        f"reply has come sooner than after {min(latencies) / 1e6:.3g} ms; {counted(len(hasty), 'time')}, and "
+        f"{counted(len(good), 'request')} sent alone {'are' if len(good) > 1 else 'is'} answered",
+        "Send one request, wait for its reply or the timeout, then send the next; Modbus needs 3.5 characters of silence",
+        tuple(Shown(p.offset, whole(p)) for row in hasty for p in row),
+    )  # fmt: skip
 
 
 def _one_of_row(scene: Scene) -> Iterator[Suspicion]:

@@ -54,6 +54,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     spoiled = [each for each in spoiled if each.trouble not in scene.explained]
     if not found and spoiled:
         found = [*_reports_meet(scene, spoiled)] or [*_report_meets(scene, spoiled)]
+        found = found or [*_onto_reply(scene, spoiled)]
         found = found or [*_two_drives(scene, spoiled), *_too_early(scene, spoiled), *_late_driver(scene, spoiled)]
     yield from found or _noise(scene, spoiled)
 
@@ -216,6 +217,31 @@ def _too_early(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]
         "The host sends its next request while the reply to the one before is still coming: they collide.",
         f"two requests in a row, then {shown(own[0].stretch.data)} at byte {own[0].stretch.offset}; "
         f"{counted(len(own), 'time')}",
+        "Wait for the reply, or for the timeout, before sending again",
+        frames,
+    )  # fmt: skip
+
+
+def _onto_reply(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect a host that sends onto a reply: it comes damaged, and behind it a reply of another drive that none asks for."""
+    own: list[tuple[_Spoiled, Piece]] = []
+    for each in spoiled:
+        behind = scene.behind.get(each.stretch.pieces[-1].sequence)
+        if each.asked is None or each.asked.message is None or behind is None or behind.message is None or not behind.sound:
+            continue
+        other = behind.is_reply and behind.asked_by is None and behind.message.address != each.asked.message.address
+        if other and any(abs(reply.size - len(each.stretch.data)) <= _LENGTHS for reply in replies_to(each.asked)):
+            own.append((each, behind))
+    if len(own) < _REPLIES or len(own) < len(spoiled) / 2:
+        return
+    troubles, frames = _of([each for each, _ in own])
+    first, reply = own[0]
+    left = {piece for _, piece in own}
+    yield Suspicion(
+        "collision", _sure(len(own)), [*troubles, *(t for t in scene.of("unsolicited_reply") if t.piece in left)],
+        "The host sends its next request, to another drive, while a reply is still coming: they collide.",
+        f"{shown(first.stretch.data)} at byte {first.stretch.offset} is damaged, and {shown(reply.data)} comes behind it, "
+        f"which no request before asks for; {counted(len(own), 'time')}",
         "Wait for the reply, or for the timeout, before sending again",
         frames,
     )  # fmt: skip

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator
-from itertools import takewhile
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
@@ -114,6 +114,10 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         )  # fmt: skip
     yield from _floating(scene)
     frames = sum(piece.sound for piece in scene.pieces)
+    if _count_up(leading):
+        # They are the numbers of rows, and nothing is wrong with these frames.
+        scene.explained.update(edge.trouble for edge in leading)
+        leading = []
     if leading and len(leading) * _OFTEN >= frames:
         yield _said(
             "leading_glitch", leading, "Stray bytes stand before {}.",
@@ -126,6 +130,17 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             f"{shown(trailing[0].stray)} stands behind the whole frame {shown(trailing[0].frame)}",
             "Release the driver only after the last stop bit and bias the line; take as many bytes as the frame has",
         )  # fmt: skip
+
+
+def _count_up(edges: Sequence[_Edge]) -> bool:
+    """Say whether stray bytes count up from frame to frame, in hexadecimal digits or in decimal ones, as no glitch does."""
+    strays = [edge.stray for edge in edges]
+    steps = [int.from_bytes(other) - int.from_bytes(one) for one, other in pairwise(strays)]
+    return len(strays) >= _ROWS and max(map(len, strays)) == 1 and all(0 < step <= _DECIMAL_STEP for step in steps)
+
+
+#: Rows that count up by no chance; the step from 09 to 10, read as hexadecimal.
+_ROWS, _DECIMAL_STEP = 4, 7
 
 
 def _inside(scene: Scene, strays: set[bytes]) -> Iterator[_Edge]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from analyzer.catalogue import Role
 from analyzer.diagnosis.reports import MISFIT, Checks, checks, reports
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.layout import Field
 from analyzer.link import READS, modbus_crc
 from analyzer.values import counted
 
@@ -29,6 +30,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         yield from _misfit(scene, misfit[0])
     yield from _as_string(scene, words)
     yield from _as_digits(scene, words)
+    yield from _without_scale(scene, words)
     yield from _reported(scene, words)
     ours = any(p.sound and p.message is not None and p.message.command is not None for p in scene.pieces)
     if not ours and (other := _OTHERS.search(words)) is not None and (troubles or scene.pieces):
@@ -41,6 +43,52 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             f"{other[0]!r} in the text; {shown(scene.pieces[0].data)} at byte {scene.pieces[0].offset}",
             "Use the manual of its maker; the dialects known here are those of `servotap catalogue`",
         )  # fmt: skip
+
+
+def _without_scale(scene: Scene, words: str) -> Iterator[Suspicion]:
+    """Suspect numbers that are sent in the unit itself where the manual counts in parts of it.
+
+    Words have these numbers with the unit, or say by how much the drive does less.
+    """
+    less = {int(number) for found in _LESS.finditer(words) for number in found.groups() if number}
+    numbers = set(_NUMBER.findall(words))
+    found: dict[int, tuple[Piece, Field]] = {}
+    for piece in scene.requests:
+        message = piece.message
+        if message is None or message.form is None or message.command is None or message.command.motion is None:
+            continue
+        for name in (message.command.motion.speed, message.command.motion.distance):
+            field, value = message.form.layout.named.get(name), message.values.get(name)
+            if field is None or not isinstance(value, int) or not value or field.scale.numerator != 1 or field.scale == 1:
+                continue
+            said = rf"(?<![\w.]){abs(value)}(?![\d.])\D{{0,12}}?{_UNITS.get(field.unit, re.escape(field.unit))}"
+            named = str(abs(value)) in numbers and re.search(said, words, re.IGNORECASE) is not None
+            if named or field.scale.denominator in less:
+                found.setdefault(value, (piece, field))
+    if len(found) <= (not less):
+        return
+    piece, field = next(iter(found.values()))
+    value, parts = next(iter(found)), field.scale.denominator
+    pieces = [p for p in scene.requests if p.message is not None and p.message.values.get(field.name) in found]
+    yield Suspicion(
+        "unit_or_sign", Confidence.LIKELY, [Trouble("unit_or_sign", p.offset, None, p) for p in pieces],
+        f"The {field.name} is sent in {field.unit}, and the manual counts it in steps of {field.physical(1):g} {field.unit}.",
+        f"{shown(piece.data)} at byte {piece.offset} says {value}, which is {field.physical(value):g} {field.unit}; "
+        f"{counted(len(pieces), 'time')}",
+        f"Multiply by {parts} before it is sent",
+        tuple(Shown(p.offset, shown(p.data)) for p in pieces),
+    )  # fmt: skip
+
+
+_NUMBER = re.compile(r"\d+")
+#: Units as people write them.
+_UNITS = {"deg/s": r"(?:(?:deg\w*|°|grad)\s*(?:/|per|pro)\s*s|dps\b)", "deg": r"(?:deg|°|grad)"}
+#: By how much a drive does less than was asked.
+_LESS = re.compile(
+    r"\b(\d+)(?: ?x| times|[- ]?fold|[- ]?fach) (?:too )?(?:slow|less|small|few|short|langsam|zu (?:langsam|klein|wenig))"
+    r"|(?:\b1 ?/ ?(\d+)\b|\bfactor (?:of )?(\d+)\b)(?=[^.!?\n]{0,40}(?:slow|less|small|short|expected|asked|wanted))",
+    re.IGNORECASE,
+)
 
 
 def _as_string(scene: Scene, words: str) -> Iterator[Suspicion]:

@@ -79,7 +79,11 @@ SHAPES: tuple[Shape, ...] = (
         near=r".*\bcansend\s",
     ),
     # What a program takes: `SEND:01#F6...`.
-    _shape("sent", r".*?\b(?P<mark>send|tx)[:= ]{1,2}(?P<id>[0-9A-F]{1,8})#(?P<data>(?:[0-9A-F]{2}){1,8})(?![0-9A-Z#]).*"),
+    # A controller's bytes are each `16#01`.
+    _shape(
+        "sent",
+        r".*?\b(?P<mark>send|tx)[:= ]{1,2}(?!16#..\W+16#)(?P<id>[0-9A-F]{1,8})#(?P<data>(?:[0-9A-F]{2}){1,8})(?![0-9A-Z#]).*",
+    ),
     # The records of gs_usb adapters (candleLight): echo number, identifier, length, channel, flags, data.
     _shape(
         "gs_usb",

@@ -35,7 +35,7 @@ from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK, FD_LENGTHS, SECOND_NS, co
 _NAMES: dict[str, tuple[str, ...]] = {
     "time": ("timestamp", "time", "times", "timesec", "ts", "t", "datetime", "timems", "timeus", "timens", "tms", "tus", "tns",
              "timestampms", "timestampus", "timestampns", "ms", "us", "millis", "micros", "seconds", "elapsed",
-             "zeit", "系统时间", "时间"),
+             "zeit", "zeitstempel", "系统时间", "时间"),
     "mark": ("dir", "direction", "txrx", "rxtx", "topic", "传输方向", "方向", "sender", "type", "event", "richtung"),
     "data": ("data", "databytes", "datahex", "bytes", "hex", "payload", "frame", "raw", "buffer", "message", "msg", "daten",
              "数据"),
@@ -46,7 +46,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "port": ("bus", "channel", "interface", "port", "can通道", "通道"),
 }  # fmt: skip
 #: Columns that say by their own name who sent their bytes.
-_SENT = ("tx", "request", "sent", "rx", "response", "reply", "received")
+_SENT = re.compile(r"(tx|request|sent|send|rx|response|reply|answer|received?|recv)(?:buf|buffer|data|bytes|hex|frame)?")
 #: Columns of one byte each.
 _CELL = re.compile(r"(?:d|data|byte|b)\d")
 _UNIT = re.compile(r"(?:time|timestamp|t)?(ms|us|ns|millis|micros|seconds)$")
@@ -117,7 +117,7 @@ class _Table:
     def unread(self) -> list[str]:
         """Return the names of columns that mean nothing here."""
         known = {name for names in _NAMES.values() for name in names}
-        return [n for n in self.names or () if n and n not in known and n not in _SENT and not _CELL.fullmatch(n)]
+        return [n for n in self.names or () if n and n not in known and not _SENT.fullmatch(n) and not _CELL.fullmatch(n)]
 
 
 def _key(name: str) -> str:
@@ -132,8 +132,9 @@ def _cells(text: str, separator: str) -> list[str]:
 
 def _is_heading(names: list[str]) -> bool:
     has = {what for what, known in _NAMES.items() if any(name in known for name in names)}
-    holds = "data" in has or any(_CELL.fullmatch(name) for name in names) or any(name in _SENT for name in names)
-    told = has & {"id", "time"} or any(name in _NAMES["mark"][:-2] for name in names)
+    holds = "data" in has or any(_CELL.fullmatch(name) for name in names) or any(map(_SENT.fullmatch, names))
+    sides = {role_of_name(sender[1]) for name in names if (sender := _SENT.fullmatch(name)) is not None}
+    told = has & {"id", "time"} or len(sides) > 1 or any(name in _NAMES["mark"][:-2] for name in names)
     return holds and bool(told)
 
 
@@ -166,8 +167,8 @@ def _named(cells: Iterable[tuple[str, Any]]) -> Row:
         if _CELL.fullmatch(name):
             row.setdefault("cells", []).append(str(value))
             continue
-        if name in _SENT:
-            row[name] = value
+        if (sender := _SENT.fullmatch(name)) is not None:
+            row.setdefault("sides", []).append((value, role_of_name(sender[1])))
         what = next((what for what, names in _NAMES.items() if name in names), None)
         if what is not None and what not in row:
             row[what] = value
@@ -184,7 +185,9 @@ def _bytes_in(row: Row) -> list[tuple[bytes, Role]]:
     if "cells" in row:
         cells = written.read(" ".join(cell.rjust(2, "0") for cell in row["cells"]))
         return [] if cells is None else [(_filled(cells.data, _length(row, len(cells.data))), mark)]
-    found = [(_data(row[name]), role_of_name(name)) for name in _SENT if name in row]
+    # The request stands first, wherever its column is.
+    sides = sorted(row.get("sides", ()), key=lambda side: side[1] is not Role.REQUEST)
+    found = [(_data(value), role) for value, role in sides]
     if "data" in row:
         data = _data(row["data"])
         found.insert(0, (_filled(data, _length(row, len(data))) if data and "id" in row else data, mark))

@@ -31,7 +31,9 @@ _VALUES = r"(?:reg|coil|bits?(?![a-z])|float|holding|input)"
 #: Words for bytes, behind the word that says who sent: `ReadFrame`, `rx_buffer`, `TX data`.
 CONTENT = r"(?:data|bytes?|frame|adu|pdu|buffer|buf|packet|msg|message|raw)"
 #: What bytes can begin with.
-_BYTES = rf"(?={PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*$|(?:[0-9A-Fa-f]{{2}}\.){{5}}|-?\d{{1,3}}[\s,])"
+_BYTES = rf"(?={PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*(?:$|->|<-|[→←|#])|(?:[0-9A-Fa-f]{{2}}\.){{5}}|-?\d{{1,3}}[\s,])"
+#: What stands between the name of a call and the bytes that it returned.
+_RETURNED = rf"\(\d{{0,5}}\)(?:\s*(?:[-=]>|[→=:])\s*{_BYTES}|\s+(?={PAIR}|(?:[0-9A-Fa-f]{{2}}){{3,}}(?:\s|$)|b['\"]|\[))"
 
 
 def _end(group: str) -> str:
@@ -69,8 +71,14 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
             rf"\s*>>>\s*(?:[A-Za-z_][\w.]{{0,40}}\()?(?:[A-Za-z_]\w{{0,40}}\.)+(?P<call>{_RECEIVED})\w{{0,12}}"
             r"\([\w.=, ]{0,40}\)(?:\.hex\([^()]{0,20}\))?[)\s]*$",
         ),
-        # `Serial1.write: FA 1 30 2B`.
-        (When.ANY, ".", rf"\s*(?:[A-Za-z_]\w*\.)+(?P<call>{WORDS_PATTERN})(?:\(\))?\s*[:=]\s*{_BYTES}"),
+        # `Serial1.write: FA 1 30 2B`, `socket.send  FA01302B -> nothing`.
+        (
+            When.ANY,
+            ".",
+            rf"\s*(?:[A-Za-z_]\w*\.)+(?P<call>{WORDS_PATTERN})(?:all|_?{CONTENT})?(?:\(\))?(?:\s*[:=]\s*|\s+){_BYTES}",
+        ),
+        # `read(8) -> b'\\xfb'`: a call with what it returned.
+        (When.ANY, "(", rf"\s*(?:[A-Za-z_]\w*\.)*(?P<call>{WORDS_PATTERN}){_RETURNED}"),
         # Who sends to whom: `PC=>MOT`, `COM>TCP`, `[host <- drive]`.
         (When.UNMARKED, "", rf"\s*[\[(]?{_ENDS}"),
         (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{WORDS_PATTERN})(?:_?{CONTENT})?(?:\(\):)?{_END}{DECORATION}"),
@@ -117,7 +125,8 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
 )
 #: A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark; so does a phrase that ends in a colon.
 DISTANT = re.compile(
-    rf"(?<![\w.])(?<!before )(?:{_ENDS}|(?:{WORDS_PATTERN})\s*(?:[>\]=|]|:(?!:))|(?<![\w,]\s)(?:{WORDS_PATTERN})\s+"
+    rf"(?<![\w.])(?<!before )(?:{_ENDS}|(?:{WORDS_PATTERN}){_RETURNED}"
+    rf"|(?:{WORDS_PATTERN})\s*(?:[>\]=|]|:(?!:))|(?<![\w,]\s)(?:{WORDS_PATTERN})\s+"
     rf"(?={PAIR}[\s,:-]+{PAIR}|<Buffer|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
     re.IGNORECASE,
 )

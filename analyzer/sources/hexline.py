@@ -90,9 +90,11 @@ class HexLine(NamedTuple):
 
 
 #: A digit before bytes that all have two digits is no byte, where some byte keeps its zero or has a letter.
-_LEAD = re.compile(r"(\d)(?:\s*[|;,]\s*|\s+)(?=.*(?:[A-Fa-f]|\b0\d))(?=[0-9A-Fa-f]{2}(?:[\s:-]?[0-9A-Fa-f]{2}){2,}\s*$)")
+_LEAD = re.compile(
+    r"(\d)(?:\s*[|;,]\s*|\s+)(?=.*(?:[A-Fa-f]|\b0\d))(?=[0-9A-Fa-f]{2}(?:[\s:-]?[0-9A-Fa-f]{2}){2,}(?:\s+-{1,3})?\s*$)"
+)
 #: Such a number in a text whose lines all have one.
-_LEADS = re.compile(r"(\d{1,6})(?:\s*[|;,]\s*|\s+)(?=[0-9A-Fa-f]{2}(?:[\s:-]?[0-9A-Fa-f]{2}){2,}\s*$)")
+LEADS = re.compile(r"(\d{1,6})(?:\s*[|;,]\s*|\s+)(?=[0-9A-Fa-f]{2}(?:[\s:-]?[0-9A-Fa-f]{2}){2,}(?:\s+-{1,3})?\s*$)")
 #: A time of day in whole seconds, which could be three bytes, before bytes that no colon parts.
 _SECONDS = re.compile(r"[0-2]?\d:[0-5]\d:[0-5]\d[\s,;|]++[^:]*+")
 #: The shapes that most lines have, in one step: a time, a mark, plain hex bytes.
@@ -104,7 +106,7 @@ _USUAL = re.compile(
 
 _COMMENT_SIGNS = ("#", "//", ";", "%", "*", "--", "/*", "'", "```")
 _ARROW = re.compile(r"-+>")
-_TRAILING = re.compile(r"(?:#|//|;|\(|\||!|--(?=\s)|(?<![-=])[-=]++>|<[-=]+|[→←]|>\s*\d+ bytes?\b).*", re.DOTALL)
+_TRAILING = re.compile(r"(?:(?<!\b16)#|//|;|\(|\||!|--(?=\s)|(?<![-=])[-=]++>|<[-=]+|[→←]|>\s*\d+ bytes?\b).*", re.DOTALL)
 #: Words behind bytes: `old_data:`, `, 4) = 4`, `OK`.
 _WORDY = re.compile(
     r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+(?: data)?\s*[:=]|,\s*\d+\s*\)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*", re.DOTALL
@@ -180,10 +182,11 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
     if led:
         return _as_it_stood(_peeled(text, led=True), line)
     # Plain bytes need no pattern.
-    plain = written.read(text) if text[2:3] == " " or text.isalnum() else None
+    numbered = text[2:3] in " \t" and written.behind_number(text) > 0
+    plain = written.read(text) if (text[2:3] == " " or text.isalnum()) and not numbered else None
     if plain is not None and plain.data:
         return HexLine(Shape.TRAFFIC, plain.data, radix=plain.radix)
-    usual = _USUAL.fullmatch(text)
+    usual = _USUAL.fullmatch(text) if not numbered else None
     if usual is not None:
         date, clock, seconds, mark, digits = usual.groups()
         kind = "date" if date is not None else "clock" if clock is not None else "seconds" if seconds is not None else ""
@@ -193,7 +196,7 @@ def take_apart(line: str, decimal: bool = False, led: bool = False) -> HexLine:
             Shape.TRAFFIC, bytes.fromhex(digits), stamp, _role(mark or ""), sign="" if worded else mark or "", worded=worded
         )
     headed = _LEAD.match(text) or LETTER.match(text) or _SECONDS.fullmatch(text)
-    plain = written.read(text) if headed is None else None
+    plain = written.read(text) if headed is None and not numbered else None
     if plain is not None and plain.data:
         each = _EACH.match(text)
         return HexLine(Shape.TRAFFIC, plain.data, sign=f"each{each[1]}" if each is not None else "", radix=plain.radix)
@@ -275,7 +278,7 @@ class _Peeler:
 
     def __init__(self, text: str, decimal: bool = False, led: bool = False) -> None:
         self.text = text
-        self.lead = _LEADS if led else _LEAD
+        self.lead = LEADS if led else _LEAD
         self.led = False
         self.decimal = decimal
         self.at = 0
@@ -337,9 +340,14 @@ class _Peeler:
             return numbers
         if not self.marked and LETTER.match(text) is not None:
             return None
-        if not self.decimal and self.number is None and (lead := self.lead.match(text)) is not None:
-            self.number, self.led = int(lead[1]), True
-            text = text[lead.end() :]
+        if not self.decimal and self.number is None:
+            if (lead := self.lead.match(text)) is not None:
+                self.number, self.led = int(lead[1]), True
+                text = text[lead.end() :]
+            elif (end := written.behind_number(text)) and (found := written.read(text[end:])) is not None:
+                digits = text[:end].strip()
+                self.number, self.led = int(digits, 10 if digits.isdecimal() else 16), True
+                return found
         found = written.read(text)
         if found is None and self.marked and self.stamp.kind and text.count(":") == _COLONS_OF_TIME:
             # Behind a time and a mark three bytes are no time of day.

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.link import REGISTER_READS, modbus_crc
 from analyzer.sources.hexfields import has_cells, has_fields
-from analyzer.sources.hexline import HexLine, Shape, take_apart
+from analyzer.sources.hexline import LEADS, HexLine, Shape, bytes_of, take_apart
 from analyzer.sources.marks import OTHER_SIDE, TO, WORDS, role_of
 from analyzer.sources.prose import quotations
 from analyzer.sources.written import Radix, decimal
@@ -94,6 +95,19 @@ def is_table(parts: list[HexLine]) -> bool:
         return False
     heads = Counter(p.data[0] for p in parts)
     return len(heads) > _DECIMAL_HEADS or any(len(p.data) < _DECIMAL_BYTES for p in parts)
+
+
+def _counts_up(lines: Sequence[str], traffic: Sequence[HexLine]) -> bool:
+    """Say whether a number that counts up stands before the frame of each line, and is no byte of it."""
+    found = [(row, line.strip()[row.end() :]) for line in lines if (row := LEADS.match(line.strip())) is not None]
+    if len(found) < max(_COUNTED_ROWS, len(traffic)) or any(int(b[0][1]) - int(a[0][1]) != 1 for a, b in pairwise(found)):
+        return False
+    behind = [bytes_of(text) or b"" for _, text in found]
+    return all(data[:1] in _HEADS or modbus_crc(data) == 0 for data in behind) and all(modbus_crc(p.data) for p in traffic)
+
+
+#: Rows whose numbers count up by no chance, and the heads of native dialects.
+_COUNTED_ROWS, _HEADS = 3, (b"\xfa", b"\xfb", b"\x3e")
 
 
 def _is_digit(line: HexLine) -> bool:
@@ -186,7 +200,7 @@ class Manner(NamedTuple):
             decimal=any(p.radix is Radix.DECIMAL for p in traffic),
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
             brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
-            led=len(traffic) > 1 and all(p.led for p in traffic[:2]),
+            led=(len(traffic) > 1 and all(p.led for p in traffic[:2])) or _counts_up(lines, traffic),
             deaf=_is_deaf(traffic, roles),
             turned=_is_turned(traffic),
             asker=_asker(traffic),

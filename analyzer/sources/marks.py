@@ -19,14 +19,14 @@ ACTIONS: dict[str, int] = {
         ("tx", "txd", "send", "sends", "sending", "sended", "sent", "transmit", "transmitted", "transmitting", "write",
          "writing", "wrote", "written", "发送", "发", "irp_mj_write", "送信", "gesendet", "sende", "senden", "envoyé", "envoi",
          "enviado", "enviando", "inviato", "trasmesso", "отправлено", "передача", "передано", "wysłano", "verzonden",
-         "odesláno", "gönderilen", "gönderildi", "송신", "发出"),
+         "odesláno", "gönderilen", "gönderildi", "송신", "发出", "wr", "snd"),
         _SENT,
     ),
     **dict.fromkeys(
         ("rx", "rxd", "recv", "rcv", "rcvd", "recvd", "receive", "receives", "received", "receiving", "recieve", "recieved",
          "recieving", "read", "got", "接收", "收", "irp_mj_read", "受信", "empfangen", "empfang", "reçu", "recibido",
          "recibiendo", "ricevuto", "получено", "принято", "приём", "прием", "odebrano", "ontvangen", "přijato", "alınan",
-         "alındı", "수신", "收到"),
+         "alındı", "수신", "收到", "rd"),
         _RECEIVED,
     ),
 }  # fmt: skip

@@ -17,6 +17,7 @@ import re
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
+from analyzer.link import modbus_crc
 from analyzer.sources import written
 from analyzer.sources.lines import remembered
 from analyzer.sources.marks import ACTIONS, MATTERS, OTHER_SIDE, SIGNS, SPEAKERS, role_of
@@ -30,7 +31,7 @@ _VERBS = {
         "reply",
     ),
 }  # fmt: skip
-_MARKED = r"(?:0[xX][0-9A-Fa-f]{1,2})"
+_MARKED = r"(?:(?:0[xX]|16#)[0-9A-Fa-f]{1,2})"
 _PAIR = r"[0-9A-Fa-f]{2}"
 _PAIRS = rf"(?:{_PAIR}){{1,4}}"
 #: A number that is compared is a check. A label may touch its bytes: `frame:01 03`.
@@ -59,7 +60,7 @@ _RUN = re.compile(
     r"|(?P<quoted>(?<=[`'\"])(?:[0-9A-Fa-f]{2}){3,}(?=[`'\"]))"
     rf"|(?P<digits>{_NOTHING_BEFORE}(?=[0-9A-Fa-f]*\d)(?=\d*[A-Fa-f])(?:[0-9A-Fa-f]{{2}}){{4,}}(?![\w/-]))"
 )
-_LETTER = re.compile(r"[A-Fa-f]|0[xX]|\\x")
+_LETTER = re.compile(r"[A-Fa-f]|0[xX]|16#|\\x")
 _LABEL = re.compile(r"[^\W\d_]\s*[:=]\s*$")
 _TWO_WITH_LETTER = re.compile(r"\b(?=\w?[A-Fa-f])\w\w\b")
 _NETWORK_CARD = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")
@@ -118,7 +119,10 @@ def mentions(line: str, libmodbus: bool = False) -> list[Quotation]:
         data = _data(run)
         if data is None:
             continue
-        before = line[max(begin, run.start() - _LONGEST_SENTENCE) : run.start()]
+        # `addr 01  FA 01 3A 35`.
+        number = written.behind_number(run[0])
+        data, start = (data[1:], run.start() + number) if number else (data, run.start())
+        before = line[max(begin, start - _LONGEST_SENTENCE) : start]
         sentence = _SENTENCE.split(before)[-1]
         sign = _SIGN.search(before, max(0, len(before) - _LONGEST_SIGN))
         left = _no_frame(run, data, before, sentence, sign is not None)
@@ -132,7 +136,7 @@ def mentions(line: str, libmodbus: bool = False) -> list[Quotation]:
         if role is Role.UNKNOWN and sign is not None:
             role = role_of((), sign[1])
         role = brackets.get(run[0][0], role) if run.lastgroup == "each" else role
-        found.append(Quotation(run.start() + 1, data, role, run.end(), left or _not_sent(sentence, role)))
+        found.append(Quotation(start + 1, data, role, run.end(), left or _not_sent(sentence, role)))
     return found
 
 
@@ -155,7 +159,7 @@ def _data(run: re.Match[str]) -> bytes | None:
         return bytes.fromhex(text.replace("\\", ""))
     if kind in ("quoted", "digits"):
         return bytes.fromhex(text)
-    if kind == "pairs" and "x" not in text.lower()[2:]:
+    if kind == "pairs" and "x" not in text.lower()[2:] and "#" not in text:
         return bytes.fromhex(re.sub(r"0[xX]|[^0-9A-Fa-f]", "", text))
     if kind == "dashed":
         return written.decimal(text)
@@ -217,7 +221,7 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
         small = text != text.upper()
         if len(text) in _HASHES and not signed:
             return "a hash"
-        return "" if not small or signed or _BYTES_WORD.search(before) is not None else None
+        return "" if not small or signed or _BYTES_WORD.search(before) is not None or _has_check(data) else None
     words = _WORD.findall(sentence.lower())
     direct = signed or (bool(words) and sentence.rstrip(" :='\"`(").lower().endswith(words[-1]) and words[-1] in _SAID)
     if _NETWORK_CARD.fullmatch(text) and not direct:
@@ -231,8 +235,15 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
     return "" if len(data) >= least else None
 
 
-#: Who "wrote" above a quotation wrote a post.
-_SAID = frozenset((*ACTIONS, *MATTERS, *_VERBS)) - {"wrote"}
+def _has_check(data: bytes) -> bool:
+    """Say whether bytes end as a frame of a dialect does, or begin as one of LK."""
+    if data[:1] == b"\x3e":
+        return sum(data[:4]) & 0xFF == data[4]
+    return (data[0] in _HEADS and sum(data[:-1]) & 0xFF == data[-1]) or modbus_crc(data) == 0
+
+
+#: Who "wrote" above a quotation wrote a post, and "3rd" is a number.
+_SAID = frozenset((*ACTIONS, *MATTERS, *_VERBS)) - {"wrote", "wr", "rd"}
 
 
 def role_in_text(text: str) -> Role:

@@ -4,10 +4,11 @@
     1234-5678 uart-1: FA                  the same with --protocol-decoder-samplenum
     uart-1: rx-data: FA                   with --protocol-decoder-ann-class
     1234-5678 UART: RX data: FA           PulseView, with the row or class in the middle
+    uart-1: FA 01 30 2B                   a burst, as scripts put it together
 
-Rules: each byte is a chunk. Start, stop and parity bits are passed over. Sample numbers become times only with the
-line speed (`--baud`), which tells how long the 8 bits of a byte are; else the capture has no times. `RX` and `TX` say
-who sent once something was sent.
+Rules: each byte is a chunk, and so is what one line has. Start, stop and parity bits are passed over. Sample numbers become
+times only with the line speed (`--baud`), which tells how long the 8 bits of a byte are; else the capture has no times. `RX`
+and `TX` say who sent once something was sent.
 """
 
 from __future__ import annotations
@@ -29,9 +30,10 @@ _DATA_CLASS = re.compile(r"(?:(rx|tx)[ -]?(?:data|dump)?|data)$", re.IGNORECASE)
 _OTHER_CLASS = re.compile(r"(rx|tx)[ -]?\w+|.*(bits?|warnings?|packets?|break|start|stop|parity).*", re.IGNORECASE)
 _QUOTED = re.compile(r'"([^"]*)"')
 _HEX = re.compile(r"(?:0x|@|\[)?([0-9A-Fa-f]{2})\]?$")
+_BURST = re.compile(r"(?:[0-9A-Fa-f]{2} ){1,299}[0-9A-Fa-f]{2}$")
 _BITS = re.compile(r"[01]{8}$")
 _BIT_WORDS = re.compile(r"(start|stop|parity|break|frame|idle|rx|tx)\b", re.IGNORECASE)
-_DATA_BITS = 8
+_DATA_BITS, _FRAME_BITS = 8, 10
 
 
 def score(head: bytes) -> float:
@@ -74,7 +76,7 @@ def _records(source: Source) -> Iterator[Chunk]:
         start, stop, decoder, kind, value = found.groups()
         if kind is not None and not _DATA_CLASS.match(kind) and _OTHER_CLASS.match(kind):
             continue
-        data = _byte(value, kind is not None)
+        data = _bytes(value, kind is not None)
         if data is None:
             # A bit lasts an eighth of a byte; a byte that lost a digit lasts as long as the others.
             bit = value in ("0", "1") and not (samples and start is not None and 2 * (int(stop) - int(start)) > samples)
@@ -83,21 +85,24 @@ def _records(source: Source) -> Iterator[Chunk]:
             continue
         t_ns = None
         if start is not None:
-            samples = samples or int(stop) - int(start)
+            # A burst has the bits between its bytes, too.
+            samples = samples or (int(stop) - int(start)) * _DATA_BITS // (_FRAME_BITS * len(data) - 2)
             if source.baud and samples > 0:
                 t_ns = int(stop) * (_DATA_BITS * SECOND_NS // source.baud) // samples
         role = role_of_name(kind) if kind else Role.UNKNOWN
         port = None if decoder.lower().rstrip("-1").startswith("uart") and decoder[-1:] not in "23456789" else decoder
-        yield Chunk(t_ns, source.port(port), data, heard(role))
+        yield Chunk(t_ns, source.port(port), data, heard(role), len(data) > 1)
 
 
-def _byte(value: str, classed: bool) -> bytes | None:
-    """Return an annotation's byte, None if it is none."""
+def _bytes(value: str, classed: bool) -> bytes | None:
+    """Return an annotation's bytes, mostly one, None if it is none."""
     quoted = _QUOTED.match(value)
     text = quoted[1] if quoted is not None else value
     found = _HEX.match(text)
     if found is not None:
         return bytes.fromhex(found[1])
+    if _BURST.match(text):
+        return bytes.fromhex(text)
     if _BITS.match(text):
         return bytes((int(text, 2),))
     # The decoder's format "ascii" prints one character; a lone 0 or 1 is a bit unless the line says it is data.

@@ -18,6 +18,8 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import NamedTuple
 
+from analyzer.link import modbus_crc
+
 
 class Radix(StrEnum):
     """What numbers certainly are, or `either`."""
@@ -147,6 +149,19 @@ def _decimal(text: str) -> Written | None:
     return None if data is None or len(data) < 2 else Written(data, Radix.DECIMAL)
 
 
+def behind_number(text: str) -> int:
+    """Return where bytes begin behind a number of two digits that stands apart from them; 0 where none does.
+
+    It is one of a table, unless a CRC says otherwise. A hexadecimal one is told by a head of a frame behind it.
+    """
+    found = _NUMBERED.match(text)
+    return found.end() if found is not None and modbus_crc(bytes.fromhex(found[1] + (found[2] or found[3]))) else 0
+
+
+_NUMBERED = re.compile(
+    r"\s*(\d\d|[01][A-Fa-f](?=\s+(?:FA|FB|3E|fa|fb|3e)))"
+    r"(?:\s{2,}(?=([0-9A-Fa-f]{2}(?: [0-9A-Fa-f]{2}){2,})(?:\s\s|\s*$))|\s+(?=((?:[0-9A-Fa-f]{2}){4,})(?:\s|$)))"
+)
 #: What bytes begin with, however they are written: most words do not.
 _BEGIN = re.compile(
     r"[\[{(<\"'\\$&-]|16#|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|(?:[0-9A-Fa-f]{2}\.){5}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"

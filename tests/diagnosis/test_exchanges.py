@@ -194,6 +194,23 @@ def test_the_second_of_two_requests_that_follow_each_other_at_once(gap_ms, cause
     assert [each.suspicion.cause for each in found][:1] == cause
 
 
+@pytest.mark.parametrize(("gap_ms", "other", "cause"), [(2, 5, "too_fast"), (200, 5, "no_reply"), (2, 6, "wrong_address")])
+def test_none_of_two_requests_that_follow_each_other_at_once(gap_ms, other, cause):
+    """A read alone is answered. What comes after a pause, or is sent to a unit that never answers, is silent by itself."""
+    items, now = [], 0
+    for number in range(4):
+        for each in (
+            rtu("05 04 00 F1 00 01"),
+            rtu(f"{other:02X} 06 00 F3 00 01"),
+            rtu(f"05 10 00 F6 00 02 04 00 14 00 {number:02X}"),
+        ):
+            now += gap_ms * MS if each[1] == 0x10 else 500 * MS
+            items.append(Chunk(now, "bus", each, Role.REQUEST, True))
+            if each[1] == 0x04:
+                items.append(Chunk(now + 5 * MS, "bus", rtu("05 04 02 00 01"), Role.REPLY, True))
+    assert [each.suspicion.cause for each in diagnosed(items).causes][:1] == [cause]
+
+
 def test_requests_that_come_too_soon():
     causes = diagnosed(burst(100, 1)).causes
     assert causes[0].suspicion.cause == "too_fast"

@@ -250,3 +250,20 @@ def test_a_paste_with_its_words(text: str, cause: str | None, tmp_path: Path, ca
     assert main(["diagnose", str(path), "--json"]) == (cause is not None)
     found = json.loads(capsys.readouterr().out)["causes"]
     assert [each["cause"] for each in found[:1]] == ([cause] if cause else [])
+
+
+@pytest.mark.parametrize(
+    ("words", "cause"),
+    [
+        ("set_speed({speed})  # deg/s", "unit_or_sign"),
+        ("it turns 100 times slower than I ask", "unit_or_sign"),
+        # In words as in bytes.
+        ("set_speed({speed})  # 0.01 deg/s", None),
+        ("it turns 10 times slower than a turn", None),
+    ],
+)
+def test_a_number_that_is_sent_without_its_scale(words, cause, causes_of):
+    bodies = [speed.to_bytes(4, "little") for speed in (360, 90)]
+    frames = [f"3E A2 01 04 E5 {body.hex(' ')} {sum(body) & 0xFF:02X}" for body in bodies]
+    log = "".join(f"{words.format(speed=speed)}\n> {frame}\n" for speed, frame in zip((360, 90), frames, strict=True))
+    assert causes_of(log + "it answers")[:1] == ([cause] if cause else [])

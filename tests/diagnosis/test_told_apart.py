@@ -143,3 +143,10 @@ def test_bytes_of_can_without_an_identifier_say_what_is_missing(tmp_path, capsys
     path.write_text("The command (0xff, 0xca) is answered (0xff, 0x1); then there is another can message with 0xff, 0x2.\n")
     assert main(["diagnose", str(path)]) == 2
     assert "without an identifier: put that of each frame before it (001#FFCACA)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("strays", "cause"), [((1, 2, 3, 4, 5), None), ((0, 0, 0, 0, 0), "leading_glitch")])
+def test_stray_bytes_that_count_up_are_the_numbers_of_rows(strays, cause):
+    frames = [bytes((0xFA, address, 0x3A, 0xFA + address + 0x3A & 0xFF)) for address in range(1, 6)]
+    log = "".join(f"> {stray:02X} {frame.hex(' ')}\n" for stray, frame in zip(strays, frames, strict=True))
+    assert [each.suspicion.cause for each in diagnosed(log).causes[:1]] == ([cause] if cause else [])

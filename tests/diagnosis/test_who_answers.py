@@ -28,6 +28,8 @@ ANSWERED = f"> {native('FA 03 F1')}\n< {native('FB 03 F1 01')}\n"
         GROUPED + f"> {READ}\n" + ANSWERED,
         # The group was given its address before.
         f"> {MOTION}\ntimed out\n" * 3 + ANSWERED,
+        # Each command once, and each time words for nothing.
+        GROUPED + "".join(f"tx {native(f'FA 60 F6 00 {n} 05')} rx nothing!\n" for n in (10, 20)) + ANSWERED,
         # So for all.
         ANSWERED + f"> {native('FA 00 F6 00 50 05')}\nno response\n" * 3,
     ],
@@ -107,6 +109,17 @@ def test_a_report_that_meets_a_reply(causes_of):
     lines = reports({3}).splitlines(keepends=True)
     at = max(n for n, line in enumerate(lines) if "RX FB 02" in line)
     assert causes_of("".join((*lines[:at], lines[at].replace("02 31", "02 11"), *lines[at + 1 :])))[0] == "collision"
+
+
+@pytest.mark.parametrize(("address", "cause"), [(2, "collision"), (1, "duplicate_address")])
+def test_a_request_onto_a_reply_brings_a_reply_that_none_asked_for(address, cause, causes_of):
+    log = ""
+    for n in range(6):
+        spoiled = native(f"FB 01 31 00 00 00 00 10 {n:02X}").replace("FB 01 31", "FA 01 30")
+        rows = [native("FA 01 31"), spoiled, native("FA 03 F1"), native("FB 03 F1 01")]
+        rows[2:2] = [native("FB 02 31 00 00 00 00 02 00")] if address == 2 else []
+        log += "".join(f"{n + at / 100:.3f}  {data}\n" for at, data in enumerate(rows))
+    assert causes_of(log)[0] == cause
 
 
 @pytest.mark.parametrize(("lost", "cause"), [(True, ["collision"]), (False, [])])

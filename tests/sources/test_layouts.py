@@ -13,6 +13,11 @@ ASKED, ANSWERED = "11 03 00 C0 00 01 86 A6", "11 03 02 00 04 78 44"
 LIBRARY = "Library debug mode. {} instrument: {} (8 bytes), after 1.2 ms\n"
 
 
+def iec(text: str) -> str:
+    """Return bytes as controllers write them."""
+    return " ".join(f"16#{byte}" for byte in text.split())
+
+
 def read(tmp_path: Path, text: str) -> list[tuple[str, str]]:
     path = tmp_path / "paste.txt"
     path.write_text(text, "utf-8")
@@ -42,8 +47,16 @@ BOTH = [("request", ASKED), ("reply", ANSWERED)]
         # A library's words beside a log of bytes: a label stands before what is new, and what was there is said again.
         f"TX: {ASKED}\nSending frame again with retry 1\nResponse from unit on the bus: [{', '.join(ANSWERED.split())}]\n"
         f"Processing frame: {ANSWERED[3:-6]}\nCurrent frame received: {ANSWERED}\n",
+        # A call of a program, with what came of it behind an arrow.
+        f"0.0s socket.send  {ASKED.replace(' ', '')}   -> ok\n0.1s socket.recv  {ANSWERED.replace(' ', '')}\n",
+        f"[10:00:00] wr {ASKED.replace(' ', '').lower()}\n[10:00:01] rd {ANSWERED.replace(' ', '').lower()}\n",
+        # Each call with what it returned, which may be the same again.
+        f"DEBUG:bus:write(8) -> {bytes.fromhex(ASKED)}\nDEBUG:bus:read(7) -> {bytes.fromhex(ANSWERED)}\n",
+        f"08:00:00 SEND {iec(ASKED)}  -> sent\n08:00:01 RECV {iec(ANSWERED)}\n",
+        # A controller's table, in its own digits.
+        f"Zeitstempel;SendBuf;RecvBuf;Status\n2024-03-01 08:00:00;{iec(ASKED)};{iec(ANSWERED)};16#0000\n",
     ],
-    ids=["quoted", "characters", "html", "names", "labels"],
+    ids=["quoted", "characters", "html", "names", "labels", "calls", "short-words", "returned", "iec", "controller"],
 )
 def test_one_exchange(text: str, tmp_path: Path) -> None:
     assert read(tmp_path, text) == BOTH
@@ -57,6 +70,13 @@ def test_characters_beyond_ascii_are_bytes(tmp_path: Path) -> None:
 def test_a_list_without_zeros_before_digits_is_decimal(tmp_path: Path) -> None:
     text = 'sent {"data":{"type":"Buffer","data":[58,48,49,48,51,13,10]}}\n'
     assert read(tmp_path, text) == [("request", "3A 30 31 30 33 0D 0A")]
+
+
+def test_what_a_call_returns_again_is_read_again(tmp_path: Path) -> None:
+    text = f"DEBUG:bus:write {bytes.fromhex(ASKED)}\nDEBUG:bus:read(7) -> {bytes.fromhex(ANSWERED)}\n"
+    assert read(tmp_path, text * 3) == BOTH * 3
+    text = f"ser.write {ASKED.replace(' ', '')}\nser.read(7) {ANSWERED.replace(' ', '')}\n"
+    assert read(tmp_path, text * 3) == BOTH * 3
 
 
 @pytest.mark.parametrize("text", ["TX: [01, 03, 06, 31]\nRX: [3D, 31, 79]\n", "TX: [0x01, 3, 6, 0x31]\nRX: [0x3D, 49, 0x79]\n"])
@@ -116,3 +136,28 @@ def test_a_column_of_directions_may_have_a_letter_or_a_sign(marks, heading, tmp_
         roles = [each.direction.value for each in source if isinstance(each, CanFrame)]
     # A listener receives everything: on CAN only what was sent is told.
     assert roles == ["request", "unknown", "request"]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        "addr 01  FA013A35  --\naddr 02  FA023A36  FB023A0138\n",
+        "addr 01  FA 01 3A 35  --\naddr 02  FA 02 3A 36  FB 02 3A 01 38\n",
+        "01  FA013A35\n02  FA023A36\n03  FB023A0138\n",
+        "drive 0A  FA013A35  timeout\ndrive 0B  FA023A36  FB023A0138\n",
+        "addr;request;answer\n1;FA 01 3A 35;-\n2;FA 02 3A 36;FB 02 3A 01 38\n",
+        "  7  FA 01 3A 35  --\n  8  FA 02 3A 36  --\n  9  FB 02 3A 01 38\n",
+    ],
+)
+def test_a_number_of_a_row_is_no_byte(rows, tmp_path: Path) -> None:
+    assert "".join(data for _, data in read(tmp_path, rows)).replace(" ", "") == "FA013A35FA023A36FB023A0138"
+
+
+def test_an_address_that_counts_up_is_a_byte(tmp_path: Path) -> None:
+    rows = ["01 04 00 33 00 02 81 C4", "02 04 00 33 00 02 81 F7", "03 04 00 33 00 02 80 26", "04 04 00 33 00 02 81 91"]
+    assert [data for _, data in read(tmp_path, "\n".join(rows) + "\n")] == rows
+
+
+def test_digits_without_gaps_that_have_a_check_are_a_frame(tmp_path: Path) -> None:
+    text = f"[10:00:00] tell {ASKED.replace(' ', '').lower()}\n[10:00:01] hear deadbeef01 and 110300c00001\n"
+    assert [data for _, data in read(tmp_path, text)] == [ASKED]

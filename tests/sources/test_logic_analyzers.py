@@ -110,6 +110,10 @@ def test_annotations_of_sigrok(line: str, tmp_path: Path) -> None:
     assert records == [Chunk(None, "serial", b"\xfa")]
 
 
+def test_a_burst_of_a_line_is_one_chunk(tmp_path: Path) -> None:
+    assert read(tmp_path, "uart-1: FA 01 30 2B\n")[1] == [Chunk(None, "serial", bytes.fromhex("FA01302B"), U, True)]
+
+
 def test_other_annotations_are_passed_over(tmp_path: Path) -> None:
     lines = [
         "uart-1: Start bit", "uart-1: 0", "uart-1: 1", "uart-1: rx-data-bits: 1", "uart-1: FA", "uart-1: Parity OK bit",
