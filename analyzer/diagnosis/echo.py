@@ -31,8 +31,10 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     if scene.directed and not scene.shows_sent:
         # A host that receives the same again and again has sent nothing that could come back.
         back = []
-    whole = [(e, "" if e.piece is None else shown(e.piece.data)) for e in back]
-    found = whole + [(t, shown(sent)) for t, sent in _received(scene) if t not in [w for w, _ in whole]]
+    parted = [(sent, rows) for sent, rows in _parted(scene) if not set(back).intersection(rows)]
+    found = [(e, "" if e.piece is None else shown(e.piece.data)) for e in back] + [(rows[0], sent) for sent, rows in parted]
+    told = {trouble for trouble, _ in found}.union(*(rows for _, rows in parted))
+    found += [(t, shown(sent)) for t, sent in _received(scene) if t not in told]
     found += [] if found else _glued(scene)
     offsets = {trouble.offset for trouble, _ in found}
     exchanges = sum(
@@ -79,7 +81,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     ]
     yield Suspicion(
         "echo", Confidence.CERTAIN if len(found) > 1 or behind else Confidence.LIKELY,
-        [*asked, *(trouble for trouble, _ in found)],
+        [*asked, *dict.fromkeys((*(trouble for trouble, _ in found), *(t for _, rows in parted for t in rows)))],
         "What the host receives begins with what it has sent: its own bytes come back.",
         f"{data}, which was sent, comes back at byte {first.offset}; {counted(len(found), 'time')}",
         _DROP,
@@ -124,7 +126,7 @@ def _changed(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
             or own.direction is not Role.REQUEST
             or len(own.data) != len(stretch.data)
             or len(own.data) < _ONCE
-            or _may_be_reply(scene, stretch)
+            or _may_be_reply(scene, stretch.data, own)
         ):
             continue
         got, was = int.from_bytes(stretch.data), int.from_bytes(own.data)
@@ -164,7 +166,7 @@ def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
             sent = burst if burst.direction is Role.REQUEST else None
             continue
         trouble = damaged.get(burst.offset)
-        if sent is None or len(burst.data) < _LEAST or _may_be_reply(scene, burst):
+        if sent is None or len(burst.data) < _LEAST or _may_be_reply(scene, burst.data, sent):
             continue
         if trouble is None:
             # It begins with a sound request, and more comes behind it.
@@ -173,9 +175,11 @@ def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
             continue
         if burst.data.startswith(sent.data) and len(sent.data) >= _LEAST:
             yield trouble, sent.data
-        elif burst.data.startswith(sent.data[1:]) and (len(sent.data) > _ONCE or _replied(scene, burst, len(sent.data) - 1)):
+        elif burst.data.startswith(rest := sent.data[1:]) and (
+            len(sent.data) > _ONCE or _replied(scene, burst.data, len(rest), sent)
+        ):
             # The receiver is switched on within the first byte, or the host has thrown it away.
-            yield trouble, sent.data[1:]
+            yield trouble, rest
         elif sent.data.startswith(burst.data):
             cut.append((trouble, burst.data))
         else:
@@ -184,6 +188,35 @@ def _received(scene: Scene) -> Iterator[tuple[Trouble, bytes]]:
         sent = None
     if len(cut) > 1 or any(len(data) >= _ONCE for _, data in cut):
         yield from cut
+
+
+def _parted(scene: Scene) -> list[tuple[str, list[Trouble]]]:
+    """Return requests that come back in more reads than one, before the reply, with the troubles of these reads."""
+    found = []
+    for sent, heard in _exchanged(scene):
+        data = b"".join(burst.data for burst in heard)
+        size = len(sent.data)
+        if not len(heard[0].data) < size < len(data) or not data.startswith(sent.data):
+            continue
+        # A write is answered by its own bytes; then the reply stands behind them again.
+        if size < _ONCE or (_may_be_reply(scene, data[:size], sent) and not _replied(scene, data, size, sent)):
+            continue
+        troubles = [t for t in scene.troubles if heard[0].offset <= t.offset < heard[-1].stop]
+        found.append((shown(sent.data), troubles or [Trouble("host_echo", heard[0].offset)]))
+    return found
+
+
+def _exchanged(scene: Scene) -> Iterator[tuple[Stretch, list[Stretch]]]:
+    """Yield what the host has sent at once, and all that it receives before it sends again."""
+    sent: Stretch | None = None
+    heard: list[Stretch] = []
+    for burst in (*scene.bursts, None) if scene.directed else ():
+        if burst is not None and burst.direction is Role.REPLY:
+            heard.append(burst)
+            continue
+        if sent is not None and heard:
+            yield sent, heard
+        sent, heard = burst if burst is not None and burst.direction is Role.REQUEST else None, []
 
 
 def _glued(scene: Scene) -> list[tuple[Trouble, str]]:
@@ -213,12 +246,11 @@ def _unsound(burst: Stretch) -> bool:
     return not any(piece.sound for piece in burst.pieces)
 
 
-def _replied(scene: Scene, burst: Stretch, at: int) -> bool:
-    """Say whether the reply to what was sent before stands at a place in bytes."""
-    return any(reply.stands(burst.data, at) for reply in replies_to(scene.asked_before(burst.offset)))
+def _replied(scene: Scene, data: bytes, at: int, sent: Stretch) -> bool:
+    """Say whether the reply to what was sent stands at a place in bytes."""
+    return any(reply.stands(data, at) for reply in replies_to(scene.asked_before(sent.stop)))
 
 
-def _may_be_reply(scene: Scene, burst: Stretch) -> bool:
+def _may_be_reply(scene: Scene, data: bytes, sent: Stretch) -> bool:
     """Say whether bytes can be the beginning of the reply: a write is answered by its own bytes."""
-    asked = scene.asked_before(burst.offset)
-    return any(reply.begins(burst.data[: reply.size]) for reply in replies_to(asked))
+    return any(reply.begins(data[: reply.size]) for reply in replies_to(scene.asked_before(sent.stop)))

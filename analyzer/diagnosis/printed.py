@@ -15,7 +15,17 @@ from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion,
 from analyzer.layout import Field, FieldKind
 from analyzer.values import counted
 
-_NUMBER = re.compile(r"(?<![\w.:/-])(-?\d{2,15})(?![\d:x]|\.\d)\s*([A-Za-z]*)")
+_NUMBER = re.compile(r"(?<![\w.:/-])(-?\d{2,15})(?![\d:x]|\.\d)\s*([A-Za-z]*(?:/(?:s|min))?)")
+#: How people write units of fields that have no step, beside the catalogue's own word.
+_ALSO = {
+    "rpm": frozenset(("r/min", "rev/min", "u/min", "revs/min")),
+    "pulses": frozenset(("pulse", "steps", "step", "microsteps")),
+    "counts": frozenset(("count",)),
+}
+#: Words before a number that somebody wants.
+_WANTED = (
+    r"\b(?:want|wish|need|intend|mean|meant|ask|order|command|request|desire|target|goal|set)\w*\b[^.;\n]{{0,40}}\b{}(?!\d)"
+)
 #: The fewest bits of a field whose unsigned reading is no usual number; the fewest digits of a number that is sent.
 _WIDE, _DIGITS = 16, 3
 #: Numbers with a point too, and their unit; a whole turn that is told in words.
@@ -56,6 +66,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     signed: list[tuple[Piece, str, int, int]] = []
     short: list[tuple[Piece, str, int, int]] = []
     digits: list[tuple[Piece, str, int, int]] = []
+    wanted: dict[tuple[str, int], bool] = {}
     for piece in scene.pieces:
         for field, value in _fields(piece):
             if field.kind is FieldKind.INT and field.bit_width >= _WIDE:
@@ -64,9 +75,12 @@ def look(scene: Scene) -> Iterator[Suspicion]:
                 elif piece.is_request and value >= _MUCH and value not in numbers:
                     widths = (bits for bits in _PROGRAM_BITS if value < 1 << bits < 1 << field.bit_width)
                     short += ((piece, field.name, value, value - (1 << n)) for n in widths if value - (1 << n) in numbers)
-            unit, text = field.unit.lower(), f"{value:x}"
-            of_digits = piece.is_request and unit and field.scale == 1 and len(text) >= _DIGITS and text.isdecimal()
-            if of_digits and (int(text), unit) in said and (value, unit) not in said:
+            text = f"{value:x}" if piece.is_request and field.unit and field.scale == 1 else ""
+            if len(text) < _DIGITS or not text.isdecimal():
+                continue
+            if (key := (field.unit.lower(), value)) not in wanted:
+                wanted[key] = _wanted(words, said, key[0], int(text), value)
+            if wanted[key]:
                 digits.append((piece, field.name, value, int(text)))
     yield from _said(
         "unit_or_sign", signed, "The program prints {0} as {1}: the field is signed, and says {2}.",
@@ -80,6 +94,17 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         "decimal_as_hex", digits, "The decimal digits of {0} are sent as hexadecimal ones: {2} is meant, and {1} is sent.",
         "Convert the number before it is sent",
     )  # fmt: skip
+
+
+def _wanted(words: str, said: set[tuple[int, str]], unit: str, meant: int, sent: int) -> bool:
+    """Say whether the words want one number, and have the other only as what came of it."""
+    units = {unit, *_ALSO.get(unit, ())}
+    if not any((meant, each) in said for each in units):
+        return False
+    came = any((sent, each) in said for each in units)
+    return (
+        not came or COMPLAINT.search(words) is not None or (re.search(_WANTED.format(meant), words, re.IGNORECASE) is not None)
+    )
 
 
 def _scaled(scene: Scene, said: set[tuple[float, str]]) -> Iterator[Suspicion]:

@@ -6,17 +6,22 @@
 
     0000  fa 01 30 2b                                       ..0+         tshark -x: an offset of 0 begins a packet
 
+    fa0131...                                                   `xxd -p`: rows of 30 bytes, without offsets
+
 No times, no directions: rows are cut anywhere, but a packet of several is a burst. The offsets show bytes that are missing.
+Lines of words above the rows and behind them (a prompt) are comments, unless they say who sent this one frame.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
-from analyzer.records import Chunk
+from analyzer.catalogue import Role
+from analyzer.records import Chunk, Comment
 from analyzer.sources.lines import Lines, fitting, head_lines
+from analyzer.sources.prose import role_in_text
 from analyzer.sources.source import Source, quote
 from analyzer.values import counted
 
@@ -35,11 +40,26 @@ _FOLLOWING = 0.8
 #: Rows of a dump of which one may have a damaged offset.
 _DAMAGED_ROWS = 4
 _USUAL_ROWS = (8, 16, 32)
+#: Lines of words around the rows, and the fewest rows that have such.
+_MOST_WORDS, _LEAST_ROWS = 8, 3
+#: No reply of a drive has more bytes.
+_LONGEST_REPLY = 64
+#: What a shell prints before a command.
+_PROMPT = re.compile(
+    r"\s*(?:\(\w+\) ?)?(?:\[?\S{1,40}@\S{1,80}(?: \S{1,40}?\]?)?)? ?[$#%](?:\s|$)|\s*(?:PS )?[A-Z]:\\[^>]{0,200}>"
+)
+#: Rows without offsets are so wide, and the last may be shorter.
+_PLAIN_BYTES = 30
+#: Digits at the beginning of a frame that those of one sender share.
+_HEAD = 6
+_PLAIN = re.compile(rf"\s*(?:[0-9A-Fa-f]{{2}}){{1,{_PLAIN_BYTES}}}\s*")
 
 
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are a hex dump, 0..1: each offset must follow from the row before, or be 0 again."""
-    lines = head_lines(head)
+    lines = _without_words(head_lines(head))
+    if _is_plain(lines):
+        return 0.95
     # The last line of a dump is an offset alone.
     if len(lines) >= _DAMAGED_ROWS and " " not in lines[-1].strip():
         lines = lines[:-1]
@@ -67,9 +87,39 @@ def score(head: bytes) -> float:
     return 0.95 if follows + stars + damaged + 2 * falling >= _FOLLOWING * (len(rows) - 1) else 0.0
 
 
-def read(source: Source) -> Iterator[Chunk]:
+def read(source: Source) -> Iterator[Chunk | Comment]:
     """Read the bytes."""
     return _records(source)
+
+
+def _without_words(lines: Sequence[str]) -> Sequence[str]:
+    """Return the rows of a dump that stand between a few lines of words; all lines where they are no such dump."""
+    rows = {number: data for number, line in enumerate(lines) if (data := _bytes(line)) is not None}
+    words = [line for number, line in enumerate(lines) if number not in rows]
+    first, last = min(rows, default=0), max(rows, default=0)
+    if len(rows) < _LEAST_ROWS or not 0 < len(words) <= _MOST_WORDS or len(rows) <= last - first:
+        return lines
+    roles = {role_in_text(line) for line in words if _PROMPT.match(line) is None}
+    one = Role.REPLY in roles and sum(map(len, rows.values())) <= _LONGEST_REPLY
+    return lines if one or Role.REQUEST in roles or any(map(_ROW.match, words)) else lines[first : last + 1]
+
+
+def _bytes(line: str) -> bytes | None:
+    """Return the bytes of a row, with its offset or without; None if the line is none."""
+    row = _row(line)
+    return row[1] if row is not None else bytes.fromhex(line.strip()) if _PLAIN.fullmatch(line) else None
+
+
+def _is_plain(lines: Sequence[str]) -> bool:
+    """Say whether lines are rows of `xxd -p`: most frames of a text would begin as others do."""
+    rows = [line.strip() for line in lines[:-1]]
+    if (
+        len(rows) < _LEAST_ROWS - 1
+        or any(len(row) != 2 * _PLAIN_BYTES for row in rows)
+        or not all(map(_PLAIN.fullmatch, lines))
+    ):
+        return False
+    return 2 * len({row[:_HEAD] for row in rows}) > len(rows)
 
 
 def _row(line: str) -> tuple[int, bytes] | None:
@@ -86,8 +136,11 @@ def _row(line: str) -> tuple[int, bytes] | None:
     return (int(offset, 16), data) if len(data) <= _LONGEST_ROW else None
 
 
-def _records(source: Source) -> Iterator[Chunk]:
-    packets = sum(1 for line in head_lines(source.head) if (row := _row(line)) is not None and row[0] == 0) > 1
+def _records(source: Source) -> Iterator[Chunk | Comment]:
+    head = head_lines(source.head)
+    rows = _without_words(head)
+    plain, words = _is_plain(rows), set(head).difference(rows)
+    packets = not plain and sum(1 for line in rows if (row := _row(line)) is not None and row[0] == 0) > 1
     lines, budget = Lines(source), source.stream.budget
     port = source.port()
     before, end = b"", 0
@@ -99,7 +152,10 @@ def _records(source: Source) -> Iterator[Chunk]:
         if text == "*":
             starred = True
             continue
-        row = _row(line)
+        if line in words:
+            yield source.comment(None, text)
+            continue
+        row = _row(line) if not plain else (end, bytes.fromhex(text)) if _PLAIN.fullmatch(line) else None
         if row is None:
             if text:
                 source.problem(f"expected an offset and hex bytes, got {quote(text)!r}", line=lines.number)

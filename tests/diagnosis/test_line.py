@@ -181,6 +181,20 @@ def test_both_edges_are_told_and_the_glitch_alone_is_named():
 # --- echo ----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("size", [1, 2, 4])
+def test_an_echo_that_ends_in_the_read_behind_it(size):
+    lk = [
+        ("3E 9C 01 00 DB", "3E 9C 01 07 E2 1E 05 00 68 01 E8 03 77"),
+        ("3E 9C 01 00 DB", "3E 9C 01 07 E2 1E 07 00 68 01 38 04 CA"),
+    ]
+    rows = []
+    for asked, answer in [tuple(map(bytes.fromhex, row)) for row in lk]:
+        rows += [(">", asked), ("<", asked[:size]), ("<", asked[size:] + answer)]
+    found = told(*rows)
+    assert [each.cause for each in found] == ["echo"]
+    assert found[0].evidence.endswith("; 2 times")
+
+
 @pytest.mark.parametrize("size", [5, 7])
 def test_an_echo_that_the_host_cuts(size):
     rows = [(mark, sent) for _, sent in METER[::2] for mark, sent in ((">", sent), ("<", sent[:size]))]

@@ -38,6 +38,9 @@ def test_a_position_of_48_bits_that_is_printed_as_unsigned(causes_of):
         ("The motor has to turn at 750 rpm, so this is sent:", ["decimal_as_hex"]),
         ("The motor has to turn at 1872 rpm, so this is sent:", []),
         ("The motor turns at 750 rpm, no, at 1872 rpm, so this is sent:", []),
+        # What is wanted, and what came of it.
+        ("I want 750 rpm, and the tacho has 1872 rpm. This is sent:", ["decimal_as_hex"]),
+        ("It should turn at 750 r/min and turns at 1872 r/min.", ["decimal_as_hex"]),
         # A number of something else.
         ("The motor is 750 mm away from the host, and this is sent:", []),
     ],

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.records import Chunk
+from analyzer.records import Chunk, Comment
 from tests.contracts.source_contract import read_all
 
 DATA = bytes.fromhex("FA01F601400234FB01F601F3") * 9
@@ -45,6 +45,36 @@ def test_dumps(dump: object, size: int, tmp_path: Path) -> None:
     assert source.format == "hexdump"
     assert b"".join(r.data for r in records if isinstance(r, Chunk)) == DATA[:size]
     assert source.problems == []
+
+
+def plain(data: bytes) -> str:
+    return "".join(f"{data[at : at + 30].hex()}\n" for at in range(0, len(data), 30))
+
+
+@pytest.mark.parametrize("dump", [xxd, canonical, od, plain])
+@pytest.mark.parametrize(
+    ("above", "behind"),
+    [("$ xxd sniff.bin\n", ""), ("pi@host:~ $ hexdump a\n", "pi@host:~ $ \n"), ("Since then this comes:\n\n", "Why?\n")],
+)
+def test_words_around_a_dump_are_comments(dump: object, above: str, behind: str, tmp_path: Path) -> None:
+    assert callable(dump)
+    path = tmp_path / "dump.txt"
+    path.write_text(above + dump(DATA) + behind)
+    source, records = read_all(path)
+    assert source.format == "hexdump"
+    assert b"".join(r.data for r in records if isinstance(r, Chunk)) == DATA
+    said = [r.text for r in records if isinstance(r, Comment)]
+    assert said == [line.strip() for line in (above + behind).splitlines() if line]
+    assert source.problems == []
+
+
+@pytest.mark.parametrize("rows", [[DATA[:30]] * 4, [DATA[:30], DATA[:8]], [DATA[:29], DATA[30:59], DATA[:8]]])
+def test_frames_of_a_line_each_are_no_dump(rows: list[bytes], tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text("".join(f"{row.hex()}\n" for row in rows))
+    source, records = read_all(path)
+    assert source.format == "hex"
+    assert [r.data for r in records if isinstance(r, Chunk)] == rows
 
 
 def test_whole_rows_without_the_offset_behind_the_last_are_no_can_frames(tmp_path: Path) -> None:
