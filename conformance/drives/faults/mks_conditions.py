@@ -356,6 +356,41 @@ def _heard_by_group(bit: int) -> Change:
     return Change(taken(accept).install, having(Verb.SET_GROUP_ADDRESS))
 
 
+def _deaf_to_all_when_moved(drive: MksCore) -> None:
+    """Hear all drives' address only at the address that the drive began with."""
+    begun = 0
+
+    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal begun
+        begun = begun or drive.address
+        return wanted and (drive.address == begun or not _is_for_all(drive, message))
+
+    drive.hooks.accept.append(accept)
+    drive.hooks.powered.append(lambda _: forget())
+
+    def forget() -> None:
+        nonlocal begun
+        begun = 0
+
+
+def _group_unheard(group: int) -> Change:
+    """Keep a group's address, and do not hear it."""
+    deaf = taken(lambda d, f, message, wanted: wanted and not (_is_for_group(d, message) and message.address == group))
+    return Change(deaf.install, having(Verb.SET_GROUP_ADDRESS))
+
+
+def _end_untold_behind(to: Callable[[Drive, Message], bool]) -> Change:
+    """Forget during a motion who is to be told its end when a frame is sent so."""
+
+    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        task = mks(drive).task
+        if task is not None and task.request is not None and to(drive, message):
+            task.request.answered = False
+        return wanted
+
+    return taken(accept)
+
+
 def _deaf_after_a_pause(drive: MksCore) -> None:
     """Lose the first request after a long pause."""
     last_ns = 0
@@ -380,6 +415,32 @@ def _silent_when(when: Condition, of: Of) -> Change:
 HEARING: Rows = {
     "deaf": (
         Row("deaf-after-motion", "after a motion nothing is heard for three seconds", tuned(_deaf_after_motion)),
+        Row(
+            "deaf-to-all-when-moved",
+            "a drive that was given another address does not hear all drives' until a restart",
+            tuned(_deaf_to_all_when_moved),
+        ),
+        Row(
+            "end-untold-behind-all",
+            "a broadcast in a motion silences the reply at its end",
+            _end_untold_behind(_is_for_all),
+            TELLING,
+        ),
+        Row(
+            "end-untold-behind-group",
+            "a frame to the group in a motion silences the reply at its end",
+            _end_untold_behind(_is_for_group),
+            TELLING,
+        ),
+        Row(
+            "end-untold-behind-other",
+            "a frame to another drive in a motion silences the reply at its end",
+            _end_untold_behind(lambda drive, message: message.address not in (drive.address, drive.dialect.broadcast)),
+            TELLING,
+        ),
+        Row("highest-group-unheard", "the group FF is stored, and not heard", _group_unheard(0xFF), NATIVE),
+        Row("highest-group-id-unheard", "the group 7FF is stored, and not heard", _group_unheard(0x7FF), CAN),
+        Row("lowest-group-unheard", "the group 1 is stored, and not heard", _group_unheard(1)),
         Row("deaf-after-refusal", "the request behind a refused one is ignored", tuned(_deaf_after_refusal)),
         Row("deaf-after-long-pause", "the first request after 20 s of silence is lost", tuned(_deaf_after_a_pause)),
         Row("silent-below-zero", "31 is not answered below -2 turns", _silent_when(_below_zero, Verb.READ_POSITION)),

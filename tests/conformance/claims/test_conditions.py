@@ -335,6 +335,13 @@ REFUTED_BY = {
     "lk-lowest-flag-alone": "motion/clear_errors/clears",
     "lk-silent-when-stalled": "motion/read_state_1/flag-stalled",
     "lk-high-speed-limits-ignored": "motion/write_parameter/speed-limit-move_increment-each-way",
+    "deaf-to-all-when-moved": "addressing/set_address/shared-heard",
+    "highest-group-unheard": "addressing/set_address/shared-heard",
+    "highest-group-id-unheard": "addressing/set_address/shared-heard",
+    "lowest-group-unheard": "addressing/set_address/shared-heard",
+    "end-untold-behind-all": "addressing/others-asked/ends-told",
+    "end-untold-behind-group": "addressing/others-asked/ends-told",
+    "end-untold-behind-other": "addressing/others-asked/ends-told",
     "lk-wide-angle-limits-ignored": "motion/write_parameter/angle-limit-move_multi_turn-each-way",
 }
 #: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
