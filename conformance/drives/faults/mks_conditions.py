@@ -267,6 +267,25 @@ def _deaf_after_refusal(drive: MksCore) -> None:
     drive.hooks.accept.append(accept)
 
 
+def _deaf_after_exception(drive: MksCore) -> None:
+    """Ignore what comes behind an exception, or behind a parameter that cannot be read."""
+    deaf = False
+
+    def reply(_: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
+        nonlocal deaf
+        modbus = drive.dialect.name in MODBUS
+        deaf = bool(outgoing.data[1] & 0x80) if modbus else outgoing.data[1:-1] == b"\xff\xff"
+        return (outgoing,)
+
+    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal deaf
+        was, deaf = deaf, deaf and not wanted
+        return wanted and not was
+
+    drive.hooks.reply.append(reply)
+    drive.hooks.accept.append(accept)
+
+
 def _lost_if_sent(to: Callable[[Drive, Message], bool], only: str = "") -> Change:
     """Lose settings by a restart that were sent so, and keep others. `only`: but one."""
 
@@ -442,6 +461,12 @@ HEARING: Rows = {
         Row("highest-group-id-unheard", "the group 7FF is stored, and not heard", _group_unheard(0x7FF), CAN),
         Row("lowest-group-unheard", "the group 1 is stored, and not heard", _group_unheard(1)),
         Row("deaf-after-refusal", "the request behind a refused one is ignored", tuned(_deaf_after_refusal)),
+        Row(
+            "deaf-after-exception",
+            "the request behind an exception, or behind FF FF for a parameter, is ignored",
+            tuned(_deaf_after_exception),
+            MODBUS + CAN,
+        ),
         Row("deaf-after-long-pause", "the first request after 20 s of silence is lost", tuned(_deaf_after_a_pause)),
         Row("silent-below-zero", "31 is not answered below -2 turns", _silent_when(_below_zero, Verb.READ_POSITION)),
         Row("silent-disabled", "motion is not answered while the motor is off", _silent_when(_off, MOTIONS), NATIVE),

@@ -344,6 +344,8 @@ REFUTED_BY = {
     "end-untold-behind-other": "addressing/others-asked/ends-told",
     "lk-held-in-new-count": "motion/set_position/stands",
     "axis-of-24-bits": "motion/read_position/wide",
+    "deaf-after-exception": "resilience/refused/[qp]*",
+    "lk-speed-of-16-bits": "motion/read_state_2/fast",
     "lk-wide-angle-limits-ignored": "motion/write_parameter/angle-limit-move_multi_turn-each-way",
 }
 #: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
