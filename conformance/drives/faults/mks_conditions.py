@@ -431,6 +431,10 @@ def _silent_when(when: Condition, of: Of) -> Change:
     return frames(change, of)
 
 
+def _unanswered_and_turning(drive: MksCore) -> bool:
+    return not drive.settings["respond"] and _turns(drive)
+
+
 HEARING: Rows = {
     "deaf": (
         Row("deaf-after-motion", "after a motion nothing is heard for three seconds", tuned(_deaf_after_motion)),
@@ -469,6 +473,12 @@ HEARING: Rows = {
         ),
         Row("deaf-after-long-pause", "the first request after 20 s of silence is lost", tuned(_deaf_after_a_pause)),
         Row("silent-below-zero", "31 is not answered below -2 turns", _silent_when(_below_zero, Verb.READ_POSITION)),
+        Row(
+            "status-silent-with-respond-0",
+            "with respond 0 F1 is not answered while the shaft turns",
+            _silent_when(_unanswered_and_turning, Verb.READ_STATUS),
+            TELLING,
+        ),
         Row("silent-disabled", "motion is not answered while the motor is off", _silent_when(_off, MOTIONS), NATIVE),
         Row("every-150th-lost", "every 150th reply is lost", every(150, lambda d, c, o: ())),
     ),
@@ -562,6 +572,10 @@ def _whole_turns(drive: Drive, command: Command, sent: Values, found: Values) ->
     return {"angle_error": found["angle_error"] + mks(drive).axis // drive.counts_per_turn * 51_200}
 
 
+def _respond_and_active(drive: Drive, command: Command, sent: Values, found: Values) -> Values:
+    return found | {"respond": found["active"], "active": found["respond"]} if "active" in found else found
+
+
 def _in_place_on_its_way(drive: Drive, command: Command, sent: Values, found: Values) -> Values:
     task = mks(drive).task
     by_counts = task is not None and task.request is not None and task.request.command.verb in _BY_COUNTS
@@ -598,6 +612,7 @@ def _zero_check(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Out
 
 
 TOLD: Rows = {
+    "order": (Row("respond-behind-active", "00 8C tells active first", result(_respond_and_active, Verb.READ_PARAMETER), CAN),),
     "frozen": (
         Row("carry-frozen-when-fast", "30 stays above 500 rpm", stale_when(_faster(_FAST), Verb.READ_ENCODER_CARRY)),
         Row("pulses-counted-at-rest", "33 counts when the motion is over", stale_when(_turns, Verb.READ_PULSES)),
@@ -925,6 +940,24 @@ def _taking_up(behaviour: Behaviour) -> Behaviour:
         return result
 
     return act
+
+
+def _halted_run_taken_up(drive: MksCore) -> None:
+    """Begin the run again that an emergency stop halted when the motor is switched on next."""
+    halted: list[tuple[int, int, int]] = []
+    halt, enable = drive.behaviours[Verb.EMERGENCY_STOP], drive.behaviours[Verb.ENABLE]
+
+    def halting(core: MksCore, request: Request) -> Values | None:
+        halted[:] = [core.memory.run] if core.memory.run and _turns(core) else []
+        return halt(core, request)
+
+    def enabling(core: MksCore, request: Request) -> Values | None:
+        told = enable(core, request)
+        if halted and request.values["enabled"] and core.ready and not _turns(core):
+            begin_run(core, *halted.pop())
+        return told
+
+    drive.behaviours |= {Verb.EMERGENCY_STOP: halting, Verb.ENABLE: enabling}
 
 
 def _axis_turned(drive: MksCore) -> None:
@@ -1263,6 +1296,7 @@ DOING: Rows = {
             "motion backwards is obeyed while protected",
             with_state(MOTIONS, _backwards, protected=False),
         ),
+        Row("enabling-takes-up-halted", "F3 01 takes up a run that F7 ended", tuned(_halted_run_taken_up)),
         Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", wrapped(Verb.ENABLE, _taking_up)),
     ),
     "turned": (

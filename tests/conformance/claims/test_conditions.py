@@ -346,6 +346,9 @@ REFUTED_BY = {
     "axis-of-24-bits": "motion/read_position/wide",
     "deaf-after-exception": "resilience/refused/[qp]*",
     "lk-speed-of-16-bits": "motion/read_state_2/fast",
+    "enabling-takes-up-halted": "motion/enable/on-goes-on",
+    "status-silent-with-respond-0": "motion/set_respond/0-leaves-reads",
+    "respond-behind-active": "read-back/set_respond/read",
     "lk-wide-angle-limits-ignored": "motion/write_parameter/angle-limit-move_multi_turn-each-way",
 }
 #: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
