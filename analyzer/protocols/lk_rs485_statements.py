@@ -267,7 +267,11 @@ STATEMENTS: tuple[S, ...] = (
     S("3/mg-resolution", "One unit of torque current is 66/4096 A on MG.", unclaimed=_SCALE),
     S("3/mf-resolution", "One unit of torque current is 33/4096 A on MF.", unclaimed=_SCALE),
     S("3/power-range", "Power is read within -1000 and 1000.", ("shape/read_state_2/values", "traffic/reply_ranges")),
-    S("3/speed", "Bytes 3 and 4 are the speed, signed, in deg/s, low byte first.", ("motion/read_state_2/crossed",)),
+    S(
+        "3/speed",
+        "Bytes 3 and 4 are the speed, signed, in deg/s, low byte first.",
+        ("motion/read_state_2/crossed", "motion/read_state_2/fast"),
+    ),
     S("3/encoder", "Bytes 5 and 6 are the encoder, low byte first.", ("motion/read_state_2/encoder",)),
     S(
         "3/encoder-range",

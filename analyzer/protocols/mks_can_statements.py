@@ -520,6 +520,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "motion/*/replies",
         "motion/set_home/end-limit-told-*",
         "motion/set_respond/1-answers-again",
+        "addressing/others-asked/ends-told",
     ),
     *_setting("3.2.13", "set_axis_lock", "8F with a byte", "axis_lock"),
     said(
@@ -531,7 +532,12 @@ STATEMENTS: tuple[Statement, ...] = (
     said("3.2.13/unlocked", "With 0 it is free then.", "read-back/set_axis_lock/effect", "motion/set_axis_lock/at-power-on-0"),
     said("3.2.13/default", "The shaft is held by default.", "read-back/restore/settings"),
     *_setting("3.2.14", "set_group_address", "8D with 16 bits", "group_address"),
-    said("3.2.14/range", "A group ID is 1 to 7FFh.", "ranges/set_group_address/group_address/*"),
+    said(
+        "3.2.14/range",
+        "A group ID is 1 to 7FFh.",
+        "ranges/set_group_address/group_address/*",
+        "addressing/set_address/shared-heard",
+    ),
     said(
         "3.2.14/broadcast",
         "What is sent to ID 0 turns all drives.",

@@ -130,6 +130,7 @@ _SETTINGS = (
             "motion/*/replies",
             "motion/set_home/end-limit-told-*",
             "motion/set_respond/1-answers-again",
+            "addressing/others-asked/ends-told",
         ),
         said(
             "5.2.13/start",

@@ -306,6 +306,7 @@ EFFECTS: dict[str, tuple[Statement, ...]] = {
             "broadcast",
             "0 is the address of all drives.",
             "addressing/broadcast/*",
+            "addressing/set_address/shared-heard",
             "read-back/settings/restart-broadcast",
             "read-back/*/restart-broadcast-*",
             "ranges/set_address/new_address/below",

@@ -3,9 +3,12 @@
     FA 00 8B 5A ..    every drive has the address 5A
     FA 50 8A 05 ..    every drive of the group 50h speaks at 57600 baud
 
+And all drives' and its group's address are heard by a drive that has been given other addresses, before and after a restart.
+
 Rules kept here:
 - The drive is led back by itself, at its new address or speed.
 - Nothing else may hear these: every drive of the wire would have one address.
+- That an address is heard shows by disabling and enabling, three times at most: a line may lose one.
 """
 
 from __future__ import annotations
@@ -13,19 +16,31 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import partial
 
-from analyzer.catalogue import Command, Dialect
+from analyzer.catalogue import Certainty, Command, Dialect, Doubt, Verb
 from analyzer.layout import Effect, Field
-from conformance.claims.addressing.ways import Many, addressing, ways
+from conformance.claim import Aspect, Inconclusive, Theme
+from conformance.claims.addressing.ways import Many, addressing, group_of, ways
 from conformance.claims.control_reads import expect_silence
-from conformance.claims.declare import Case, Cases
-from conformance.claims.settings.link_changes import another_rate, at_rate, change_address, other_address, settle
-from conformance.motion import declared
+from conformance.claims.declare import Case, Cases, commands
+from conformance.claims.known_quirks import may_meet
+from conformance.claims.motion.motion_claim import of_motion, risks_by
+from conformance.claims.settings.link_changes import (
+    NEW_ADDRESS_ANSWERS,
+    another_rate,
+    at_rate,
+    change_address,
+    other_address,
+    settle,
+)
+from conformance.claims.settings.setting_effects import hears
+from conformance.motion import declared, motion
 from conformance.talk.acceptance import answers, need_reliable_replies
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, Probe
+from conformance.talk.restarts import wait_for_answer
 
-#: How long such a setting is listened to.
-_SILENT_NS = 20 * MS
+#: How long such a setting is listened to; how often something is told that a line may lose.
+_SILENT_NS, _TRIES = 20 * MS, 3
 
 
 def _by_ways(effect: Effect) -> Cases:
@@ -73,3 +88,59 @@ def _rate(probe: Probe, many: Many, command: Command) -> None:
     text = f"{command.name} by {many.what} does not set the speed of the drive"
     probe.expect("silence", holds=there, expected=f"an answer at {other} bits per second", refutes=text, exchange=sent)
     expect_silence(probe, sent, f"{command.name} by {many.what} is answered")
+
+
+# --- what is heard behind them ----------------------------------------------------------------------------------------
+
+
+@of_motion(
+    theme=Theme.ADDRESSING,
+    each=commands(Verb.SET_ADDRESS),
+    name="{command}/shared-heard",
+    refuted_by="a drive that all drives' address, or its group's, no longer reaches",
+    at_best=Certainty.LIKELY,
+    rests_on=(Doubt.ADDRESSING,),
+    risks=risks_by(Verb.SET_GROUP_ADDRESS, Verb.RESTART, Verb.ENABLE),
+    settings=lambda case: ("group_address",) if Verb.SET_GROUP_ADDRESS in case.dialect.by_verb else (),
+    quirks=may_meet(NEW_ADDRESS_ANSWERS),
+    aspect=Aspect.STATE,
+    alone=True,
+)
+def _shared_heard(probe: Probe, command: Command) -> None:
+    """All drives' address and the group's, highest and lowest, are heard behind other addresses, a restart, and back."""
+    motion.ready_to_move(probe)
+    need_reliable_replies(probe)
+    own, away = probe.address, other_address(probe.dialect)
+    away -= own == away
+    joins = probe.dialect.by_verb.get(Verb.SET_GROUP_ADDRESS)
+    last, shared = probe.dialect.addresses[1], [probe.dialect.broadcast or 0]
+    seen: list[tuple[str, str]] = []
+
+    def look(behind: str, at: int) -> None:
+        unheard = [f"{to:#x}" for to in shared if not any(hears(probe, to, at) for _ in range(_TRIES))]
+        seen.append((behind, ", ".join(unheard)))
+
+    def join(group: int, at: int) -> None:
+        if joins is not None:
+            probe.reply(probe.ask(joins, {"group_address": group}, address=at))
+            shared[1:] = [group]
+            look(f"the group {group:#x}", at)
+
+    look("nothing", own)
+    if not hears(probe, own) or seen[0][1]:
+        raise Inconclusive("what all drives are told does not show, which other claims judge")
+    join(last - (own == last), own)
+    exchange = change_address(probe, command, away)
+    try:
+        look(f"the address {away:#x}", away)
+        join(1, away)
+        probe.ask(Verb.RESTART, address=away)
+        wait_for_answer(probe, away)
+        look(f"a restart at {away:#x}", away)
+        join(group_of(probe.dialect, own), away)
+    finally:
+        change_address(probe, command, own, at=away)
+    look(f"the address {own:#x} again", own)
+    for behind, unheard in seen:
+        text = f"a drive with another address does not hear all that it shares: {unheard} behind {behind}"
+        probe.expect(unheard or "each", equal="each", refutes=text, exchange=exchange, key="a shared address is not heard")

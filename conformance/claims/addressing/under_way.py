@@ -1,5 +1,7 @@
 """What is sent to several drives while the shaft turns: it is executed as at rest, and not answered.
 
+And what others are asked leaves a motion of the drive itself, and what tells its end, as it is.
+
     a run at 60 rpm, then each motion and homing to address 0, or to the group, at 120 rpm the other way
     then the emergency stop, or disabling, to the same address
 
@@ -12,16 +14,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
+from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
+from conformance.claim import Inconclusive
+from conformance.claims.addressing.package import others_of
 from conformance.claims.addressing.ways import Many, addresses, addressing
-from conformance.claims.control_reads import expect_silence
+from conformance.claims.control_reads import expect_silence, plain_read
 from conformance.claims.declare import Case
 from conformance.claims.motion import homing
 from conformance.claims.motion.stops import expect_ended
-from conformance.motion import declared, motion
-from conformance.motion.declared import CALM, MOVES, QUICK, SUBDIVISION
-from conformance.talk.noise import CLOCK_SHARE
-from conformance.talk.probe import MS, Probe
+from conformance.motion import arriving, declared, motion, ramp
+from conformance.motion.attempts import undamaged
+from conformance.motion.declared import CALM, MOVES, QUICK, RUNS_AND_MOVES, SUBDIVISION
+from conformance.talk.exchange import Exchange
+from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
+from conformance.talk.probe import MS, Probe, Until
 
 #: How fast what comes turns the shaft (rpm), and how far a move is to go (degrees).
 _RPM, _FAR = 2 * CALM, 720
@@ -84,3 +90,62 @@ def _values(probe: Probe, command: Command) -> dict[str, int]:
         return dict.fromkeys(command.request_forms[0].layout.named, 1)
     rpm = -_RPM if declared.of(command).kind is MotionKind.RUN else _RPM
     return declared.values_of(probe.dialect, command, -_FAR, rpm=rpm, acceleration=QUICK, start=motion.place(probe, command))
+
+
+# --- the end of a motion ----------------------------------------------------------------------------------------------
+
+#: How far a move goes (degrees, at `CALM`), the ramp of a stop and how long it takes; a request to others, the pause behind it.
+_WAY, _RAMP, _BETWEEN_NS = 90, 206, 10 * MS
+_FALLS_NS = CALM * ramp.step_ns(_RAMP)
+#: A motion that is told to end, and its stop: without one it goes as far as it was sent.
+_Told = tuple[Command, Command | None]
+
+
+def _that_tell_their_end(dialect: Dialect) -> Iterator[Case]:
+    motions = dialect.motions(*RUNS_AND_MOVES) if arriving.tells_end(dialect) and declared.can_move(dialect) else ()
+    rows: list[_Told] = [(each, None) for each in motions if declared.of(each).kind in MOVES]
+    rows += [(each, stop) for each in motions for stop in dialect.stops_of(each) if declared.of(stop).acceleration]
+    ways = list(addresses(dialect))
+    risks = {risk for each in motions for risk in each.all_risks} - {Risk.UNKNOWN}
+    for many in ways[-1:] if rows else ():
+        more = frozenset().union(*(way.risks(dialect) for way in ways))
+        facts = {
+            "risks": declared.risks(dialect, *risks, *more, Risk.UNBOUNDED),
+            "settings": (*declared.settings(dialect), *many.settings),
+        }
+        yield Case(dialect, given={"many": many, "ways": ways, "rows": rows}, facts=facts)
+
+
+@addressing("a motion whose end is not told", _that_tell_their_end, name="others-asked/ends-told", at_best=Certainty.LIKELY)
+def _ends_told(probe: Probe, many: Many, ways: list[Many], rows: list[_Told]) -> None:
+    """What all drives, a group or another drive is asked during a motion leaves the reply that tells its end, as of a stop."""
+    motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
+    read = plain_read(probe.dialect)
+    to = [*(way.join(probe) for way in ways), *others_of(probe.dialect, probe.address, 1)]
+    for row in rows:
+        told, exchange = undamaged(probe, _is_end_told, row, read, to)
+        if not told and not undamaged(probe, _is_end_told, row, read, [])[0]:
+            raise Inconclusive("the end of a motion is not told either when no other drive is asked")
+        command, stop = row
+        text = f"the end of {(stop or command).name} is not told when others are asked before it"
+        probe.expect("silence", holds=told, expected="a reply that tells the end", refutes=text, exchange=exchange)
+
+
+def _is_end_told(probe: Probe, row: _Told, read: Command, others: list[int]) -> tuple[bool, Exchange]:
+    """Say whether the end of a motion is told, during which others are asked."""
+    command, stop = row
+    exchange = motion.begin(probe, command, _WAY if stop is None else _FAR, acceleration=QUICK, quiet_ns=0)
+    lasts_ns = int(ramp.move_ns(_WAY / 360, CALM, QUICK))
+    if stop is not None:
+        probe.wait(_GOING_NS)
+        exchange, lasts_ns = probe.ask(stop, {"acceleration": _RAMP}, quiet_ns=0), int(_FALLS_NS)
+    since, told = len(probe.traffic), stop or command
+    for address in others:
+        probe.ask(read, address=address, until=Until.TIMEOUT, timeout_ns=_BETWEEN_NS)
+    until_ns = exchange.sent_ns + lasts_ns + TOLD_LATE_NS
+    while not (found := told.replies.final.intersection(arriving.statuses([exchange, *probe.traffic[since:]], told))):
+        if (left_ns := until_ns - probe.gate.now_ns()) <= 0:
+            break
+        probe.listen(left_ns, Until.REPLY)
+    motion.wait_standing(probe)
+    return bool(found), exchange

@@ -57,14 +57,21 @@ def _expect_angle(probe: Probe, since: float, turned: float, refutes: str, excha
 # --- the position by another name -------------------------------------------------------------------------------------
 
 
+#: By which a shaft is brought to rest where it then holds its place (None: by nothing), and how far; what its place is called.
+_HELD_BY, _BY, _CALLED = (None, "move_increment_limited", "move_multi_turn_limited"), 45, 4_321
+
+
 @_set_position(refuted_by="a shaft that moved")
 def _stands(probe: Probe, command: Command) -> None:
-    """95 turns nothing."""
+    """95 turns nothing: of a shaft that is only on, and of one that holds the place to which an increment or a move led it."""
     motion.ready_to_move(probe)
-    before = angle(probe)
-    exchange = probe.do(command, {"position": 9_000})
-    probe.wait(SECOND_NS)
-    _expect_angle(probe, before, 0, "95 turns the shaft", exchange)
+    for held_by in _HELD_BY:
+        if held_by is not None:
+            arriving.follow(probe, probe.command(held_by), _BY, rpm=CALM)
+        before = angle(probe)
+        exchange = probe.do(command, {"position": _position(probe) + _CALLED})
+        probe.wait(SECOND_NS // 2)
+        _expect_angle(probe, before, 0, "95 turns the shaft", exchange)
 
 
 @_set_position(refuted_by="a position that begins anew")

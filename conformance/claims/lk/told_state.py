@@ -16,9 +16,11 @@ from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
 from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.declare import Case, commands
+from conformance.claims.known_quirks import may_meet
 from conformance.claims.lk.encoder_zero import named
 from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.claims.motion.reads import PLACES, turn_by
+from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
 from conformance.motion import declared, motion
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, Probe
@@ -152,3 +154,43 @@ def _torque_sign(probe: Probe, command: Command) -> None:
 
 #: What a motor gives, by the word of its model.
 _FORCES = ("torque_current", "power")
+
+
+#: A run faster than 16 bits of 0.1 deg/s hold (rpm), its speed limit and ramp as they are sent, and how long it rises at most.
+_FAST_RPM, _FAST_LIMIT, _FAST_RAMP, _RISES_NS = 650, 400_000, 1_500_000, 600 * MS
+#: What must be reached of it (deg/s), how long it is watched, and by what share a told speed may be off.
+_FAST_LEAST, _FAST_NS, _FAST_SHARE = 3_400, 100 * MS, 0.1
+
+
+@of_motion(
+    each=commands(Verb.READ_STATE_2),
+    refuted_by="another speed than the shaft's",
+    name="{command}/fast",
+    at_best=Certainty.LIKELY,
+    risks=lambda case: {Risk.SETTING, *risks_by(Verb.RUN_SPEED)(case)},
+    settings=("speed_limit", "speed_ramp"),
+    quirks=may_meet(OTHER_FIRMWARE),
+)
+def _fast(probe: Probe, command: Command) -> None:
+    """The speed of a fast shaft, either way, is told as positions have it: by {command}, and by the reply to a run."""
+    kept = {name: parameter(probe, name) for name in ("speed_limit", "speed_ramp")}
+    if None in kept.values():
+        return
+    motion.ready_to_move(probe)
+    run, seen = probe.command(Verb.RUN_SPEED), []
+    for name, value in (("speed_limit", _FAST_LIMIT), ("speed_ramp", _FAST_RAMP)):
+        set_parameter(probe, name, value)
+    for way in (1, -1):
+        motion.run_at(probe, way * _FAST_RPM)
+        probe.wait(_RISES_NS)
+        rpm, uncertain = motion.mean_speed(probe, _FAST_NS)
+        again = declared.values_of(probe.dialect, run, rpm=way * _FAST_RPM)
+        seen += [(rpm * 6, uncertain * 6, each, _told(probe, each, values)) for each, values in ((command, None), (run, again))]
+        motion.stand_still(probe)
+    for name, before in kept.items():
+        set_parameter(probe, name, before or 0)
+    if min(abs(speed) for speed, *_ in seen) < _FAST_LEAST:
+        raise Inconclusive(f"the motor does not get to {_FAST_LEAST} deg/s")
+    for speed, uncertain, each, (told, exchange) in seen:
+        text, within = f"{each.name} tells another speed of a fast shaft", uncertain + abs(speed) * _FAST_SHARE
+        probe.expect(told["speed"], near=speed, within=within, unit="deg/s", refutes=text, exchange=exchange)

@@ -122,11 +122,11 @@ def _not_in_bus_modes(probe: Probe, command: Command) -> None:
     each=lambda dialect: (*_enable(dialect), *_on(dialect)),
     name="{command}/on-goes-on",
     refuted_by="a shaft that stands, or one that turns on behind a stop",
-    risks=risks_by(Verb.RUN_SPEED),
+    risks=lambda case: risks_by(Verb.RUN_SPEED, Verb.EMERGENCY_STOP)(case) | declared.any_move(case.dialect).all_risks,
     at_best=Certainty.LIKELY,
 )
 def _on_goes_on(probe: Probe) -> None:
-    """Switching a motor on that is on and turns leaves it on and turning, until it is stopped."""
+    """Switching a motor on that is on and turns leaves it on and turning, until it is stopped, at once too; then it stands."""
     motion.ready_to_move(probe)
     set_going(probe, probe.command(Verb.RUN_SPEED))
     before = motion.speed(probe)
@@ -139,6 +139,13 @@ def _on_goes_on(probe: Probe) -> None:
     probe.expect(after.value, near=before.value, within=within, unit="rpm", refutes=text, exchange=exchange)
     text = "a motor that was switched on while it turned reads as off"
     probe.expect("off", holds=is_on is not False, expected="on", refutes=text, exchange=exchange)
+    for command in (probe.command(Verb.RUN_SPEED), declared.any_move(probe.dialect)):
+        set_going(probe, command)
+        probe.ask(Verb.EMERGENCY_STOP if Verb.EMERGENCY_STOP in probe.dialect.by_verb else Verb.STOP)
+        motion.wait_standing(probe)
+        exchange = motion.switch(probe, True)
+        probe.wait(100 * MS)
+        expect_standing(probe, exchange, f"switching the motor on takes up {command.name}, which was stopped")
 
 
 #: What may switch a motor on or off, and what is not sent: it is of the link, wears, begins anew, or goes on without end.

@@ -21,9 +21,11 @@ from conformance.claims import bench
 from conformance.claims.declare import Case, claim, commands
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import of_motion, risks_by
-from conformance.motion import arriving, declared, motion
+from conformance.motion import arriving, declared, motion, ramp
+from conformance.motion.attempts import undamaged
 from conformance.motion.declared import QUICK, SUBDIVISION
 from conformance.talk import settings
+from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, SECOND_NS, Probe
 from conformance.talk.restarts import restart
 
@@ -32,6 +34,8 @@ _RPM = 120
 _QUICK_RPM = 360
 #: More counts than 24 signed bits hold, in turns.
 _WIDE_TURNS = 530
+#: The speed of the way back from there (rpm), and how late its end may be.
+_BACK_RPM, _LATE_NS = 1500, 200 * MS
 #: The angle error of a loop that holds its place, at most, in degrees.
 _LAG = 1.0
 #: What the version tells of the bare encoder.
@@ -131,9 +135,9 @@ def _shows_switch(probe: Probe, command: Command) -> None:
 
 @of_motion(
     each=_counted_positions,
-    statement=f"The position counts on over {_WIDE_TURNS} turns: more than 24 bits hold.",
-    refuted_by="a position that begins anew",
-    risks=risks_by(Verb.RUN_SPEED, Verb.SET_ZERO),
+    statement=f"The position counts on over {_WIDE_TURNS} turns, more than 24 bits hold; a move to a place begins there.",
+    refuted_by="a position that begins anew, or a shaft that goes elsewhere",
+    risks=risks_by(Verb.RUN_SPEED, Verb.SET_ZERO, Verb.MOVE_ABSOLUTE_AXIS),
 )
 def _wide(probe: Probe) -> None:
     motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
@@ -144,10 +148,30 @@ def _wide(probe: Probe) -> None:
     motion.stop(probe, 255)
     turns = (before.value - motion.wait_standing(probe).value) / 360
     least, most = _WIDE_TURNS * 0.97, _WIDE_TURNS * 1.2
+    missed, back = undamaged(probe, _to_a_place_from_afar) if least <= abs(turns) <= most else (0.0, exchange)
     # So far from its zero a move to a place could not go on.
     probe.do(Verb.SET_ZERO)
     text = "the position does not count on"
     probe.expect(abs(turns), at_least=least, at_most=most, unit="turns", refutes=text, exchange=exchange)
+    text, within = (
+        "a move to a place goes elsewhere from more counts than 24 bits hold",
+        motion.miss(probe) + motion.same(probe),
+    )
+    probe.expect(missed, near=0, within=within, unit="degrees from there", refutes=text, exchange=back)
+
+
+def _to_a_place_from_afar(probe: Probe) -> tuple[float, Exchange]:
+    """Move up to a place that a command can name; return by how many degrees the shaft misses it, and the exchange.
+
+    A shaft that goes elsewhere is stopped when it should be there.
+    """
+    move, here, turn = probe.command(Verb.MOVE_ABSOLUTE_AXIS), _counts(probe), probe.dialect.counts_per_turn
+    target = max(declared.distance_of(move).low, here + 2 * turn)
+    degrees = (target - here) * 360 / turn
+    exchange = motion.ask(probe, move, degrees, rpm=_BACK_RPM, acceleration=QUICK, start=here)
+    law_ns = int(ramp.move_ns(degrees / 360, _BACK_RPM, QUICK))
+    arriving.come_to_rest(probe, exchange, law_ns, law_ns + _LATE_NS)
+    return (_counts(probe) - target) * 360 / turn, exchange
 
 
 @of_motion(each=commands(Verb.READ_PULSES), refuted_by="another number, or the same way for both", risks=_by_pulses)

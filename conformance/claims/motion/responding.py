@@ -36,6 +36,8 @@ _TURNS, _MOVE_RPM = 0.2, 120
 _RPM, _RAMP, _RAMP_NS = 60, 206, 150 * MS
 #: How long is listened to what must not come: such a move takes 0.2 s, and a reply to it was seen to be 0.7 s late.
 _LISTEN_NS = 750 * MS
+#: How long the shaft turns until it is asked.
+_BEGINS_NS = 100 * MS
 _settings = commands(Verb.SET_RESPOND)
 #: What these claims set.
 _OF_REPLIES = ("respond", "active")
@@ -245,15 +247,19 @@ def _silent_refusals(probe: Probe) -> None:
         probe.expect(told, equal=[], expected="silence", refutes=text, exchange=silent, key="refused aloud")
 
 
-@_of_respond("silence", each=_settings, name="{command}/0-leaves-reads", risks=risks_by(*_LOUD))
+@_of_respond("silence", each=_settings, name="{command}/0-leaves-reads", risks=risks_by(Verb.RUN_SPEED, *_LOUD))
 def _others_answered(probe: Probe) -> None:
-    """With respond 0 reads, settings, enabling, the release and the emergency stop are answered as before."""
+    """With respond 0 reads (of a shaft that turns, too), settings, enabling, release and emergency stop are answered."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
     loud = [*plain_reads(probe.dialect), *map(probe.command, _LOUD)]
     if any(probe.ask(command).silent for command in loud):
         raise Inconclusive("not all of them are answered with respond 1 either")
     _set(probe, 0, 0)
-    asked = [probe.ask(command) for command in loud]
+    run = probe.command(Verb.RUN_SPEED)
+    motion.ask(probe, run, rpm=_RPM, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=_BEGINS_NS)
+    asked = [probe.ask(command, quiet_ns=0) for command in plain_reads(probe.dialect)]
+    motion.ask(probe, run, rpm=0, acceleration=QUICK, until=Until.TIMEOUT, timeout_ns=_BEGINS_NS)
+    asked += [probe.ask(command) for command in loud]
     asked.append(probe.ask(Verb.SET_SUBDIVISION, {"subdivision": SUBDIVISION}))
     asked.append(probe.ask(Verb.ENABLE, {"enabled": 1}))
     asked.append(probe.ask(Verb.SET_RESPOND, {"respond": 1, "active": 1}))

@@ -11,7 +11,7 @@ Rules kept here:
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -35,7 +35,9 @@ from conformance.claims.control_reads import (
 from conformance.claims.declare import Case, claim, commands, described_in
 from conformance.claims.known_quirks import HASTY, may_meet
 from conformance.claims.known_reads import plain_reads
+from conformance.claims.modbus import frames
 from conformance.claims.settings.known_settings import Setting, every_setting, needs
+from conformance.model import limits
 from conformance.model.lk_parameters import OTHER_FIRMWARE
 from conformance.motion import motion
 from conformance.talk.exchange import Exchange
@@ -51,6 +53,9 @@ _SEED = 20_241
 #: Pauses after which the first request is looked at, each of them twice at most: those that every run has time for, and others.
 _LONG_PAUSES_NS = (31 * _SECOND_NS, 61 * _SECOND_NS)
 _LONG_IDLE_NS = 24 * 3600 * _SECOND_NS
+#: Settings that refuse a value and risk nothing. A function that reads, and a register, which no drive has.
+_REFUSING = (Verb.SET_SCREEN_OFF, Verb.SET_KEY_LOCK, Verb.SET_INTERPOLATION, Verb.SET_DIRECTION)
+_OTHER_FUNCTION, _NO_REGISTER = 0x03, 0x0035
 #: How long a drive may take from power-on until it answers; real ones take two seconds.
 _POWER_NS = 4 * _SECOND_NS
 
@@ -189,6 +194,50 @@ def _disturbances(dialect: Dialect) -> Iterator[Case]:
 
 @_resilience("silence, or another answer", each=_disturbances, at_best=Certainty.LIKELY)
 def _behind(probe: Probe, what: str, send: Sends) -> None:
+    """The next request behind {what} is answered."""
+    ask_first(probe)
+    judge_next(probe, what, partial(send, probe))
+
+
+# --- what the next request comes behind: a refusal ---------------------------------------------------------------------
+
+
+def _denied_register(probe: Probe, function: int, register: int, quantity: int) -> Exchange:
+    return frames.ask(probe, frames.request(probe, function, register, quantity))
+
+
+def _denied_value(probe: Probe, command: Command, values: Mapping[str, int]) -> Exchange:
+    return probe.ask(command, values, quiet_ns=0)
+
+
+def _refusals(dialect: Dialect) -> Iterator[Case]:
+    """Yield each kind of request that is refused: name, in words, what sends it, what it needs."""
+    rows: list[tuple[str, str, Sends, dict[str, Any]]] = []
+    command = next((dialect.by_verb[verb] for verb in _REFUSING if verb in dialect.by_verb), None)
+    if command is not None:
+        field = next(iter(command.request_forms[0].layout.named.values()))
+        wrong = partial(_denied_value, command=command, values={field.name: limits.beyond(field)[0]})
+        rows.append(("value", "a refused value", wrong, {"risks": command.all_risks, "settings": (field.name,)}))
+    read = plain_read(dialect)
+    if read.function is not None:
+        for kind, function, register, quantity in (
+            ("function", _OTHER_FUNCTION, read.code, read.quantity),
+            ("register", read.function, _NO_REGISTER, 1),
+            ("quantity", read.function, read.code, read.quantity + 1),
+        ):
+            ask = partial(_denied_register, function=function, register=register, quantity=quantity)
+            rows.append((kind, f"an exception to a {kind}", ask, {}))
+    parameters = dialect.by_verb.get(Verb.READ_PARAMETER)
+    if parameters is not None and parameters.replies.failed_forms:
+        (field,) = parameters.request_forms[0].layout.named.values()
+        other = partial(_denied_value, command=parameters, values={field.name: read.code})
+        rows.append(("parameter", "a read of what is no parameter", other, {}))
+    for kind, what, send, facts in rows:
+        yield Case(dialect, given={"what": what, "send": send}, facts={"name": f"refused/{kind}", **facts})
+
+
+@_resilience("silence, or another answer", each=_refusals)
+def _behind_refusal(probe: Probe, what: str, send: Sends) -> None:
     """The next request behind {what} is answered."""
     ask_first(probe)
     judge_next(probe, what, partial(send, probe))

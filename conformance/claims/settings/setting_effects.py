@@ -322,15 +322,18 @@ def _same_homing(probe: Probe, one: Homing, other: Homing) -> bool:
     return one.way == other.way and abs(one.rpm - other.rpm) <= max(probe.within("rpm", most), _SPEED_SHARE * most)
 
 
-def hears(probe: Probe, address: int) -> bool:
-    """Say whether the drive obeys what is sent to an address that does not answer: it is enabled, and disabled again."""
-    return all(_obeys(probe, address, wanted) for wanted in (0, 1))
+def hears(probe: Probe, address: int, own: int | None = None) -> bool:
+    """Say whether the drive obeys what is sent to an address that does not answer: it is disabled, and enabled again.
+
+    `own`: where it answers, when that is not the address of the run.
+    """
+    return all(_obeys(probe, address, wanted, own) for wanted in (0, 1))
 
 
-def _obeys(probe: Probe, address: int, enabled: int) -> bool:
+def _obeys(probe: Probe, address: int, enabled: int, own: int | None) -> bool:
     # By then it would have answered, too: it has done it.
     probe.ask(Verb.ENABLE, {"enabled": enabled}, address=address, until=Until.TIMEOUT, timeout_ns=probe.rig.quiet_ns)
-    return _enabled(probe) == enabled
+    return bool(probe.reply(probe.ask(Verb.READ_ENABLED, address=own)).values.get("enabled") == enabled)
 
 
 #: Groups that are tried: each drive can have the first ones, a CAN drive all.

@@ -212,6 +212,27 @@ def _limits(change: Callable[[Limits], Limits]) -> Change:
     return tuned(tune)
 
 
+def _speed_of_16_bits(drive: Drive, command: Command, sent: Values, values: Values) -> Values:
+    """Tell a speed that was kept in 16 bits of 0.1 deg/s."""
+    if not {"speed", "encoder"} <= values.keys():
+        return values
+    tenths = (values["speed"] * 10 + 0x8000 & 0xFFFF) - 0x8000
+    return values | {"speed": int(tenths / 10)}
+
+
+def _held_in_new_count(old: Act) -> Act:
+    """Let a shaft at rest go to the number of the place that it holds, in the count that 95 sets."""
+
+    def act(drive: LkDrive, request: Request) -> None:
+        motor = drive.motor
+        goal, before = motor.goal, motor.origin
+        old(drive, request)
+        if isinstance(goal, Position) and drive.obeys and not motor.motion.speed:
+            motor.go(replace(goal, angle=goal.angle + motor.origin - before))
+
+    return act
+
+
 CONDITIONS: Rows = {
     "within a range": (
         Row(
@@ -239,9 +260,17 @@ CONDITIONS: Rows = {
             "0x9A tells a motor as on that was switched off as it turned, once it stands",
             _off_forgotten,
         ),
+        Row("lk-speed-of-16-bits", "speeds above 3276 deg/s are told with the other sign", result(_speed_of_16_bits)),
         Row("lk-on-while-turning", "0x9A tells a motor that is off as on while it turns", result(_on_while_it_turns, _STATE_1)),
         Row("lk-offset-of-next", "0x90 tells the offset of 0x19 before it is used", result(_offset_of_next, Verb.READ_ENCODER)),
         Row("lk-zero-raw-stale", "0x19 is answered with the raw value that 0x90 told last", tuned(_raw_of_before)),
+    ),
+    "new count": (
+        Row(
+            "lk-held-in-new-count",
+            "0x95 turns a shaft that holds a place to the place of that number",
+            replaced("set_position", _held_in_new_count),
+        ),
     ),
     "clear errors": (
         Row(

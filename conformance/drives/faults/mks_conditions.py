@@ -267,6 +267,25 @@ def _deaf_after_refusal(drive: MksCore) -> None:
     drive.hooks.accept.append(accept)
 
 
+def _deaf_after_exception(drive: MksCore) -> None:
+    """Ignore what comes behind an exception, or behind a parameter that cannot be read."""
+    deaf = False
+
+    def reply(_: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
+        nonlocal deaf
+        modbus = drive.dialect.name in MODBUS
+        deaf = bool(outgoing.data[1] & 0x80) if modbus else outgoing.data[1:-1] == b"\xff\xff"
+        return (outgoing,)
+
+    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal deaf
+        was, deaf = deaf, deaf and not wanted
+        return wanted and not was
+
+    drive.hooks.reply.append(reply)
+    drive.hooks.accept.append(accept)
+
+
 def _lost_if_sent(to: Callable[[Drive, Message], bool], only: str = "") -> Change:
     """Lose settings by a restart that were sent so, and keep others. `only`: but one."""
 
@@ -356,6 +375,41 @@ def _heard_by_group(bit: int) -> Change:
     return Change(taken(accept).install, having(Verb.SET_GROUP_ADDRESS))
 
 
+def _deaf_to_all_when_moved(drive: MksCore) -> None:
+    """Hear all drives' address only at the address that the drive began with."""
+    begun = 0
+
+    def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        nonlocal begun
+        begun = begun or drive.address
+        return wanted and (drive.address == begun or not _is_for_all(drive, message))
+
+    drive.hooks.accept.append(accept)
+    drive.hooks.powered.append(lambda _: forget())
+
+    def forget() -> None:
+        nonlocal begun
+        begun = 0
+
+
+def _group_unheard(group: int) -> Change:
+    """Keep a group's address, and do not hear it."""
+    deaf = taken(lambda d, f, message, wanted: wanted and not (_is_for_group(d, message) and message.address == group))
+    return Change(deaf.install, having(Verb.SET_GROUP_ADDRESS))
+
+
+def _end_untold_behind(to: Callable[[Drive, Message], bool]) -> Change:
+    """Forget during a motion who is to be told its end when a frame is sent so."""
+
+    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+        task = mks(drive).task
+        if task is not None and task.request is not None and to(drive, message):
+            task.request.answered = False
+        return wanted
+
+    return taken(accept)
+
+
 def _deaf_after_a_pause(drive: MksCore) -> None:
     """Lose the first request after a long pause."""
     last_ns = 0
@@ -377,12 +431,54 @@ def _silent_when(when: Condition, of: Of) -> Change:
     return frames(change, of)
 
 
+def _unanswered_and_turning(drive: MksCore) -> bool:
+    return not drive.settings["respond"] and _turns(drive)
+
+
 HEARING: Rows = {
     "deaf": (
         Row("deaf-after-motion", "after a motion nothing is heard for three seconds", tuned(_deaf_after_motion)),
+        Row(
+            "deaf-to-all-when-moved",
+            "a drive that was given another address does not hear all drives' until a restart",
+            tuned(_deaf_to_all_when_moved),
+        ),
+        Row(
+            "end-untold-behind-all",
+            "a broadcast in a motion silences the reply at its end",
+            _end_untold_behind(_is_for_all),
+            TELLING,
+        ),
+        Row(
+            "end-untold-behind-group",
+            "a frame to the group in a motion silences the reply at its end",
+            _end_untold_behind(_is_for_group),
+            TELLING,
+        ),
+        Row(
+            "end-untold-behind-other",
+            "a frame to another drive in a motion silences the reply at its end",
+            _end_untold_behind(lambda drive, message: message.address not in (drive.address, drive.dialect.broadcast)),
+            TELLING,
+        ),
+        Row("highest-group-unheard", "the group FF is stored, and not heard", _group_unheard(0xFF), NATIVE),
+        Row("highest-group-id-unheard", "the group 7FF is stored, and not heard", _group_unheard(0x7FF), CAN),
+        Row("lowest-group-unheard", "the group 1 is stored, and not heard", _group_unheard(1)),
         Row("deaf-after-refusal", "the request behind a refused one is ignored", tuned(_deaf_after_refusal)),
+        Row(
+            "deaf-after-exception",
+            "the request behind an exception, or behind FF FF for a parameter, is ignored",
+            tuned(_deaf_after_exception),
+            MODBUS + CAN,
+        ),
         Row("deaf-after-long-pause", "the first request after 20 s of silence is lost", tuned(_deaf_after_a_pause)),
         Row("silent-below-zero", "31 is not answered below -2 turns", _silent_when(_below_zero, Verb.READ_POSITION)),
+        Row(
+            "status-silent-with-respond-0",
+            "with respond 0 F1 is not answered while the shaft turns",
+            _silent_when(_unanswered_and_turning, Verb.READ_STATUS),
+            TELLING,
+        ),
         Row("silent-disabled", "motion is not answered while the motor is off", _silent_when(_off, MOTIONS), NATIVE),
         Row("every-150th-lost", "every 150th reply is lost", every(150, lambda d, c, o: ())),
     ),
@@ -476,6 +572,10 @@ def _whole_turns(drive: Drive, command: Command, sent: Values, found: Values) ->
     return {"angle_error": found["angle_error"] + mks(drive).axis // drive.counts_per_turn * 51_200}
 
 
+def _respond_and_active(drive: Drive, command: Command, sent: Values, found: Values) -> Values:
+    return found | {"respond": found["active"], "active": found["respond"]} if "active" in found else found
+
+
 def _in_place_on_its_way(drive: Drive, command: Command, sent: Values, found: Values) -> Values:
     task = mks(drive).task
     by_counts = task is not None and task.request is not None and task.request.command.verb in _BY_COUNTS
@@ -512,6 +612,7 @@ def _zero_check(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Out
 
 
 TOLD: Rows = {
+    "order": (Row("respond-behind-active", "00 8C tells active first", result(_respond_and_active, Verb.READ_PARAMETER), CAN),),
     "frozen": (
         Row("carry-frozen-when-fast", "30 stays above 500 rpm", stale_when(_faster(_FAST), Verb.READ_ENCODER_CARRY)),
         Row("pulses-counted-at-rest", "33 counts when the motion is over", stale_when(_turns, Verb.READ_PULSES)),
@@ -839,6 +940,24 @@ def _taking_up(behaviour: Behaviour) -> Behaviour:
         return result
 
     return act
+
+
+def _halted_run_taken_up(drive: MksCore) -> None:
+    """Begin the run again that an emergency stop halted when the motor is switched on next."""
+    halted: list[tuple[int, int, int]] = []
+    halt, enable = drive.behaviours[Verb.EMERGENCY_STOP], drive.behaviours[Verb.ENABLE]
+
+    def halting(core: MksCore, request: Request) -> Values | None:
+        halted[:] = [core.memory.run] if core.memory.run and _turns(core) else []
+        return halt(core, request)
+
+    def enabling(core: MksCore, request: Request) -> Values | None:
+        told = enable(core, request)
+        if halted and request.values["enabled"] and core.ready and not _turns(core):
+            begin_run(core, *halted.pop())
+        return told
+
+    drive.behaviours |= {Verb.EMERGENCY_STOP: halting, Verb.ENABLE: enabling}
 
 
 def _axis_turned(drive: MksCore) -> None:
@@ -1177,6 +1296,7 @@ DOING: Rows = {
             "motion backwards is obeyed while protected",
             with_state(MOTIONS, _backwards, protected=False),
         ),
+        Row("enabling-takes-up-halted", "F3 01 takes up a run that F7 ended", tuned(_halted_run_taken_up)),
         Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", wrapped(Verb.ENABLE, _taking_up)),
     ),
     "turned": (

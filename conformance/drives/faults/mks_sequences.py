@@ -41,7 +41,7 @@ from conformance.drives.mks.state import SUBDIVISION
 
 #: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
-_LOW_WORD = 0xFFFF
+_LOW_WORD, _SIGN_24 = 0xFFFF, 0x80_0000
 _SCALED, _SAFE_RPM, _FASTEST_BACK = 32, 1200, 4
 _TO_PLACES = (Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_ABSOLUTE_AXIS)
 #: The highest subdivision at which the speed is what is sent.
@@ -52,6 +52,13 @@ _MOTION_CODES = frozenset(command.code for command in mks_rs485.DIALECT.commands
 def _short(drive: Drive, command: Command, values: Values) -> Values:
     name = "pulses" if "pulses" in values else "position"
     return values | {name: 0} if abs(values[name]) < _SHORTEST else values
+
+
+def _from_axis_of_24_bits(drive: Drive, command: Command, values: Values) -> Values:
+    """Take a target as if the axis had 24 bits."""
+    axis = mks(drive).axis
+    narrow = (axis + _SIGN_24 & 2 * _SIGN_24 - 1) - _SIGN_24
+    return values | {"position": values["position"] + axis - narrow} if values["speed"] else values
 
 
 def _stopped_by_low_word(drive: Drive, command: Command, values: Values) -> Values:
@@ -813,6 +820,7 @@ SEQUENCES: Rows = {
                 ("f5", Verb.MOVE_ABSOLUTE_AXIS),
             )
         ),
+        Row("axis-of-24-bits", "F5 reckons with 24 bits of the axis", request(_from_axis_of_24_bits, Verb.MOVE_ABSOLUTE_AXIS)),
         Row(
             "as-sent-at-odd",
             f"at odd subdivisions above {_PLAIN_MOST} the speed is the one that is sent",
