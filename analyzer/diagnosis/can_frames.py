@@ -59,7 +59,7 @@ def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list
         (r := scene.reader.best(p.data, can.id & 0x7FF, Role.REQUEST)) is not None and r.listed for p, can in extended
     )
     if known or (len(extended) > 1 and len(extended) * 2 > len(frames)):
-        yield _extended(extended, scene.troubles)
+        yield _extended(extended, _wrong(scene, extended))
         return
     standard = [(p, can) for p, can in frames if not can.extended and not can.remote]
     yield from _too_long(frames)
@@ -69,7 +69,7 @@ def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list
     if switches:
         piece, can = switches[0]
         yield Suspicion(
-            "unsupported_dialect", Confidence.LIKELY, scene.troubles,
+            "unsupported_dialect", Confidence.LIKELY, _wrong(scene, switches),
             "These are frames of a motor with the MIT protocol (T-Motor, Damiao, CyberGear), a dialect that is not known here.",
             f"{shown(piece.data, can.id)}: seven bytes FF, then what enables (FC), disables (FD) or sets the zero (FE)",
             "Use the manual of the motor's maker; MKS drives take a code first, and the sum as their last byte",
@@ -90,7 +90,7 @@ def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list
         piece, can = motors[0]
         short = "" if len(can.data) == _LONGEST else ", and shorter than theirs, which have eight bytes each"
         yield Suspicion(
-            "unsupported_dialect", Confidence.LIKELY, scene.troubles,
+            "unsupported_dialect", Confidence.LIKELY, _wrong(scene, motors),
             f"These are frames of RMD and LK motors on CAN, a dialect that is not known here{short}.",
             f"identifier {identifier(can.id)} with {counted(len(can.data), 'byte')}: {shown(piece.data)}; "
             f"{counted(len(motors), 'frame')}",
@@ -114,7 +114,7 @@ def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list
     if (len(open_frames) > 1 or told) and len(open_frames) * 2 >= len(frames):
         piece, can = (told or open_frames)[0]
         yield Suspicion(
-            "unsupported_dialect", Confidence.LIKELY, scene.troubles,
+            "unsupported_dialect", Confidence.LIKELY, _wrong(scene, open_frames),
             "These are frames of CANopen, a protocol that these drives do not speak.",
             f"{shown(piece.data, can.id)} at byte {piece.offset}; {counted(len(open_frames), 'frame')} like it",
             "Use a CANopen master with the EDS file of the drive's maker; MKS drives take a code first, at their own address, "
@@ -126,6 +126,11 @@ def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list
     yield from _padded(scene, standard, checked)
     yield from _with_identifier(scene, standard)
     yield from _other_length(scene, standard, checked)
+
+
+def _wrong(scene: Scene, found: list[tuple[Piece, CanFrame]]) -> Sequence[Trouble]:
+    """Return the troubles of a bus; where there are none, each frame that no drive takes is one."""
+    return scene.troubles or [Trouble("foreign_can_frame", piece.offset, None, piece) for piece, _ in found]
 
 
 def _extended(found: list[tuple[Piece, CanFrame]], troubles: Sequence[Trouble]) -> Suspicion:

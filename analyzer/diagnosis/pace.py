@@ -48,7 +48,8 @@ def _late(scene: Scene) -> Iterator[Suspicion]:
     first = late[0]
     back = counted(first.back, "request")
     # A host that sends several and then reads all of their replies may mean to do so.
-    several = any(len(exchange.received) > 1 for chain in chains(scene) for exchange in chain)
+    # The last reply may come behind the one before it, once nothing more is asked.
+    several = any(len(exchange.received) > 1 for chain in chains(scene) for exchange in chain[:-1])
     steady = len({p.back for p in late}) == 1 and not several
     yield Suspicion(
         "late_reply", Confidence.CERTAIN if steady else Confidence.POSSIBLE,

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.rendered import read_otherwise
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.diagnosis.values import filled
 from analyzer.link import FUNCTIONS, REGISTER_READS, WRITE_MANY, WRITE_ONE
 from analyzer.values import counted
 
@@ -169,6 +170,9 @@ def _why(scene: Scene, piece: Piece, refusal: Piece | None) -> _Why | None:
         right = b""
         if command is not None and reads:
             right = dialect.link.build(command, command.request_forms[0], message.address, b"", Role.REQUEST)
+        forms = command.request_forms if command is not None and not reads and dialect.of_drives else ()
+        if command is not None and len(forms) == 1 and (wide := filled(forms[0].layout, message.data)):
+            right = dialect.link.build(command, forms[0], message.address, wide, Role.REQUEST)
         text = next((v.text for v in message.violations if v.rule == "wrong_length"), "")
         if reads and refusal is not None and refusal.message and refusal.message.values.get("exception") == _NO_REGISTER:
             return _Why("wrong_register", f"The device has no value of so many registers there: {text}.", right)

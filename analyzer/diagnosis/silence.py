@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
+
+from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect, Risk, Role
 from analyzer.diagnosis.addresses import addressed
@@ -22,6 +24,8 @@ _AGAIN = 2
 _OFTEN = 0.2
 #: Silent addresses that are a search, and those that are named.
 _SEARCHED, _SHOWN = 3, 8
+#: Causes that several addresses have alike.
+_ALIKE = frozenset(("no_reply", "wrong_address"))
 #: Findings of a reply that refuses.
 _FAILED = frozenset(("failed_status", "refused_write", "modbus_exception"))
 
@@ -41,13 +45,38 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         if piece.message is not None and piece.message.role is Role.REPLY and "bad_checksum" not in piece.rules:
             answering.setdefault(piece.message.address, piece.message.frame.dialect.name)
     every = list(_unanswered(scene))
-    for asked in every:
-        yield from _unanswered_by_all(scene, asked, answering, alone=len(every) == 1)
+    yield from _together(
+        (_who(a.dialect, a.address), each) for a in every for each in _unanswered_by_all(scene, a, answering, len(every) == 1)
+    )
     if not answering:
         yield from _searched(scene, every)
     yield from _in_other_dialect(scene, answering)
     for part in (_of_others, _reported, addressed, _respond, _switched_off):
         yield from part(scene)
+
+
+def _who(dialect: Dialect, address: int) -> str:
+    return identifier(address) if dialect.bus == "can" else str(address)
+
+
+def _together(found: Iterable[tuple[str, Suspicion]]) -> Iterator[Suspicion]:
+    """Yield one suspicion for all addresses that are silent for the same cause, as surely."""
+    alike: dict[tuple[str, str], list[tuple[str, Suspicion]]] = defaultdict(list)
+    for who, each in found:
+        # What a setting has done is told of each drive by itself.
+        alike[each.cause, each.confidence if each.cause in _ALIKE else who].append((who, each))
+    for (_, first), *others in alike.values():
+        if not others:
+            yield first
+            continue
+        every = [first, *(each for _, each in others)]
+        troubles = list(dict.fromkeys(trouble for each in every for trouble in each.troubles))
+        also = ", ".join(who for who, _ in others[:_SHOWN]) + (" and more" if len(others) > _SHOWN else "")
+        yield replace(
+            first, troubles=troubles, say=f"{first.say} The same holds for {also}.",
+            evidence=f"{first.evidence}; with those to {also}: {counted(len(troubles), 'request')}",
+            frames=tuple(frame for each in every for frame in each.frames),
+        )  # fmt: skip
 
 
 def _in_other_dialect(scene: Scene, answering: dict[int, str]) -> Iterator[Suspicion]:
@@ -90,7 +119,7 @@ def _unanswered(scene: Scene) -> Iterator[_Asked]:
 def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str], alone: bool) -> Iterator[Suspicion]:
     """Suspect what keeps an address silent. `alone`: no other is."""
     dialect, address = asked.dialect, asked.address
-    who = identifier(address) if dialect.bus == "can" else str(address)
+    who = _who(dialect, address)
     first = asked.troubles[0]
     assert first.piece is not None  # kept with its piece
     evidence = f"{whole(first.piece)} at byte {first.offset}; {counted(len(asked.troubles), 'request')} unanswered"
@@ -101,7 +130,7 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str], a
         later = [t for t in asked.troubles if t.offset >= setting.offset]
         yield Suspicion(
             cause, Confidence.CERTAIN, later,
-            f"The drive was {what}, and is still asked at {who} as before.",
+            f"The drive was {what} as before.",
             f"{whole(setting)} at byte {setting.offset} sets it; "
             f"{counted(len({t.offset for t in later}), 'request')} after it unanswered",
             todo,
@@ -286,24 +315,24 @@ def _switched(scene: Scene, dialect: Dialect, address: int) -> tuple[Piece, str,
         if not before or any(p.is_reply for p in after) or not any(p.is_request for p in after):
             continue
         for effect, name in message.command.effects.items():
-            found = _effect(dialect, effect, message.values.get(name))
+            found = _effect(dialect, effect, message.values.get(name), _who(dialect, address))
             if found is not None and not (effect is Effect.ADDRESS and message.values.get(name) == address):
                 return piece, *found
     return None
 
 
-def _effect(dialect: Dialect, effect: Effect, value: int | None) -> tuple[str, str, str] | None:
+def _effect(dialect: Dialect, effect: Effect, value: int | None, who: str) -> tuple[str, str, str] | None:
     """Return what a setting does to who answers: the cause of the silence, what was done, and what to do."""
     if value is None:
         return None
     if effect is Effect.ADDRESS:
-        return "address_changed", f"given the address {value}", f"Ask {drive_name(dialect, value)}"
+        return "address_changed", f"given the address {value}, and is still asked at {who}", f"Ask {drive_name(dialect, value)}"
     if effect is Effect.DIALECT and (other := dialect.switched(value)) != dialect.name:
-        return "wrong_dialect", f"switched to {other}", f"Speak {other} to it"
+        return "wrong_dialect", f"switched to {other}, and is still asked in {dialect.name}", f"Speak {other} to it"
     if effect is Effect.BAUD_RATE and value in dialect.rates:
         rate = dialect.rates[value]
         cause = "can_wrong_bitrate" if dialect.bus == "can" else "wrong_baud"
-        return cause, f"set to {rate} bit/s", f"Open the port at {rate} bit/s"
+        return cause, f"set to {rate} bit/s, and is still asked at another speed,", f"Open the port at {rate} bit/s"
     return None
 
 

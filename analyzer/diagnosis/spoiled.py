@@ -34,12 +34,13 @@ _OFTEN = 10
 
 
 class _Edge(NamedTuple):
-    """A glitch or a missing start: `stray` what is too much (empty: missing), and the whole frame."""
+    """A glitch or a missing start: `stray` what is too much (empty: missing), and the frame, whole but for `lacks` bytes."""
 
     trouble: Trouble
     stray: bytes
     frame: bytes
     role: Role
+    lacks: int = 0
 
 
 class _Part(NamedTuple):
@@ -119,10 +120,13 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         scene.explained.update(edge.trouble for edge in leading)
         leading = []
     if leading and len(leading) * _OFTEN >= frames:
+        lacks = leading[0].lacks
         yield _said(
             "leading_glitch", leading, "Stray bytes stand before {}.",
-            f"{shown(leading[0].stray)} stands before the whole frame {shown(leading[0].frame)}",
-            "Bias the line (A up, B down, 120 Ohm at both ends), and drop bytes before a head; the frame itself is whole",
+            f"{shown(leading[0].stray)} stands before the {'' if lacks else 'whole '}frame {shown(leading[0].frame)}"
+            + (f", which lacks {counted(lacks, 'byte')} at its end" if lacks else ""),
+            "Bias the line (A up, B down, 120 Ohm at both ends), and drop bytes before a head; "
+            + ("then read on to the end of the frame" if lacks else "the frame itself is whole"),
         )  # fmt: skip
     if trailing and len(trailing) * _OFTEN >= frames:
         yield _said(
@@ -332,9 +336,9 @@ def _cut(scene: Scene, trouble: Trouble, stretch: Stretch) -> _Edge | None:
             # Its own end before it is no glitch: the reads are out of step.
             turned = not GLITCHES.issuperset(stray) and reply.stands(rest + stray, 0)
             if ends and not turned and rest.startswith(reply.head) and reply.size - size <= len(rest) < reply.size:
-                return _Edge(trouble, stray, rest, Role.REPLY)
+                return _Edge(trouble, stray, rest, Role.REPLY, reply.size - len(rest))
         if not asked and size == 1 and stretch.ends and GLITCHES.issuperset(stray) and _lacks_last(rest):
-            return _Edge(trouble, stray, rest, Role.REPLY)
+            return _Edge(trouble, stray, rest, Role.REPLY, 1)
     return None
 
 

@@ -259,6 +259,23 @@ def _as_written(piece: Piece, message: Message, word: Word) -> Odd:
     return Odd(piece, message, _text(word, word.value(got)), _text(word, word.value(meant)), right)
 
 
+def filled(layout: Layout, data: bytes) -> bytes:
+    """Return the fields of a request with one number widened by zeros to its own size; empty where no number is the one.
+
+    A program has packed it in fewer bytes than the manual has. Widened at the right place all numbers are the roundest.
+    """
+    missing = layout.byte_length - len(data)
+    words = _words(layout) if not layout.open_ended and missing > 0 else ()
+    found: list[tuple[int, bytes]] = []
+    for word in words:
+        at = word.start if word.field.order is Order.BIG else word.stop - missing
+        wide = data[:at] + bytes(missing) + data[at:]
+        if word.size > missing and not codec(layout).broken(wide):
+            found.append((sum(_digits(each.value(wide[each.start : each.stop])) for each in words), wide))
+    found.sort()
+    return found[0][1] if len(found) == 1 or (found and found[0][0] + _ROUNDER <= found[1][0]) else b""
+
+
 def _signed(piece: Piece, message: Message, word: Word) -> Odd | None:
     """Return a number that is negative if its bytes are one of two's complement, where the manual has an unsigned one."""
     field, command = word.field, message.command

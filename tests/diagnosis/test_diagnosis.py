@@ -236,6 +236,20 @@ def test_nobody_answers():
     assert "swapped" in found[0].next
 
 
+def test_nobody_answers_at_any_of_some_addresses():
+    found = told(*((">", build(NATIVE, name, at)) for at in (1, 2, 3) for name in ("read_speed", "read_encoder_carry")))
+    assert [(each.cause, len(each.troubles), len(each.frames)) for each in found] == [("no_reply", 6, 6)]
+    assert found[0].say.endswith("The same holds for 2, 3.")
+
+
+def test_a_number_that_is_packed_in_too_few_bytes():
+    good = [build(NATIVE, "read_speed", 1), bytes.fromhex("FB 01 32 00 00 2E")]
+    rows = [(">", good[0]), ("<", good[1]), (">", bytes.fromhex("FA 01 FD 01 40 02 00 FA 00 35"))] * 2
+    found = told(*rows)
+    assert [each.cause for each in found] == ["wrong_length"]
+    assert found[0].frames[0].right == "FA 01 FD 01 40 02 00 00 FA 00 35"
+
+
 def test_another_address_answers():
     rows = [*exchanged("mks-rs485@1", *READS), (">", build(NATIVE, "read_speed", 2)), (">", build(NATIVE, "read_pulses", 2))]
     assert first(*rows, *exchanged("mks-rs485@1", *READS)) == "wrong_address"

@@ -172,6 +172,13 @@ def test_a_glitch_between_request_and_reply_of_a_stream():
     assert first(stream) == "leading_glitch"
 
 
+def test_a_glitch_before_a_reply_that_lacks_as_much_at_its_end():
+    found = told(*changed(METER, "<", lambda data: b"\x00" + data[:-1]))
+    assert found[0].cause == "leading_glitch"
+    assert "lacks 1 byte" in found[0].evidence
+    assert "whole" not in found[0].evidence + found[0].next
+
+
 def test_both_edges_are_told_and_the_glitch_alone_is_named():
     found = told(*changed(METER, "<", lambda data: b"\x00" + data + b"\xff"))
     assert [each.cause for each in found] == ["leading_glitch", "trailing_glitch"]
