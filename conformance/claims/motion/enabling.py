@@ -118,11 +118,17 @@ def _not_in_bus_modes(probe: Probe, command: Command) -> None:
             probe.expect(motion.is_on(probe), equal=on, refutes=text, exchange=exchange)
 
 
+def _run_and_move(dialect: Dialect) -> tuple[Command, ...]:
+    """Return a run and a move, by a distance where there is one; some dialects lack one of them."""
+    moves = (*dialect.motions(MotionKind.MOVE_BY), *dialect.motions(MotionKind.MOVE_TO))
+    return (*(c for c in dialect.motions(MotionKind.RUN) if c.verb is Verb.RUN_SPEED), *moves[:1])
+
+
 @of_motion(
     each=lambda dialect: (*_enable(dialect), *_on(dialect)),
     name="{command}/on-goes-on",
     refuted_by="a shaft that stands, or one that turns on behind a stop",
-    risks=lambda case: risks_by(Verb.RUN_SPEED, Verb.EMERGENCY_STOP)(case) | declared.any_move(case.dialect).all_risks,
+    risks=lambda case: declared.risks(case.dialect).union(*(c.all_risks for c in _run_and_move(case.dialect))),
     at_best=Certainty.LIKELY,
 )
 def _on_goes_on(probe: Probe) -> None:
@@ -139,7 +145,7 @@ def _on_goes_on(probe: Probe) -> None:
     probe.expect(after.value, near=before.value, within=within, unit="rpm", refutes=text, exchange=exchange)
     text = "a motor that was switched on while it turned reads as off"
     probe.expect("off", holds=is_on is not False, expected="on", refutes=text, exchange=exchange)
-    for command in (probe.command(Verb.RUN_SPEED), declared.any_move(probe.dialect)):
+    for command in _run_and_move(probe.dialect):
         set_going(probe, command)
         probe.ask(Verb.EMERGENCY_STOP if Verb.EMERGENCY_STOP in probe.dialect.by_verb else Verb.STOP)
         motion.wait_standing(probe)
