@@ -25,7 +25,7 @@ def captures(tmp_path_factory):
 @pytest.fixture(scope="module")
 def mortal(captures):
     """What has a process ingest, and returns how it ended."""
-    command = [sys.executable, "-m", "tests.fleet.mortal"]
+    command = [sys.executable, "-B", "-m", "tests.fleet.mortal"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
 
         def run(lake, **how):

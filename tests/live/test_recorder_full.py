@@ -36,7 +36,8 @@ class Process:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
 
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "analyzer.live.recorder", str(folder)],
+            # A module compiled under the limit would be kept cut off.
+            [sys.executable, "-B", "-m", "analyzer.live.recorder", str(folder)],
             stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, preexec_fn=limited if limit else None,
         )  # fmt: skip
 

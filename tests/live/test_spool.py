@@ -174,7 +174,7 @@ def test_a_file_size_limit_is_an_error_and_leaves_whole_records(tmp_path):
         "    for n in range(100): w.write(pack(RecordKind.DATA, n, 0, b'x' * 50))\n"
         "except OSError as error: print(type(error).__name__, error.errno)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-B", "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("OSError")
     reader = SpoolReader(tmp_path, STEM)
     found = list(reader.read())
