@@ -119,7 +119,7 @@ def measured(target: Target) -> tuple[Cost, Cost, dict[str, Measured]]:
     rig.gate.log = count
     scanned = rig.gate.now_ns() / 1e9
     _ = rig.noise
-    # What the first claim that moves the shaft has to wait for, whichever it is.
+    # The first claim that moves the shaft waits for this, so it belongs to the start.
     if mover := next((c for c in plan.selected(target) if resting.can_turn(rig.dialect, c)), None):
         rig.settle(rig.probe(mover))
     started = rig.gate.now_ns() / 1e9 - scanned

@@ -16,13 +16,13 @@ from analyzer.layout import Field, FieldKind
 from analyzer.values import counted
 
 _NUMBER = re.compile(r"(?<![\w.:/-])(-?\d{2,15})(?![\d:x]|\.\d)\s*([A-Za-z]*(?:/(?:s|min))?)")
-#: How people write units of fields that have no step, beside the catalogue's own word.
+#: Other words for the catalogue's units. Only fields without a step use them.
 _ALSO = {
     "rpm": frozenset(("r/min", "rev/min", "u/min", "revs/min")),
     "pulses": frozenset(("pulse", "steps", "step", "microsteps")),
     "counts": frozenset(("count",)),
 }
-#: Words before a number that somebody wants.
+#: Words that stand before a wanted number.
 _WANTED = (
     r"\b(?:want|wish|need|intend|mean|meant|ask|order|command|request|desire|target|goal|set)\w*\b[^.;\n]{{0,40}}\b{}(?!\d)"
 )

@@ -55,7 +55,7 @@ def _saved_runs(dialect: Dialect) -> Iterator[Case]:
 
 def _turning(probe: Probe, rpm: int, mode: str = "") -> float:
     motion.ready_to_move(probe, mode, subdivision=SUBDIVISION)
-    # An older run is not the one that is kept.
+    # A drive that keeps an older run than the newest is found by this one.
     motion.run_at(probe, -rpm)
     motion.run_at(probe, rpm)
     probe.wait(100 * MS)

@@ -312,7 +312,7 @@ def _in_a_package(drive: Drive, message: Message) -> bool:
 def _made_ready_by(
     to: Callable[[Drive, Message], bool], of: Of, ready: Callable[[MksCore], object]
 ) -> Callable[[MksCore], None]:
-    """Make the drive ready for what is sent so, whatever speaks against it."""
+    """Let the drive do what is sent so, even where it would refuse."""
     verbs = {of} if isinstance(of, Verb) else of
 
     def install(drive: MksCore) -> None:

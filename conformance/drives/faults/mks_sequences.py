@@ -232,7 +232,7 @@ def _kept_goes_on(drive: MksCore, of: Verb) -> None:
 
 
 def _saves_older(drive: MksCore) -> None:
-    """Keep the run before the one that turns the shaft."""
+    """Save the run that came before the present one."""
     runs: list[tuple[int, int, int] | None] = []
     run, save = drive.behaviours[Verb.RUN_SPEED], drive.behaviours[Verb.SAVE_SPEED]
 
@@ -295,7 +295,7 @@ def _current_not_put_back(drive: MksCore) -> None:
 
 
 def _alm_beside_pend(drive: Drive, command: Command, values: Values) -> Values:
-    """Write ALM with PEND, whatever its mask says."""
+    """Write ALM with PEND, though its mask keeps it."""
     return values | {"alm_mask": 1} if values["pend_mask"] == 1 and values["alm_mask"] == mks_can.PortMask.KEEP else values
 
 
