@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,10 @@ from analyzer.cli import main
 from analyzer.cli.boundary import FOLDER
 
 _FOLDER = pytest.StashKey[Path]()
+# python-can loads asammdf, and that pandas: a second in each worker. `by_python_can` has it where MF4 files are written.
+with pytest.MonkeyPatch.context() as _patch:
+    _patch.setitem(sys.modules, "asammdf", None)
+    importlib.import_module("can")
 # How long an example takes is the machine's business, and no test's.
 settings.register_profile("servotap", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("servotap")

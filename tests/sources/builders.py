@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import struct
 from collections.abc import Callable
@@ -9,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import can
+import can.io.mf4
+import pytest
 from mcap.writer import CompressionType, Writer
 
 from tests.logic import waves
@@ -61,7 +64,12 @@ def messages(count: int = 40, channel: int | None = 0) -> list[can.Message]:
 
 def by_python_can(path: Path, given: list[can.Message]) -> Path:
     """Write messages with the writer that the path's ending chooses."""
-    with can.Logger(str(path)) as logger:
+    if path.suffix == ".mf4":
+        pytest.importorskip("asammdf", reason="MF4 needs asammdf, an extra")
+        logger = importlib.reload(can.io.mf4).MF4Writer(path)
+    else:
+        logger = can.Logger(str(path))
+    with logger:
         for message in given:
             logger(message)
     return path

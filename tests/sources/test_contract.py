@@ -24,7 +24,6 @@ def test_contract(name: str, tmp_path: Path) -> None:
 
 
 def test_contract_mf4(tmp_path: Path) -> None:
-    pytest.importorskip("asammdf", reason="MF4 needs asammdf, an extra")
     path = builders.by_python_can(tmp_path / "capture.mf4", builders.messages())
     # Each reading starts a process: few cuts.
     records = check_source(path, format="mf4", kind="can", parts=2)

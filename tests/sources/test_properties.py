@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -20,7 +19,6 @@ from tests.sources import builders
 
 #: asammdf takes long to load, and is tested on its own.
 QUICK = [name for name in FORMATS if name != "mf4"]
-HAS_MF4 = importlib.util.find_spec("asammdf") is not None
 quick = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 few = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
@@ -80,7 +78,6 @@ def test_damaged_captures(name: str, edits: list[tuple[int, int, bytes]]) -> Non
     survive(damaged(sample(name), edits), builders.SAMPLES[name].format)
 
 
-@pytest.mark.skipif(not HAS_MF4, reason="MF4 needs asammdf, an extra")
 @settings(max_examples=3, deadline=None)
 @given(edits=EDITS)
 def test_damaged_mf4(edits: list[tuple[int, int, bytes]]) -> None:
