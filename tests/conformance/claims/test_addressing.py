@@ -9,53 +9,7 @@ from analyzer.records import Frame, Message
 from conformance.claim import Outcome, Theme
 from conformance.drives.drive import Drive, Fault
 from conformance.drives.mks.core import MksCore
-from tests.conformance.theme_runs import OTHERS, not_confirmed, refuted, run
-
-
-@pytest.mark.parametrize("drive", OTHERS)
-def test_conforming_drives_confirm_every_claim(drive):
-    assert not_confirmed(Theme.ADDRESSING, drive) == {}
-
-
-@pytest.mark.parametrize(
-    ("fault", "dialect", "names"),
-    [
-        ("answers-another-address", "mks-rs485", {"other/neighbours", "other/every", "other/not_executed"}),
-        ("executes-another-address", "mks-modbus", {"other/not_executed"}),
-        ("answers-next-address", "mks-can", {"other/neighbours", "other/not_executed"}),
-        ("address-low-byte-only", "mks-can", {"other/low_byte"}),
-        ("answers-broadcast-reads", "mks-modbus", {"broadcast/read"}),
-        ("ignores-broadcast", "mks-can", {"broadcast/executed"}),
-        ("answers-group", "mks-rs485", {"group/read", "group/silent"}),
-        ("ignores-group", "mks-can", {"group/executed"}),
-        ("hears-bad-group-bit-7", "mks-rs485", {"group/other", "group/run_speed/stop_speed"}),
-        ("hears-bad-group-bit-4", "mks-can", {"group/other", "group/move_relative_axis/stop_relative_axis"}),
-        ("group-replaces-address", "mks-can", {"group/own"}),
-        ("lk-answers-address-0", "lk-rs485", {"other/zero"}),
-        ("address-not-stored", "mks-rs485", {"set_address/moves"}),
-    ],
-)
-def test_a_fault_of_addresses_is_refuted_by_the_claims_that_say_so(fault, dialect, names):
-    assert names <= refuted(Theme.ADDRESSING, f"{dialect}@1,fault={fault}", *names)
-
-
-@pytest.mark.parametrize(
-    ("fault", "name"),
-    [
-        ("package-answered", "package/silent"),
-        ("package-ignored", "package/slot_3"),
-        ("package-any-length", "package/length"),
-        ("package-both-slots", "package/first_of_two"),
-        ("package-last-slot", "package/first_of_two"),
-        ("package-next-slot", "package/own_slot"),
-        ("package-first-slot-only", "package/own_slot"),
-        ("package-of-three-commands", "package/last_of_five"),
-        ("package-every-slot", "package/others"),
-        ("package-broadcast-slot", "package/broadcast_slot"),
-    ],
-)
-def test_a_fault_of_packages_is_refuted_by_the_claim_about_it(fault, name):
-    assert name in refuted(Theme.ADDRESSING, f"mks-rs485@1,fault={fault}", name)
+from tests.conformance.theme_runs import refuted, run
 
 
 def test_a_package_that_is_executed_whatever_its_sum_is_refuted():

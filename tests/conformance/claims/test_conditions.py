@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from fnmatch import fnmatch
-
 import pytest
 
 from conformance.claim import Outcome
 from conformance.drives.faults import lk_conditions, mks_conditions, mks_effects, mks_sequences
 from conformance.drives.make import every_fault
-from conformance.suite import engine, plan
-from conformance.suite.rig_emulated import EmulatedRig
-from conformance.suite.target import EMULATED, parse
+from tests.conformance.theme_runs import judge
 
 #: Faults -> a claim that refutes each: all of a condition, and others that no exchange of a drive's own tests shows.
 REFUTED_BY = {
@@ -351,21 +347,6 @@ REFUTED_BY = {
     "respond-behind-active": "read-back/set_respond/read",
     "lk-wide-angle-limits-ignored": "motion/write_parameter/angle-limit-move_multi_turn-each-way",
 }
-#: What a fault of the protection and of the angle error is seen by without a hand that holds the shaft.
-LIMP = (
-    ("protected-moves", "motion/release_protection/limp"),
-    ("protection-hidden", "motion/release_protection/limp"),
-    ("protected-goes-on", "motion/release_protection/limp"),
-    ("angle-error-in-counts", "motion/read_angle_error/limp"),
-    ("angle-error-sign-turned", "motion/read_angle_error/limp"),
-    ("angle-error-half-width", "motion/read_angle_error/limp"),
-)
-
-
-def verdict(name, claim):
-    target = parse(name, EMULATED)
-    found = next(c for c in plan.every_claim(target) if fnmatch(c.id.split("/", 1)[1], claim))
-    return engine.run_claim(found, EmulatedRig(target.specification))
 
 
 def test_each_fault_has_its_claim():
@@ -378,22 +359,16 @@ def test_a_fault_of_a_condition_is_refuted(fault):
     for dialect in fault.dialects:
         # The range of a torque depends on the model.
         model = ",model=MF" if dialect == "lk-rs485" else ""
-        seen = verdict(f"{dialect}@1{model},fault={fault.name}", REFUTED_BY[fault.name])
+        seen = judge(f"{dialect}@1{model},fault={fault.name}", REFUTED_BY[fault.name])
         assert seen.outcome is Outcome.REFUTED, (dialect, seen.reason)
 
 
 def test_a_limit_shows_without_a_switch():
     for fault, wanted in (("", Outcome.CONFIRMED), (",fault=limits-by-low-pins", Outcome.REFUTED)):
-        seen = verdict(f"mks-can@1{fault}", "motion/set_home/end-limit-by-level")
+        seen = judge(f"mks-can@1{fault}", "motion/set_home/end-limit-by-level")
         assert seen.outcome is wanted, seen.reason
 
 
 @pytest.mark.parametrize("address", [2, 26, 41])
 def test_registers_that_no_command_has_are_refused_at_every_address(address):
-    assert verdict(f"mks-modbus@{address}", "modbus/register/unknown_write").outcome is Outcome.CONFIRMED
-
-
-@pytest.mark.parametrize(("fault", "claim"), LIMP)
-def test_a_motor_without_current_shows_the_protection_and_the_error(fault, claim):
-    seen = verdict(f"mks-modbus@1,fault={fault}", claim)
-    assert seen.outcome is Outcome.REFUTED, seen.reason
+    assert judge(f"mks-modbus@{address}", "modbus/register/unknown_write").outcome is Outcome.CONFIRMED

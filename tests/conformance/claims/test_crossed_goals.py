@@ -8,19 +8,11 @@ import pytest
 
 from analyzer import dialects
 from conformance.claim import Outcome
-from conformance.claims import every
 from conformance.claims.crossed import goals
 from conformance.claims.crossed.goals import OFF, ON, STOP
-from conformance.drives import make
-from conformance.suite import engine
-from conformance.suite.rig_emulated import EmulatedRig
+from tests.conformance.theme_runs import judge
 
 LK = dialects.get("lk-rs485")
-
-
-def _outcome(drive: str, name: str) -> Outcome:
-    rig = EmulatedRig(make.parse(drive))
-    return engine.run_claim(next(c for c in every(rig.dialect) if c.id.endswith(f"/{name}")), rig).outcome
 
 
 @pytest.mark.parametrize("model", LK.models)
@@ -53,36 +45,6 @@ def test_the_rows_are_short():
 
 
 @pytest.mark.parametrize(
-    ("fault", "claim"),
-    [
-        ("lk-motion-speed-0", "move_single_turn/crossed-tells"),
-        ("lk-whole-turns-ignored", "move_increment_limited/crossed-ends"),
-        ("lk-max-speed-ignored", "move_multi_turn_limited/crossed-speed"),
-        ("lk-max-speed-half-below", "move_multi_turn_limited/crossed-speed"),
-        ("lk-stop-ignored-backwards", "run_torque/crossed-stopped"),
-        ("lk-on-resumes", "move_increment/crossed-stopped"),
-        ("lk-stop-drops-turns-of-a-run", "read_position/crossed"),
-        ("lk-state-always-on", "read_state_1/standing"),
-        ("lk-position-single-turn", "read_position/standing"),
-        ("lk-single-turn-runs-on", "read_single_turn/standing"),
-        ("lk-phases-doubled", "read_state_3/crossed"),
-        ("lk-stalled-while-turning", "read_state_1/crossed-first"),
-        ("lk-off-keeps-torque", "run_torque/crossed-first"),
-        ("lk-torque-told-after-stop", "read_state_2/crossed"),
-        ("lk-no-torque-ignored", "run_torque/newer"),
-        ("lk-phases-told-while-off", "read_state_3/crossed"),
-        ("lk-increment-of-stopped-move", "move_increment/after-stop"),
-        ("lk-single-turn-by-position", "move_single_turn/after-new-position"),
-        ("lk-slow-runs-stand", "run_speed/slow"),
-        ("lk-brake-reads-on-after-motion", "reads/run_speed"),
-        ("lk-run-without-data-repeats", "run_speed/other-length"),
-    ],
-)
-def test_a_fault_of_one_condition_is_refuted(fault, claim):
-    assert _outcome(f"lk-rs485@1,model=MF,fault={fault}", claim) is Outcome.REFUTED
-
-
-@pytest.mark.parametrize(
     "claim",
     [
         "move_multi_turn_limited/crossed-ends",
@@ -93,4 +55,4 @@ def test_a_fault_of_one_condition_is_refuted(fault, claim):
     ],
 )
 def test_an_honest_drive_on_a_poor_line_is_not(claim):
-    assert _outcome("lk-rs485@1,model=MS,real=poor", claim) is Outcome.CONFIRMED
+    assert judge("lk-rs485@1,model=MS,real=poor", f"motion/{claim}").outcome is Outcome.CONFIRMED

@@ -14,17 +14,7 @@ from conformance.drives.drive import Drive, Fault
 from conformance.suite import engine
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.talk.garbling import Garbler, harmless
-from tests.conformance.theme_runs import OTHERS, claims_of, not_confirmed, refuted, run
-
-#: How long a frame may pause: no manual says, so it is told and not judged.
-OPEN = {"pieces/answered"}
-#: Addresses of Modbus end at 247, so that no read of another dialect goes to a drive beyond.
-NONE_BEYOND_247 = {"other_dialect/ignored", "other_dialect/next"}
-
-
-@pytest.mark.parametrize("drive", OTHERS)
-def test_conforming_drives_confirm_every_claim(drive):
-    assert set(not_confirmed(Theme.FRAMING, drive)) <= OPEN | (NONE_BEYOND_247 if "@255" in drive else set())
+from tests.conformance.theme_runs import claims_of, refuted, run
 
 
 def test_a_claim_of_which_no_variant_can_be_sent_does_not_confirm_itself():
@@ -34,43 +24,10 @@ def test_a_claim_of_which_no_variant_can_be_sent_does_not_confirm_itself():
     assert (verdict.outcome, "no frame of this kind" in verdict.reason) == (Outcome.NOT_RUN, True)
 
 
-@pytest.mark.parametrize(
-    ("fault", "dialect", "names"),
-    [
-        ("hears-bad-checksum", "mks-rs485", {"checksum_bit/ignored", "checksum_value/ignored", "checksum_bit/not_executed"}),
-        ("hears-bad-checksum", "mks-modbus", {"checksum_bit/ignored", "flipped_bit/ignored"}),
-        ("executes-bad-checksum", "mks-can", {"checksum_bit/not_executed", "flipped_bit/not_executed"}),
-        ("hears-reply-head", "mks-rs485", {"head/ignored"}),
-        ("answers-unknown-code", "mks-can", {"unknown_code/ignored"}),
-        ("lk-answers-wrong-data-sum", "lk-rs485", {"checksum_bit/ignored"}),
-        ("lk-answers-wrong-head-sum", "lk-rs485", {"checksum_bit/ignored"}),
-        ("lk-answers-unknown-code", "lk-rs485", {"unknown_code/ignored"}),
-        ("lk-answers-wrong-length", "lk-rs485", {"overlong/ignored"}),
-    ],
-)
-def test_a_fault_of_hearing_is_refuted_by_the_claims_that_say_so(fault, dialect, names):
-    assert names <= refuted(Theme.FRAMING, f"{dialect}@1,fault={fault}", *names)
-
-
 def test_a_drive_that_is_deaf_behind_a_bad_frame_is_refuted_by_what_is_asked_next_alone():
     found = refuted(Theme.FRAMING, "mks-modbus@1,fault=deaf-after-bad-frame", "checksum", "flipped", "unknown_code")
     assert {"checksum_bit/next", "checksum_value/next"} <= found
     assert all(name.endswith("/next") for name in found)
-
-
-@pytest.mark.parametrize(
-    ("fault", "drive", "name"),
-    [
-        ("homes-on-bad-checksum", "mks-can@1", "home/guarded"),
-        ("disables-on-bad-checksum", "mks-modbus@1", "enable/guarded"),
-        ("stores-on-bad-checksum", "mks-can@1", "settings/guarded"),
-        ("lk-obeys-wrong-data-sum", "lk-rs485@1,model=MF", "settings/guarded"),
-        ("lk-stop-unchecked", "lk-rs485@1,model=MF", "stop/guarded"),
-        ("lk-clear-errors-unchecked", "lk-rs485@1,model=MF", "clear_errors/guarded"),
-    ],
-)
-def test_what_is_done_by_a_wrong_check_is_refuted(fault, drive, name):
-    assert refuted(Theme.FRAMING, f"{drive},fault={fault}", name) == {name}
 
 
 def test_a_motion_of_another_length_is_not_to_be_executed():

@@ -12,28 +12,6 @@ from tests.conformance.theme_runs import refuted, run
 
 
 @pytest.mark.parametrize(
-    ("fault", "dialect", "name"),
-    [
-        ("flaky-checksum", "mks-modbus", "reads/good"),
-        ("unanswered-reads", "mks-can", "reads/run_speed"),
-        ("reads-silent-while-off", "mks-modbus", "reads/off"),
-        ("reads-silent-while-homing", "mks-rs485", "reads/homing"),
-        ("parameters-unreadable-while-turning", "mks-can", "reads/move_relative_pulses"),
-        ("lk-reads-silent-while-off", "lk-rs485", "reads/off"),
-        ("lk-parameters-silent-while-turning", "lk-rs485", "reads/run_speed"),
-        ("lk-reads-silent-in-error", "lk-rs485", "reads/error"),
-        ("current-stored-as-home-current", "mks-can", "settings/at-rest"),
-        ("lk-parameter-elsewhere", "lk-rs485", "settings/off"),
-        ("respond-stored-as-active", "mks-rs485", "settings/off"),
-        ("stored-before-judged", "mks-can", "settings/stopped"),
-        ("stored-before-judged", "mks-rs485", "settings/pulse-mode"),
-    ],
-)
-def test_a_fault_is_refuted_by_the_claim_about_it(fault, dialect, name):
-    assert name in refuted(Theme.RESILIENCE, f"{dialect}@1,fault={fault}", name)
-
-
-@pytest.mark.parametrize(
     ("quirk", "drive", "name"),
     [("hasty-writes-dropped", "mks-rs485@1", "hasty_settings"), ("lk-firmware-235", "lk-rs485@1", "hasty_settings")],
 )

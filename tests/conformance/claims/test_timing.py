@@ -4,77 +4,29 @@ from __future__ import annotations
 
 import pytest
 
-from conformance.claim import Claim, Outcome, Theme, Verdict
-from conformance.drives import make
+from conformance.claim import Outcome
 from conformance.drives.mks.paths import move_path, ramp_step_ns
 from conformance.motion import ramp
 from conformance.motion.ramp import Fit, Judgement
-from conformance.suite import engine
-from conformance.suite.rig_emulated import EmulatedRig
-from tests.conformance.theme_runs import claims_of
-
-DRIVES = ("mks-rs485@1", "mks-modbus@1", "mks-can@1", "lk-rs485@1")
-
-
-def every(rig: EmulatedRig) -> dict[str, Claim]:
-    """Return the claims about a rig's drive by their names."""
-    return {c.id.split("/", 2)[2]: c for c in claims_of(Theme.TIMING, rig)}
-
-
-def judge(drive: str, what: str) -> Verdict:
-    """Run one claim by its name."""
-    rig = EmulatedRig(make.parse(drive))
-    return engine.run_claim(every(rig)[what], rig)
-
-
-FAULTS = (
-    ("mks-rs485", "ramp-too-fast", "run_speed/ramp-56"),
-    ("mks-modbus", "ramp-too-slow", "stop_speed/ramp-56"),
-    ("mks-can", "ramp-off-by-one", "run_speed/ramp-252"),
-    ("mks-rs485", "ramp-off-by-one", "stop_speed/ramp-236"),
-    ("mks-can", "ramp-turned-round", "run_speed/ramp-200"),
-    ("mks-rs485", "no-ramp", "run_speed/ramp-1"),
-    ("mks-rs485", "no-ramp", "run_speed/ramp-is-even"),
-    ("mks-modbus", "acceleration-0-by-formula", "run_speed/ramp-0"),
-    ("mks-can", "stop-by-slowest-ramp", "stop_speed/ramp-0"),
-    ("mks-rs485", "stop-coasts", "stop_speed/ramp-200"),
-    ("mks-rs485", "ramp-too-slow", "move_absolute_axis/takes-trapezoid"),
-    ("mks-can", "completion-too-late", "move_relative_pulses/told-in-time"),
-    ("mks-rs485", "stop-completion-early", "stop_absolute_pulses/told-in-time"),
-    ("mks-rs485", "late-reply", "replies/at-rest"),
-    ("mks-can", "lost-reply", "replies/every-time"),
-    ("lk-rs485", "first-reply-only", "replies/every-time"),
-    ("lk-rs485", "lk-ramp-steep-turning-round", "write_parameter/one-ramp"),
-    ("lk-rs485", "lk-ramp-steep-slowing", "write_parameter/one-ramp"),
-    ("lk-rs485", "lk-ramp-steep-below", "write_parameter/speed-ramp-move_increment_limited-each-way"),
-    ("mks-rs485", "lost-reply", "replies/every-time"),
-    ("mks-can", "first-reply-only", "replies/every-time"),
-    ("lk-rs485", "lk-reply-lost", "replies/every-time"),
-)
-
-
-@pytest.mark.parametrize(("dialect", "fault", "claim"), FAULTS)
-def test_a_fault_is_refuted_by_the_claim_about_it(dialect, fault, claim):
-    verdict = judge(f"{dialect}@1,fault={fault}", claim)
-    assert (verdict.outcome, verdict.reason) == (Outcome.REFUTED, verdict.reason)
+from tests.conformance.theme_runs import judge
 
 
 def test_a_ramp_is_measured_to_a_fraction_of_a_per_cent():
-    verdict = judge("mks-rs485@1", "run_speed/ramp-56")
+    verdict = judge("mks-rs485@1", "timing/run_speed/ramp-56")
     assert verdict.measured["ramp_ms"] == pytest.approx(1200, abs=12)
     assert verdict.measured["uncertain_ms"] < 30
 
 
 def test_the_delay_of_lk_is_reported_and_never_refutes():
-    assert judge("lk-rs485@1", "replies/delay").measured["delay_p50_ms"] == pytest.approx(0.25, abs=0.001)
-    assert judge("lk-rs485@1,fault=lk-late-while-turning", "replies/turning").outcome is Outcome.OBSERVED
-    late = judge("lk-rs485@1,fault=lk-reply-late", "replies/delay")
+    assert judge("lk-rs485@1", "timing/replies/delay").measured["delay_p50_ms"] == pytest.approx(0.25, abs=0.001)
+    assert judge("lk-rs485@1,fault=lk-late-while-turning", "timing/replies/turning").outcome is Outcome.OBSERVED
+    late = judge("lk-rs485@1,fault=lk-reply-late", "timing/replies/delay")
     assert late.outcome is Outcome.OBSERVED
     assert late.measured["delay_p50_ms"] == pytest.approx(20.25, abs=0.01)
 
 
 def test_latencies_are_told_with_their_spread():
-    measured = judge("mks-can@1", "replies/at-rest").measured
+    measured = judge("mks-can@1", "timing/replies/at-rest").measured
     assert 0 < measured["reply_p50_ms"] <= measured["reply_p99_ms"] <= measured["reply_longest_ms"] < 5
     assert measured["uncertain_ms"] == 0
 
