@@ -9,7 +9,7 @@ from conformance.drives import make
 from tests.conformance.claims.test_conditions import REFUTED_BY
 from tests.conformance.theme_runs import judge
 
-#: The drives on which a fault is tried that is named alone: the first two of those that can have it.
+#: The drives on which a fault is tried that is named alone: the first two of those that can have it; with + all of them.
 DRIVES = ("mks-rs485@1", "mks-modbus@1", "mks-can@1,model=42E", "lk-rs485@1,model=MF")
 #: Claim -> faults that it refutes: by name, or a drive that has one.
 REFUTES = {
@@ -34,8 +34,10 @@ REFUTES = {
     "motion/run_speed/highest-sr_open": "mode-limit-ignored",
     "motion/run_speed/crossed-speed": "speed-2800-at-most",
     "motion/move_absolute_pulses/crossed-taken": "speed-3000-refused",
-    "motion/home/turns": "home-speed-low-byte home-direction-not-stored",
-    "motion/move_absolute_axis/takes-over": "update-ignored newer-move-ignored newer-target-refused",
+    "motion/home/turns": "home-speed-low-byte home-direction-not-stored home-speed-as-sent+",
+    "motion/move_absolute_axis/takes-over": (
+        "update-ignored newer-move-ignored newer-target-refused mks-can@1,fault=absolute-pulses-as-counts"
+    ),
     "motion/move_absolute_axis/update-without-stop": "update-stops-first",
     "motion/stop_speed/by-ramp": "stop-without-ramp",
     "motion/stop_relative_axis/at-once": "stop-by-slowest-ramp",
@@ -51,7 +53,7 @@ REFUTES = {
     "motion/emergency_stop/ends-run_speed": "emergency-stop-ignored",
     "motion/emergency_stop/ends-move_absolute_axis": "emergency-stop-ramps",
     "motion/enable/is-read": "disable-ignored enabled-inverted enabled-frozen",
-    "motion/move_relative_axis/disabled": "disabled-moves",
+    "motion/move_relative_axis/disabled": "disabled-moves+",
     "motion/run_speed/pulse-mode": "pulse-mode-moves",
     "motion/move_relative_axis/replies": "completion-missing interim-and-completion-swapped",
     "motion/move_relative_pulses/replies": "completion-doubled",
@@ -62,7 +64,7 @@ REFUTES = {
     "motion/move_absolute_axis/superseded": "superseded-completes-too",
     "motion/run_speed/crossed-replies": "run-status-2",
     "motion/set_respond/0-silences-run_speed": "respond-ignored",
-    "motion/set_respond/0-leaves-reads": "respond-silences-all respond-silences-emergency",
+    "motion/set_respond/0-leaves-reads": "respond-silences-all respond-silences-settings",
     "motion/set_respond/inactive-move_relative_axis": "active-ignored",
     "motion/set_respond/inactive-stop_speed": "active-silences-first",
     "motion/read_status/crossed": "status-frozen",
@@ -83,7 +85,7 @@ REFUTES = {
     "motion/home/finds-switch-cw": "home-lies",
     "motion/home/zero": "home-sets-no-zero",
     "motion/home/finds-switch-ccw": "home-wrong-way",
-    "motion/home/speed-120": "home-speed-ignored",
+    "motion/home/speed-120": "home-speed-ignored mks-modbus@1,fault=home-speed-not-stored",
     "motion/home/without-switch-cw-1000": "home-return-ignored",
     "motion/home/without-switch-ccw-3000": "home-mode-ignored",
     "motion/home/trigger": "home-trigger-not-stored",
@@ -92,7 +94,7 @@ REFUTES = {
     "motion/set_home/end-limit-stops-move_relative_axis": "end-limit-ignored",
     "motion/set_home/end-limit-told-move_relative_axis": "limit-stop-says-2",
     "motion/set_limit_remap/right-on": "limit-remap-ignored",
-    "motion/set_protection/lets-go": "protection-ignored protection-hidden",
+    "motion/set_protection/lets-go": "protection-ignored+ protection-hidden+",
     "motion/read_protection/at-first": "protection-inverted",
     "motion/release_protection/releases": "release-ignored",
     "motion/run_speed/protected": "protected-moves",
@@ -200,16 +202,31 @@ REFUTES = {
     "motion/run_speed/slow": "lk-slow-runs-stand",
     "motion/move_increment/follows-temperature": "lk-motion-temperature-first",
     "motion/write_parameter/speed-limit-run_speed-at-once": "lk-speed-limit-late",
+    "motion/read_pulses/wide": "pulses-of-16-bits+",
+    "motion/read_encoder_carry/crossed": "mks-rs485@1,fault=carry-a-count-late mks-can@1,fault=carry-a-count-late",
+    "motion/home/status-from-closed": "mks-can@1,fault=homing-as-running",
+    "motion/set_respond/0-status-follows": "status-silent-is-stopped",
+    "motion/read_io/not-in-position-while-moving": "in-position-always",
+    "motion/read_position/while-disabled": "position-frozen-while-free+",
+    "motion/set_respond/0-silences-move_absolute_axis": "mks-can@1,fault=respond-stored-as-active",
+    "motion/set_respond/0-after-restart": "respond-lost",
+    "motion/move_absolute_pulses/at-each-subdivision": "mks-can@1,fault=absolute-pulses-direction-wrong",
+    "motion/set_direction/and-move_relative_pulses": "direction-setting-of-runs",
+    "motion/set_subdivision/pulses-at-others": "move-of-25-as-20+",
+    "motion/move_absolute_axis/crossed-ends": "fast-move-ends-beyond+",
+    "motion/move_absolute_axis/at-each-subdivision": "mks-modbus@1,fault=move-speed-ignores-subdivision",
+    "motion/move_absolute_pulses/mode-limit": "mode-limit-ignored-by-moves",
+    "motion/emergency_stop/ends-move_relative_pulses": "emergency-stop-of-runs+",
+    "motion/move_absolute_axis/protected": "mks-can@1,fault=protected-moves",
+    "motion/move_absolute_pulses/crossed-replies": "completion-missing-at-zero",
     "framing/run_speed/other-length": "lk-run-without-data-repeats",
     "framing/checksum_bit/ignored": "hears-bad-checksum lk-answers-wrong-data-sum lk-answers-wrong-head-sum",
-    "framing/checksum_bit/not_executed": (
-        "mks-rs485@1,fault=hears-bad-checksum mks-can@1,fault=executes-bad-checksum lk-obeys-wrong-head-sum"
-    ),
-    "framing/checksum_value/ignored": "mks-rs485@1,fault=hears-bad-checksum",
+    "framing/checksum_bit/not_executed": "mks-rs485@1,fault=hears-bad-checksum executes-bad-checksum+ lk-obeys-wrong-head-sum",
+    "framing/checksum_value/ignored": "mks-rs485@1,fault=hears-bad-checksum mks-can@1,fault=hears-bad-checksum",
     "framing/flipped_bit/ignored": "mks-modbus@1,fault=hears-bad-checksum",
     "framing/flipped_bit/not_executed": "mks-can@1,fault=executes-bad-checksum",
     "framing/head/ignored": "hears-reply-head",
-    "framing/unknown_code/ignored": "mks-can@1,fault=answers-unknown-code lk-answers-unknown-code",
+    "framing/unknown_code/ignored": "answers-unknown-code lk-answers-unknown-code",
     "framing/overlong/ignored": "lk-answers-wrong-length",
     "framing/home/guarded": "mks-can@1,fault=homes-on-bad-checksum",
     "framing/enable/guarded": "mks-modbus@1,fault=disables-on-bad-checksum",
@@ -217,13 +234,20 @@ REFUTES = {
     "framing/stop/guarded": "lk-stop-unchecked",
     "framing/clear_errors/guarded": "lk-clear-errors-unchecked",
     "framing/clear_turns/guarded": "lk-clear-turns-unchecked",
+    "framing/move_absolute_axis/wrong_check": "executes-bad-motion+",
+    "framing/checksum_value/next": "deaf-after-bad-frame+",
+    "framing/home/wrong_check": "homes-on-bad-checksum",
+    "framing/stops/wrong_check": "mks-rs485@1,fault=disables-on-bad-checksum mks-can@1,fault=disables-on-bad-checksum",
     "ranges/set_current/current/highest": "mks-rs485@1,model=57D,fault=current-highest-refused",
     "ranges/set_current/current/above": "mks-modbus@1,model=42D,fault=current-one-more mks-can@1,fault=current-clipped",
     "ranges/set_zero_mode/zero_speed/above": "mks-rs485@1,fault=zero-speed-5",
     "ranges/set_stall_tolerance/stall_tolerance/highest": "stall-tolerance-highest-refused",
     "ranges/set_address/new_address/highest": "mks-rs485@1,fault=address-highest-refused",
     "ranges/set_address/new_address/above": "address-248-accepted",
-    "ranges/set_address/new_address/inside": "mks-can@1,fault=address-not-stored",
+    "ranges/set_address/new_address/inside": (
+        "mks-can@1,fault=address-not-stored mks-modbus@1,fault=address-not-stored "
+        "mks-modbus@1,fault=answers-another-address mks-can@1,fault=answers-another-address"
+    ),
     "ranges/set_group_address/group_address/below": "mks-can@1,fault=group-0-accepted",
     "ranges/move_relative_axis/position/below": "lowest-position-accepted",
     "ranges/move_absolute_axis/acceleration/above": "acceleration-256-accepted",
@@ -236,10 +260,10 @@ REFUTES = {
     "ranges/move_relative_pulses/speed/above": "mks-rs485@1,fault=speed-above-3000-refused",
     "ranges/run_speed/speed/above": "mks-can@1,fault=speed-unlimited mks-modbus@1,fault=speed-12-bit",
     "ranges/move_absolute_axis/speed/width": "mks-can@1,fault=speed-8-bit",
-    "ranges/move_absolute_pulses/speed/above": "mks-rs485@1,fault=speed-12-bit",
-    "ranges/move_relative_axis/speed/above": "mks-can@1,fault=speed-15-bit",
+    "ranges/move_absolute_pulses/speed/above": "mks-rs485@1,fault=speed-12-bit speed-15-bit",
+    "ranges/move_relative_axis/speed/above": "mks-can@1,fault=speed-15-bit mks-can@1,fault=speed-12-bit",
     "ranges/move_absolute_axis/position/width": "mks-rs485@1,fault=position-16-bit",
-    "ranges/move_relative_pulses/pulses/width": "mks-modbus@1,fault=pulses-16-bit",
+    "ranges/move_relative_pulses/pulses/width": "pulses-16-bit+",
     "ranges/run_torque/torque_current/above": "lk-torque-one-more lk-torque-any",
     "ranges/run_open_loop/power/lowest": "lk-rs485@1,model=MS,fault=lk-power-short-below",
     "ranges/move_single_turn_limited/angle/above": "lk-angle-one-more",
@@ -259,28 +283,38 @@ REFUTES = {
     "ranges/move_single_turn/angle/above": "lk-angle-any",
     "ranges/move_single_turn/angle/highest": "lk-angle-short",
     "ranges/move_single_turn/direction/listed": "lk-direction-not-1",
-    "read-back/set_current/read": "current-bytes-swapped",
+    "ranges/set_subdivision/subdivision/round": "subdivision-250-accepted",
+    "ranges/set_home/home_direction/listed": "mks-can@1,fault=home-direction-not-stored",
+    "read-back/set_current/read": "current-bytes-swapped current-not-stored",
     "read-back/set_work_mode/read": "parameter-off-by-one",
     "read-back/set_direction/read": "parameter-defaults",
     "read-back/write_user_id/read": "user-id-not-stored",
     "read-back/write_user_id/restart": "user-id-lost",
-    "read-back/settings/restart": "current-lost",
+    "read-back/settings/restart": "current-lost subdivision-lost+ home-speed-lost+",
     "read-back/set_work_mode/effect": "mks-rs485@1,model=42D,fault=work-mode-not-stored",
     "read-back/set_subdivision/effect": "mks-modbus@1,fault=subdivision-not-stored",
-    "read-back/set_group_address/effect": "mks-rs485@1,model=42D,fault=group-not-stored",
+    "read-back/set_group_address/effect": (
+        "mks-rs485@1,model=42D,fault=group-not-stored mks-rs485@1,fault=executes-another-address "
+        "mks-can@1,fault=executes-another-address"
+    ),
     "read-back/set_group_address/restart": "mks-can@1,fault=group-lost",
     "read-back/set_group_address/power": "mks-rs485@1,model=42D,fault=group-lost",
     "read-back/set_home/home_trigger": "mks-can@1,fault=home-trigger-not-stored",
     "read-back/set_limit_remap/effect": "mks-rs485@1,model=42D,fault=limit-remap-ignored",
-    "read-back/set_address/restart": "mks-modbus@1,fault=address-lost",
+    "read-back/set_address/restart": "address-lost+",
     "read-back/save_speed/restart": "mks-rs485@1,model=42D,fault=saved-run-lost mks-can@1,fault=saved-direction-lost",
     "read-back/save_speed/clean": "mks-modbus@1,fault=clean-ignored",
     "read-back/set_zero_mode/restart": "mks-modbus@1,fault=zero-mode-ignored",
     "read-back/restore/settings": "mks-rs485@1,model=42D,fault=restore-lies current-kept",
-    "read-back/restore/link": "mks-rs485@1,model=42D,fault=address-kept dialect-kept",
+    "read-back/restore/link": "address-kept+ dialect-kept",
     "read-back/parameter/current_pid/written": "lk-gains-swapped",
     "read-back/parameter/angle_limit/written": "lk-parameter-int16",
     "read-back/parameter/torque_limit/power": "lk-parameter-survives",
+    "read-back/set_no_limit_home/restart-package-home-mode": "package-motion-only",
+    "read-back/set_enable_level/pin": "enabled-by-pin",
+    "read-back/write_io/each-port": "ports-written-together",
+    "read-back/write_io/gives-back": "ports-not-given-back",
+    "read-back/restore/reboots": "mks-modbus@1,fault=restore-without-restart",
     "timing/run_speed/ramp-56": "mks-rs485@1,fault=ramp-too-fast",
     "timing/stop_speed/ramp-56": "mks-modbus@1,fault=ramp-too-slow",
     "timing/run_speed/ramp-252": "mks-can@1,fault=ramp-off-by-one",
@@ -308,20 +342,24 @@ REFUTES = {
         "mks-can@1,fault=answers-next-address"
     ),
     "addressing/other/low_byte": "address-low-byte-only",
-    "addressing/broadcast/read": "mks-modbus@1,fault=answers-broadcast-reads",
-    "addressing/broadcast/executed": "mks-can@1,fault=ignores-broadcast",
-    "addressing/group/read": "mks-rs485@1,fault=answers-group",
+    "addressing/broadcast/read": "answers-broadcast-reads+ answers-broadcast+",
+    "addressing/broadcast/executed": "ignores-broadcast+",
+    "addressing/group/read": "answers-group",
     "addressing/group/silent": "mks-rs485@1,fault=answers-group",
-    "addressing/group/executed": "mks-can@1,fault=ignores-group",
-    "addressing/group/other": "mks-rs485@1,fault=hears-bad-group-bit-7 mks-can@1,fault=hears-bad-group-bit-4",
+    "addressing/group/executed": "ignores-group mks-can@1,fault=group-not-stored group-deaf-to-settings",
+    "addressing/group/other": (
+        "mks-rs485@1,fault=hears-bad-group-bit-7 mks-can@1,fault=hears-bad-group-bit-4 group-low-byte-only"
+    ),
     "addressing/group/run_speed/stop_speed": "mks-rs485@1,fault=hears-bad-group-bit-7",
-    "addressing/group/move_relative_axis/stop_relative_axis": "mks-can@1,fault=hears-bad-group-bit-4",
-    "addressing/group/own": "mks-can@1,fault=group-replaces-address",
+    "addressing/group/move_relative_axis/stop_relative_axis": (
+        "mks-can@1,fault=hears-bad-group-bit-4 executes-motion-of-another"
+    ),
+    "addressing/group/own": "group-replaces-address group-stored-as-address",
     "addressing/other/zero": "lk-answers-address-0",
     "addressing/set_address/moves": "mks-rs485@1,fault=address-not-stored",
     "addressing/package/silent": "package-answered",
     "addressing/package/slot_3": "package-ignored",
-    "addressing/package/length": "package-any-length",
+    "addressing/package/length": "package-any-length package-any-checksum",
     "addressing/package/first_of_two": "package-both-slots package-last-slot",
     "addressing/package/own_slot": "package-next-slot package-first-slot-only",
     "addressing/package/last_of_five": "package-of-three-commands",
@@ -329,6 +367,12 @@ REFUTES = {
     "addressing/package/broadcast_slot": "package-broadcast-slot",
     "addressing/other/edges": "lk-answers-other-address",
     "addressing/other/move_increment": "lk-obeys-other-address",
+    "addressing/move_absolute_axis/other_address": "answers-next-address",
+    "addressing/broadcast/run_speed/stop_speed": "broadcast-stops-ignored+",
+    "addressing/group/move_absolute_axis/emergency_stop": "ignores-group-stops",
+    "addressing/package/run_speed": "package-without-stops",
+    "addressing/group/enable": "mks-can@1,fault=enabled-frozen",
+    "addressing/broadcast/release_protection": "mks-can@1,fault=release-ignored",
     "modbus/function/other_reads": "exception-always-04 exception-without-bit function-03-reads",
     "modbus/register/between": "exception-always-04 exceptions-mixed-up exception-without-bit",
     "modbus/quantity/others": "exceptions-mixed-up any-quantity-reads",
@@ -348,20 +392,23 @@ REFUTES = {
     "shape/motor_off/code": "lk-echo-code-wrong",
     "shape/run_speed/length": "lk-motion-reply-empty",
     "shape/read_parameter/of/speed_pid": "lk-parameter-other",
-    "shape/read_parameter/of/current": "parameter-under-code-0",
-    "shape/read_parameter/unreadable": "unreadable-as-zero",
+    "shape/read_parameter/of/current": "parameter-under-code-0 parameter-little-endian",
+    "shape/read_parameter/unreadable": "unreadable-as-zero unreadable-unanswered",
+    "shape/read_parameter/of/no_limit_home": "parameter-bytes-shifted",
+    "shape/read_parameter/of/subdivision": "subdivision-unreadable",
     "resilience/reads/good": "mks-modbus@1,fault=flaky-checksum",
     "resilience/reads/run_speed": (
         "mks-can@1,fault=unanswered-reads lk-parameters-silent-while-turning lk-brake-reads-on-after-motion"
     ),
-    "resilience/reads/off": "mks-modbus@1,fault=reads-silent-while-off lk-reads-silent-while-off",
-    "resilience/reads/homing": "mks-rs485@1,fault=reads-silent-while-homing",
+    "resilience/reads/off": "reads-silent-while-off+ lk-reads-silent-while-off",
+    "resilience/reads/homing": "reads-silent-while-homing+",
     "resilience/reads/move_relative_pulses": "parameters-unreadable-while-turning",
     "resilience/reads/error": "lk-reads-silent-in-error",
     "resilience/settings/at-rest": "current-stored-as-home-current",
     "resilience/settings/off": "lk-parameter-elsewhere mks-rs485@1,fault=respond-stored-as-active",
     "resilience/settings/stopped": "mks-can@1,fault=stored-before-judged",
     "resilience/settings/pulse-mode": "mks-rs485@1,fault=stored-before-judged",
+    "resilience/settings/refused": "mks-modbus@1,fault=stored-before-judged",
 }
 
 
@@ -371,8 +418,10 @@ def rows() -> list[tuple[str, str]]:
     found = []
     for claim, faults in REFUTES.items():
         for fault in faults.split():
-            drives = [d for d in DRIVES if "@" not in fault and d.split("@")[0] in dialects[fault]][:2]
-            found += [(claim, f"{drive},fault={fault}") for drive in drives] or [(claim, fault)]
+            name = fault.removesuffix("+")
+            drives = [d for d in DRIVES if "@" not in fault and d.split("@")[0] in dialects[name]]
+            tried = drives if fault != name else drives[:2]
+            found += [(claim, f"{drive},fault={name}") for drive in tried] or [(claim, fault)]
     return found
 
 
