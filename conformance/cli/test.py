@@ -23,6 +23,7 @@ from analyzer.cli.reading import now_text
 from analyzer.cli.signals import ended_status
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import profile
+from analyzer.values import counted
 from conformance.claim import NotStopped, Outcome, RigFault, worst
 from conformance.cli.endpoint import say_rate
 from conformance.gate.permissions import add_gate_arguments
@@ -86,6 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one JSON object a verdict, then one of the run")
 
 
+#: Reasons that are printed for why claims could not be chosen.
+_MOST_REASONS = 3
 #: What the outputs that a later run replaces begin with; no other file is replaced.
 _BEGINNINGS = {"report": b"<", "junitxml": b"<", "write_baseline": b"["}
 
@@ -196,7 +199,8 @@ def _test(plan: Plan, arguments: argparse.Namespace, known: list[Deviation] | No
         if arguments.json:
             _print_json(done)
         else:
-            _show(records, done, total, over=plan.short and trouble is None and not stopped)
+            _show(records, done, max(total, len(records)), over=plan.short and trouble is None and not stopped)
+            _show_left_out(plan)
     except OSError as error:
         # What was judged, and whether a motor stands, counts more than that it could not be printed.
         unprinted = error
@@ -276,6 +280,13 @@ def _show(records: Sequence[VerdictRecord], run_record: RunRecord, total: int, *
     print(f"{ran} of {total} claims ran in {run_record.seconds:.1f} s{left}")
 
 
+def _show_left_out(plan: Plan) -> None:
+    """Print what the user could give so that a short run has more claims to choose from."""
+    for each in plan.targets:
+        for lacks, count in plan.left_out(each).most_common(_MOST_REASONS):
+            print(f"{each.text}: {counted(count, 'claim')} could not be chosen: {lacks}")
+
+
 class _Advance:
     """What is called for each verdict; does nothing where there is no terminal."""
 
@@ -310,7 +321,7 @@ def _progress(plan: Plan) -> Iterator[_Advance]:
                 self.count += 1
                 self.done += seconds.get((each.target, each.id), 0.0)
                 left = timedelta(seconds=round(time_left(planned, self.done, time.monotonic() - began)))
-                shown = f"{self.count}/{len(seconds)}, {left} left"
+                shown = f"{self.count}/{max(self.count, len(seconds))}, {left} left"
                 bar.update(task, completed=self.done, count=shown, description=f"{each.dialect} {each.theme}")
 
         yield Shown()

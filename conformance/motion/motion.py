@@ -297,7 +297,7 @@ def refused(probe: Probe, exchange: Exchange) -> bool:
 
 def begin(probe: Probe, command: Command, degrees: float = 0.0, **how: Any) -> Exchange:
     """Ask for a motion, as `ask` does. Raises Inconclusive where it is refused or not answered."""
-    exchange = ask(probe, command, degrees, **how)
+    exchange = ask(probe, command, degrees, **{"quiet_ns": probe.quiet_behind(command), **how})
     if refused(probe, exchange):
         raise Inconclusive(f"{command.name} was refused")
     return exchange
@@ -318,7 +318,8 @@ def stop(probe: Probe, acceleration: int = QUICK) -> Exchange:
         if verb in probe.dialect.by_verb:
             command = probe.command(verb)
             named = command.request_forms[0].layout.named
-            return probe.ask(command, {"acceleration": acceleration} if "acceleration" in named else None)
+            values = {"acceleration": acceleration} if "acceleration" in named else None
+            return probe.ask(command, values, quiet_ns=probe.quiet_behind(command))
     raise Inconclusive(f"{probe.dialect.name} has no stop")
 
 

@@ -41,10 +41,12 @@ def restore_link(
     sent: Iterable[Mapping[str, int]],
     *,
     write_gap_ns: int = Rig.write_gap_ns,
+    quiet_ns: int = Rig.quiet_ns,
 ) -> str:
     """Find the drive at one of the settings that it may have, and set it back; return why not, or nothing.
 
-    `write_gap_ns`: its distance from the setting before. The host's end of the line is set back too. Raises LineLost.
+    `write_gap_ns`: its distance from the setting before. `quiet_ns`: how long a second reply is listened for. The host's end of
+    the line is set back too. Raises LineLost.
     """
     tried = [before, *reversed(list(sent))]
     own = gate.line.endpoint.bits_per_second
@@ -54,7 +56,7 @@ def restore_link(
         if probe is None:
             continue
         probe.rig.write_gap_ns = write_gap_ns
-        probe.ask(probe.command(command.verb), before)
+        probe.ask(probe.command(command.verb), before, quiet_ns=quiet_ns)
         if _reach(gate, dialect, address, command, before) is not None:
             return ""
         failure = f"{command.name}: the drive was set to {values_text(command, before)} and does not answer there"

@@ -312,9 +312,8 @@ class Keeper:
 
     def _restore(self, gate: Gate, kept: _Kept) -> str:
         if changes_link(kept.command):
-            return following.restore_link(
-                gate, self._dialect, self._address, kept.command, kept.before, kept.sent, write_gap_ns=self.write_gap_ns
-            )
+            waits = {"write_gap_ns": self.write_gap_ns, "quiet_ns": self.quiet_ns}
+            return following.restore_link(gate, self._dialect, self._address, kept.command, kept.before, kept.sent, **waits)
         return put_back(self._probe(gate), kept.command, kept.before)
 
 

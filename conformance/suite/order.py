@@ -14,7 +14,7 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import NamedTuple
@@ -29,6 +29,8 @@ from conformance.claim import Claim
 SHORT_SECONDS, ENDING_SECONDS = 90.0, 1.5
 #: The share of a short run that one claim may take.
 LONGEST = 0.25
+#: How much of a run says how much slower its port is than what was measured.
+_TELLING_SECONDS = 5.0
 #: By how much a claim may come later so that it stands with others that need the drive ready to move, in seconds.
 _TOGETHER_SECONDS = 10.0
 
@@ -164,21 +166,24 @@ class Recorded:
         return {*table(claim.dialect).behind.get(claim.id.split("/", 1)[1], ())} - self._names
 
 
-def fitting(claims: Iterable[Claim], rate: int, within: float) -> list[Claim]:
-    """Return the claims that fit into so many seconds, the first ones first. One that would take much of them is left out.
+def fitting(claims: Iterable[Claim], rate: int, within: float, passed: Callable[[], float] | None = None) -> Iterator[Claim]:
+    """Yield the claims that fit into so many seconds, the first ones first. One that would take much of them is left out.
 
     Once one does not fit, later ones that were measured fill what is left: an estimate is too rough for that.
+    `passed`: the seconds that a run has taken, which decide what still fits; None: those that were planned. Where a port or a
+    drive is slower than what was measured, what follows counts as so much slower; where it is faster, more claims follow.
     """
-    found, longest, full = [], within * LONGEST, False
+    longest, full, planned = within * LONGEST, False, 0.0
     recorded = Recorded()
     for claim in claims:
         own = recorded.seconds(claim, rate)
         if own > longest:
             continue
-        full = full or own > within
-        if full and (own > within or claim.id.split("/", 1)[1] not in table(claim.dialect).first):
-            continue
-        within -= own
-        recorded.add(claim)
-        found.append(claim)
-    return found
+        gone = planned if passed is None else passed()
+        slower = max(1.0, gone / planned) if planned > _TELLING_SECONDS else 1.0
+        fits = gone + own * slower <= within
+        full = full or not fits
+        if fits and (not full or claim.id.split("/", 1)[1] in table(claim.dialect).first):
+            planned += own
+            recorded.add(claim)
+            yield claim

@@ -10,7 +10,8 @@ import fnmatch
 import multiprocessing
 import shlex
 import signal
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -31,15 +32,13 @@ from conformance.safety.keeper import cannot_keep
 from conformance.safety.stopping import MAY_MOVE
 from conformance.suite import engine, order
 from conformance.suite.record import RunRecord, VerdictRecord, record
-from conformance.suite.rig import ClaimRig
+from conformance.suite.rig import ClaimRig, lacking
 from conformance.suite.target import Target
 from conformance.talk.probe import ALL_QUIRKS
 
 if TYPE_CHECKING:
     from multiprocessing.pool import Pool
 
-#: How much of a run says how much slower its port is than what was measured.
-_TELLING_SECONDS = 5.0
 #: Claims that a worker takes at once.
 _BATCH = 12
 
@@ -74,35 +73,48 @@ class Plan:
 
         On a real line what teaches most in a second comes first; time on an emulated one costs nothing.
         """
-        known = every_claim(target)
-        _check_themes(self.themes)
-        wanted = [c for c in known if self._wants(c)]
-        if not target.emulated or self.short:
-            wanted = order.ordered(wanted, target.rate)
-        return self._shortened(wanted, target) if self.short else wanted
-
-    def _shortened(self, claims: Sequence[Claim], target: Target) -> list[Claim]:
-        """Return the first claims of an order that fit into a short run with what comes before them."""
-        can_run = claims if target.emulated else [c for c in claims if self._can_run(c, target)]
+        wanted = self._in_order(target)
+        if not self.short:
+            return wanted
         alone = self.allowance is not None and self.allowance.alone
         before = order.start_seconds(target.dialect.name, target.rate, alone=alone and not target.emulated)
         before += sum(order.seconds(c, target.rate) for c in proving_claims(self, target))
-        return order.fitting(can_run, target.rate, order.SHORT_SECONDS - order.ENDING_SECONDS - before)
+        can_run = [c for c in wanted if not self._lacking(c, target)]
+        return list(order.fitting(can_run, target.rate, order.SHORT_SECONDS - order.ENDING_SECONDS - before))
+
+    def in_time(self, target: Target, began_ns: int, now_ns: Callable[[], int]) -> Iterator[Claim]:
+        """Yield the claims of a short run on a real line as long as there is time for them, by the clock of its line."""
+        first_ns = now_ns()
+        within = order.SHORT_SECONDS - order.ENDING_SECONDS - (first_ns - began_ns) / 1e9
+        can_run = (c for c in self._in_order(target) if not self._lacking(c, target))
+        yield from order.fitting(can_run, target.rate, within, lambda: (now_ns() - first_ns) / 1e9)
+
+    def _in_order(self, target: Target) -> list[Claim]:
+        _check_themes(self.themes)
+        wanted = [c for c in every_claim(target) if self._wants(c)]
+        return order.ordered(wanted, target.rate) if self.short or not target.emulated else wanted
 
     def seconds(self, target: Target) -> dict[str, float]:
         """Return how long each claim will take, by id: on a real line what was measured, each alike on an emulated one."""
         if target.emulated:
             return {claim.id: 1.0 for claim in self.selected(target)}
-        can_run = {c.id for c in self.selected(target) if self._can_run(c, target)}
-        return {c.id: order.seconds(c, target.rate) if c.id in can_run else 0.0 for c in self.selected(target)}
+        return {c.id: 0.0 if self._lacking(c, target) else order.seconds(c, target.rate) for c in self.selected(target)}
 
-    def _can_run(self, claim: Claim, target: Target) -> bool:
-        """Say whether a claim can run on a real drive with the user's options, as far as is known before the run."""
+    def left_out(self, target: Target) -> Counter[str]:
+        """Return what the user could give so that a short run has more claims to choose from, and how many claims need it."""
+        if not self.short or target.emulated:
+            return Counter()
+        every = [c for c in self._in_order(target) if not c.emulated and not c.by_name]
+        return Counter(lacks for c in every if (lacks := self._lacking(c, target)))
+
+    def _lacking(self, claim: Claim, target: Target) -> str:
+        """Return what a claim needs that the options do not give, as far as is known before the run, or nothing."""
+        if target.emulated:
+            return ""
         given = self.allowance or Allowance(READS)
-        named = not claim.by_name or claim.id in self.claims
-        allowed = claim.risks <= given.risks and (given.alone or not claim.alone)
         known = settings.known(target.dialect, f"{target.dialect.name}@{target.address}", self.settings)
-        return allowed and named and not claim.emulated and not cannot_keep(target.dialect, claim.settings, known)
+        lacks = lacking(claim, target.model, given.risks, alone=given.alone, named=self.claims)
+        return lacks or cannot_keep(target.dialect, claim.settings, known)
 
     def _wants(self, claim: Claim) -> bool:
         if self.themes and claim.theme.value not in self.themes:
@@ -219,23 +231,8 @@ def verdicts(plan: Plan, target: Target, selected: Sequence[Claim], rig: ClaimRi
     for verdict in engine.prove_reads(proving, rig):
         if verdict.claim in selected or verdict.outcome is Outcome.REFUTED:
             yield verdict
-    rest = (c for c in selected if c not in proving)
-    yield from engine.run(_in_time(rest, target, rig) if plan.short and not target.emulated else rest, rig)
-
-
-def _in_time(claims: Iterable[Claim], target: Target, rig: ClaimRig) -> Iterator[Claim]:
-    """Yield the claims for which a short run has the time: a port, or a drive, may be slower than what was measured."""
-    planned = 0.0
-    first_ns = rig.gate.now_ns()
-    recorded = order.Recorded()
-    for claim in claims:
-        now_ns = rig.gate.now_ns()
-        slower = max(1.0, (now_ns - first_ns) / 1e9 / planned) if planned > _TELLING_SECONDS else 1.0
-        own = recorded.seconds(claim, target.rate)
-        if (now_ns - rig.began_ns) / 1e9 + own * slower + order.ENDING_SECONDS <= order.SHORT_SECONDS:
-            planned += own
-            recorded.add(claim)
-            yield claim
+    chosen = plan.in_time(target, rig.began_ns, rig.gate.now_ns) if plan.short and not target.emulated else selected
+    yield from engine.run((c for c in chosen if c not in proving), rig)
 
 
 def _run_target(plan: Plan, target: Target) -> Iterator[VerdictRecord]:

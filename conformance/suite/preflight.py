@@ -25,8 +25,8 @@ from conformance.talk.scan import LISTEN_NS, PATIENCE_NS, Finder, Found, Report,
 
 #: Addresses at which a drive that is not there is looked for.
 _NEAR = range(1, 33)
-#: How long another drive may take for its answer, beside its time on the wire, while all addresses are looked at: drives take
-#: half a millisecond. One that is later still, or whose adapter is, is heard while the next ones are asked, or at the end.
+#: How long the first byte of another drive's answer may take while all addresses are looked at: drives take half a
+#: millisecond. One that is later still, or whose adapter is, is heard while the next ones are asked, or at the end.
 _PROMPT_NS = 3 * MS
 #: A late answer may collide with the next question: bytes that are no answer may be of one of so many that were asked last.
 _SUSPECTS = PATIENCE_NS // _PROMPT_NS

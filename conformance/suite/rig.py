@@ -7,13 +7,30 @@ put back behind it (`conformance.safety`).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Collection, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 
 from analyzer.catalogue import Dialect, Risk
 from conformance.claim import Claim
 from conformance.talk.noise import Noise
 from conformance.talk.probe import Probe, Rig
+
+
+def lacking(
+    claim: Claim, model: str, allowed: Collection[Risk], *, alone: bool, named: Collection[str], emulated: bool = False
+) -> str:
+    """Return what a claim needs that a drive of this model and a user's options do not give, or nothing."""
+    if claim.models and model not in claim.models:
+        known = f"the drive is a {model}" if model else "the model of the drive was not given"
+        return f"it is about {' and '.join(claim.models)}, and {known}"
+    if claim.emulated and not emulated:
+        return "it needs to act on the drive itself, which only an emulated one lets it"
+    if claim.by_name and claim.id not in named and not emulated:
+        return f"it wears or wipes the drive: name it with --claim {claim.id}"
+    if claim.alone and not alone:
+        return "it sends to other addresses or changes the link: it needs --alone"
+    risks = sorted(risk.value for risk in claim.risks.difference(allowed, {Risk.READ}))
+    return f"it needs --allow {','.join(risks)}" if risks else ""
 
 
 class ClaimRig(Rig, ABC):
@@ -53,19 +70,7 @@ class ClaimRig(Rig, ABC):
 
     def missing(self, claim: Claim) -> str:
         """Return why a claim cannot run here, or nothing."""
-        if claim.models and self.model not in claim.models:
-            known = f"the drive is a {self.model}" if self.model else "the model of the drive was not given"
-            return f"it is about {' and '.join(claim.models)}, and {known}"
-        if claim.emulated and not self.emulated:
-            return "it needs to act on the drive itself, which only an emulated one lets it"
-        if claim.by_name and claim.id not in self.named and not self.emulated:
-            return f"it wears or wipes the drive: name it with --claim {claim.id}"
-        if claim.alone and not self.alone:
-            return "it sends to other addresses or changes the link: it needs --alone"
-        lacking = sorted(risk.value for risk in claim.risks - self.allowed - {Risk.READ})
-        if lacking:
-            return f"it needs --allow {','.join(lacking)}"
-        return ""
+        return lacking(claim, self.model, self.allowed, alone=self.alone, named=self.named, emulated=self.emulated)
 
     @contextmanager
     def trying_again(self, attempt: int) -> Iterator[None]:

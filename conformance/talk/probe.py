@@ -93,6 +93,8 @@ class Rig:
         self.address = address
         #: Motions that several claims judge, by what was done.
         self.recordings: dict[Hashable, Recording] = {}
+        #: Whether a real drive was heard to answer a plain read once, and no more.
+        self.answers_once = False
         #: Names of commands that the drive has answered.
         self.answered: set[str] = set()
 
@@ -492,13 +494,20 @@ class Probe:
         failed_form = answer.message.form is not None and answer.message.form.name in command.replies.failed_forms
         return failed_form or answer.values.get(command.replies.status) in command.replies.failed
 
+    def quiet_behind(self, command: Command) -> int | None:
+        """Return how long to listen behind the reply of what is not judged itself, as `ask` takes it.
+
+        A short move may be over by then, and the end of some motions is told unasked: the next request would collide with it.
+        """
+        motion = command.motion
+        return None if motion is not None and (motion.tells_end or motion.distance) else 0
+
     def do(self, what: Command | Verb | str, values: Mapping[str, Any] | None = None) -> Exchange:
         """Ask for something that a claim needs done before it can judge.
 
         Raises Inconclusive where the drive does not do it.
         """
-        # The end of a motion is told unasked: the next request would collide with that of a short one.
-        exchange = self.ask(what, values, quiet_ns=None if self.command(what).motion else 0)
+        exchange = self.ask(what, values, quiet_ns=self.quiet_behind(self.command(what)))
         answer = self.reply(exchange)
         if self.refused(exchange):
             name = self.command(what).name

@@ -35,7 +35,7 @@ from conformance.talk.exchange import Answer, Exchange
 _SEARCH_READS = (Verb.READ_STATUS, Verb.READ_STATE_1, Verb.READ_VERSION, Verb.READ_SPEED, Verb.READ_POSITION)
 #: Further reads to a drive that answered.
 _MORE = (Verb.READ_VERSION, Verb.READ_STATE_1, Verb.READ_ENABLED, Verb.READ_SPEED)
-#: How long an answer may take beside its time on the wire: a drive's own, and an adapter's latency timer.
+#: How long the first byte of an answer may take: a drive's own time, and an adapter's latency timer.
 PATIENCE_NS = 40 * MS
 #: How long the scan listens before it sends.
 LISTEN_NS = 250 * MS
@@ -372,15 +372,10 @@ class Finder:
     def _ask(self, dialect: Dialect, command: Command, address: int) -> Exchange:
         built = assemble(dialect, command, address)
         line = self.dialogue.gate.line
-        wire_ns = _reply_bytes(dialect, command) * line.byte_ns or 200 * _SECOND_NS // line.endpoint.bits_per_second
+        # What has begun by then is heard to its end; a CAN frame comes as a whole.
+        wire_ns = line.byte_ns or 200 * _SECOND_NS // line.endpoint.bits_per_second
         asked = self.dialogue.send(built.item())
         return self.dialogue.collect(asked, lambda exchange, new: any(map(exchange.owns, new)), wire_ns + self._patience_ns)
-
-
-def _reply_bytes(dialect: Dialect, command: Command) -> int:
-    """Return the bytes of the longest reply to a command."""
-    empty = ((form, bytes(form.layout.byte_length)) for form in command.reply_forms)
-    return max(len(dialect.link.build(command, form, dialect.addresses[0], data, Role.REPLY)) for form, data in empty)
 
 
 def _is_of(answer: Answer, dialect: Dialect) -> bool:

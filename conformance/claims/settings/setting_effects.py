@@ -209,7 +209,7 @@ def counts(probe: Probe) -> int:
     Raises Inconclusive where its two reads differ, which claims about reads judge.
     """
     position = probe.read(Verb.READ_POSITION, "position")
-    parts = probe.reply(probe.ask(Verb.READ_ENCODER_CARRY)).values
+    parts = probe.reply(probe.ask(Verb.READ_ENCODER_CARRY, quiet_ns=0)).values
     whole = parts.get("carry", 0) * probe.dialect.counts_per_turn + parts.get("encoder", 0)
     if abs(whole - position) > _COUNTS:
         raise Inconclusive(f"31 reads {position} and 30 {whole}")
@@ -333,7 +333,7 @@ def hears(probe: Probe, address: int, own: int | None = None) -> bool:
 def _obeys(probe: Probe, address: int, enabled: int, own: int | None) -> bool:
     # By then it would have answered, too: it has done it.
     probe.ask(Verb.ENABLE, {"enabled": enabled}, address=address, until=Until.TIMEOUT, timeout_ns=probe.rig.quiet_ns)
-    return bool(probe.reply(probe.ask(Verb.READ_ENABLED, address=own)).values.get("enabled") == enabled)
+    return bool(probe.reply(probe.ask(Verb.READ_ENABLED, address=own, quiet_ns=0)).values.get("enabled") == enabled)
 
 
 #: Groups that are tried: each drive can have the first ones, a CAN drive all.

@@ -105,6 +105,24 @@ def test_what_was_measured_fills_the_seconds_left_and_an_estimate_does_not(monke
     assert claims[0] in order.fitting(claims[:1], 38400, 20.0)
 
 
+@pytest.mark.parametrize(("pace", "count"), [(0.5, 20), (1.0, 10), (2.0, 5)])
+def test_a_run_takes_as_many_claims_as_its_clock_lets_it(monkeypatch, pace: float, count: int) -> None:
+    known = order.Table(first={f"shape/{number}": order.Cost(4.0, 0) for number in range(30)})
+    monkeypatch.setattr(order, "table", lambda dialect: known)
+    claims = [Claim(f"x/{name}", Theme.SHAPE, "x", "x", "", "y", lambda probe: None) for name in known.first]
+    ran: list[Claim] = []
+    for claim in order.fitting(claims, 38400, 42.0, lambda: 4.0 * pace * len(ran)):
+        ran.append(claim)
+    assert ran == claims[:count]
+
+
+def test_a_short_run_says_what_the_user_could_give_for_more_claims() -> None:
+    lacks = Plan((_TARGETS[0],), Allowance(frozenset(Risk) - {Risk.TORQUE}, alone=True), short=True).left_out(_TARGETS[0])
+    assert lacks["it needs --allow torque"] > 100
+    assert any("--settings FILE" in text for text in lacks)
+    assert not Plan((_TARGETS[3],), _EVERYTHING, short=True).left_out(_TARGETS[3])
+
+
 def test_what_no_table_knows_runs_behind_by_an_estimate() -> None:
     claims = list(suite.every_claim(_TARGETS[0]))
     own = Claim("mks-rs485/motion/of-a-package", Theme.MOTION, "mks-rs485", "x", "", "y", lambda probe: None)
