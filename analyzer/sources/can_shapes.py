@@ -19,8 +19,8 @@ class Shape(NamedTuple):
     sure: bool = True
 
 
-_ID = r"(?:0[xX])?(?P<id>[0-9A-Fa-f]{1,8})[hH]?"
-_DATA = r"(?P<data>(?:(?:0[xX])?(?:[0-9A-Fa-f]{1,2}|\d{3})\b[\s,.:]*+){0,64}|(?:[0-9A-Fa-f]{2}){2,64})"
+_ID = r"(?:0[xX]|16#)?(?P<id>[0-9A-Fa-f]{1,8})[hH]?"
+_DATA = r"(?P<data>(?:(?:0[xX]|16#)?(?:[0-9A-Fa-f]{1,2}|\d{3})\b[\s,.:]*+){0,64}|(?:[0-9A-Fa-f]{2}){2,64})"
 _NUMBER = r"0x[0-9A-F]{1,8}|\d{1,9}"
 #: A list of numbers in a program: in hexadecimal with 0x alone.
 _LISTED = (
@@ -82,24 +82,29 @@ SHAPES: tuple[Shape, ...] = (
     # A controller's bytes are each `16#01`.
     _shape(
         "sent",
-        r".*?\b(?P<mark>send|tx)[:= ]{1,2}(?!16#..\W+16#)(?P<id>[0-9A-F]{1,8})#(?P<data>(?:[0-9A-F]{2}){1,8})(?![0-9A-Z#]).*",
+        r".*?\b(?P<mark>send|tx)[:= ]{1,2}(?!16#..\W+16#)(?P<id>[0-9A-F]{1,8})#(?P<data>(?:[0-9A-F]{2}){1,8})"
+        r"(?![0-9A-Z#]|\s[0-9A-F]{2}\b).*",
     ),
     # The records of gs_usb adapters (candleLight): echo number, identifier, length, channel, flags, data.
     _shape(
         "gs_usb",
         r"\s*(?P<own>[0-9A-F]{8})(?P<record>[0-9A-F]{8})(?P<length>0[0-8])0[0-3]0[0-9A-F]00(?P<data>[0-9A-F]{16})(?:[0-9A-F]{8})?",
     ),
-    _shape("hash", r"(?:(?P<port>[A-Za-z]\w{1,15})\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}\.?)*)"),
+    _shape("hash", r"(?:(?P<port>[A-Za-z]\w{1,15})\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}[. ]?)*)"),
     # In a sentence, or as a program prints it.
     _shape(
         "quoted",
         r"(?:.*?(?P<error>error[ _]?frame\b))?.*?(?<![\w#/.-])(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}){1,8})"
-        r"(?![0-9A-Z#]).*",
+        r"(?![0-9A-Z#]|\s[0-9A-F]{2}\b).*",
     ),
     _shape(
         "candump",
         rf"(?:(?P<port>[A-Za-z]\w{{1,15}})\s+)?(?:{_MARK}\s+[-BE]\s+[-BE]\s+)?(?:0x)?(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})\s+"
         rf"\[(?P<length>\d{{1,2}})\]\s*{_DATA}(?P<remote>remote request)?(?:'.*')?",
+    ),
+    _shape(
+        "candump-table",
+        rf"(?P<port>\w{{0,2}}can\d{{1,2}})[\s|]+(?:0x)?(?P<id>[0-9A-F]{{1,8}})[\s|]+\[(?P<length>\d{{1,2}})\][\s|]*{_DATA}\|?",
     ),
     # Rows of a monitor's window.
     _shape(
@@ -114,19 +119,35 @@ SHAPES: tuple[Shape, ...] = (
     _shape("cansniffer", r"\d{1,6}(?:\.\d+)?\s*\|\s*(?P<id>[0-9A-F]{3,8})\s*\|\s(?P<data>(?:[0-9A-F]{2} )+)\s*.*"),
     _shape(
         "id-data",
-        rf"(?:(?P<before>.*?)(?<![A-Za-z]))?(?:can[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:(?:(?P<extended>ext\w*)|std|standard)[\s,;|]*)?"
+        rf"(?:(?P<before>.*?)(?<![A-Za-z]))?(?:(?:can|cob|std|ext)[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:and\s+)?(?:(?:(?P<extended>ext\w*)|std|standard)[\s,;|]*)?"
         rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*|\[\s*)"
         rf"{_DATA}[\]}}\s]*(?:\((?P<port>[a-z]+\d+)\)\s*)?",
         near=r"\s*(?:\S+\s+)?id\s*[:=]",
+    ),
+    # In a sentence, in Wireshark's list, and before what Python prints of bytes.
+    _shape(
+        "id-said",
+        r"(?:(?P<before>.*?)(?<![A-Za-z]))?(?:(?:can|cob|std|ext)[\s_-]?)?(?:id|std|xtd)\b\s*[:=]?\s*0x(?P<id>[0-9A-F]{1,8})"
+        r"(?:\s*(?::|->|=>)\s*|\s+(?:with\s+)?)(?P<data>[0-9A-F]{2}(?:\s[0-9A-F]{2}){0,7})[.,]?\s*",
+    ),
+    _shape(
+        "id-literal",
+        r"(?:id\s*[:=]?\s*)?0x(?P<id>[0-9A-F]{1,8})[\s,:]+(?:data\s*[:=]?\s*)?(?P<literal>(?:bytearray\()?b(?:'[^']*'|\"[^\"]*\")\)?)",
+    ),
+    # SavvyCAN's adapters and others that name the kind of frame by a letter.
+    _shape(
+        "gvret",
+        rf"(?:(?P<micros>\d{{1,12}})\s+-\s+)?(?P<id>[0-9A-F]{{1,8}})\s+(?:S|(?P<extended>X))\s+(?:(?P<port>\d)\s+)?(?P<length>[0-8])\s+{_DATA}",
     ),
     # With what the frame is, in words behind it: no row of a dump has that.
     _shape(
         "id-words", r"0x(?P<id>[1-7][0-9A-F]{2}):?\s+(?P<data>[0-9A-F]{2}(?:\s[0-9A-F]{2}){0,7})\s{2,}[A-Z]{2,}\s[A-Z]{2,}.*"
     ),
+    _shape("id-bytes", r"0x(?P<id>[0-7]?[0-9A-F]{1,2})\s*[:,]?\s+(?P<data>[0-9A-F]{2}(?:\s[0-9A-F]{2}){1,7})\s*", sure=False),
     _shape("id-length", r"(?P<id>[0-9A-F]{1,8})\s+(?P<length>[0-8])(?P<data>(?:\s+[0-9A-F]{1,2}){0,8})\s*", sure=False),
     _shape(
         "id",
-        r"(?:0x)?(?P<id>[0-7][0-9A-F]{2}|[01][0-9A-F]{7})\s*:?\s+(?P<data>[0-9A-F]{2}(?:\s[0-9A-F]{2}){0,7})(?:\s*|(?:\s{2,}|\s*[#(;]).*)",
+        r"(?:0x)?(?P<id>[0-7][0-9A-F]{2}|(?!0{8})[01][0-9A-F]{7})\s*:?\s+(?P<data>[0-9A-F]{2}(?:\s[0-9A-F]{2}){0,7})(?:\s*|(?:\s{2,}|\s*[#(;]).*)",
         sure=False,
     ),
 )

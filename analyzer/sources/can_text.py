@@ -37,7 +37,11 @@ from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK, FD_LENGTHS
 _words = "|".join(sorted((*ACTIONS, *MATTERS), key=len, reverse=True))
 _signs = "|".join(map(re.escape, SIGNS))
 _BEFORE = re.compile(
-    rf"\s*(?:[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.])\s*[\])]?[\s,;|]*)?(?:->\s*)?(?:\[[\w:.]+\]:?\s*)*(?:[$#]\s+)?(?:can\d?\s+(?=[tr]x))?"
+    # A quotation, the number of a line, the time and the tag of an ESP32.
+    rf"\s*(?:>\s+)*(?:\d{{1,6}}[.:]?\s+(?=[\[(]))?"
+    rf"(?:[VDIWE] \((?P<millis>\d{{1,10}})\)\s*(?:(?!(?:{_words})\b)[A-Za-z]\w*:\s+)?)?"
+    rf"(?:[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.])\s*[\])]?[\s,;|]*)?(?:->\s*)?(?:\[[\w:.]+\]:?\s*)*(?:[$#]\s+)?"
+    rf"(?:can\d?\s+(?=[tr]x))?"
     rf"(?:(?P<word>{_words})(?![\w])[\s:>|-]*|(?P<sign>{_signs})\s+)?",
     re.IGNORECASE,
 )
@@ -46,7 +50,7 @@ _TOKEN = re.compile(r"0[xX][0-9A-Fa-f]+|\d+")
 _CALL = re.compile(r".*\bMessage\([^()]*")
 _CALL_LINES = 8
 _ADAPTER = re.compile(r"(?:[<>=-]{1,3}\s*)?[SsOCLVvNFMmXYZzGHIP][0-9A-Fa-f]{0,8}(?:\\[rn])*")
-_ONLY_ID = re.compile(r"(?:.*[^A-Za-z])?id\s*[:=]?\s*0x[0-9A-F]{1,8}\s*", re.IGNORECASE)
+_ONLY_ID = re.compile(r"(?:.*[^A-Za-z])?id\s*[:=]?\s*0x[0-9A-F]{1,8}\s*(?:and\s+(?:length|dlc)\s+[0-8]\s*)?", re.IGNORECASE)
 _ONLY_BYTES = re.compile(r"\s*(?:0x)?[0-9A-F]{1,2}(?:[\s,]+(?:0x)?[0-9A-F]{1,2}){0,7}\s*", re.IGNORECASE)
 _MARKS = {"tx": Role.REQUEST, "t": Role.REQUEST, "cansend": Role.REQUEST, "send": Role.REQUEST, "false": Role.REQUEST}
 _CAN_BYTES = 8
@@ -191,7 +195,8 @@ def frame_of(text: str) -> CanFrame | None:
 def _joined(lines: Iterable[str], program: Program | None = None) -> Iterator[str]:
     """Yield the lines; one that ends in an identifier and one of bytes below it, as Seeed's library prints them, are one."""
     held, call, program = "", list[str](), program or Program()
-    for line in lines:
+    for each in lines:
+        line = written.unescaped(each)
         if len(line) <= _LONGEST_LINE and (sent := list(program(line))):
             yield from sent
             if said := line.partition("//")[2].strip():
@@ -301,7 +306,7 @@ def _take(text: str, shape: Shape, decimal: bool = False) -> _Line | None:
     groups = before.groupdict()
     kind = next((name for name in STAMPS if groups[name] is not None), "")
     role = role_of([(groups["word"] or "").lower()], groups["sign"] or "")
-    stamp = Stamp(kind, groups[kind]) if kind else Stamp()
+    stamp = Stamp(kind, groups[kind]) if kind else Stamp("millis", groups["millis"]) if groups["millis"] else Stamp()
     return _of(found, stamp, role if role is Role.REQUEST else Role.UNKNOWN, decimal)
 
 
@@ -316,7 +321,10 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
     if decimal and not groups["id"].isdecimal():
         return None
     number = int(groups["id"], 10 if decimal and "0x" not in found[0].lower() else 16)
-    data = written.decimal(groups["data"] or "") if decimal else _data(groups["data"] or "")
+    if groups.get("literal"):
+        data = _data(groups["literal"])
+    else:
+        data = written.decimal(groups["data"] or "") if decimal else _data(groups["data"] or "")
     length = groups.get("length")
     mark = (groups.get("mark") or "").lower()
     remote, error = bool(groups.get("remote")), bool(groups.get("error"))
@@ -332,7 +340,9 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
         role = said if said is Role.REQUEST else role
     if mark:
         role = _MARKS.get(mark, Role.UNKNOWN)
-    if groups.get("time"):
+    if groups.get("micros"):
+        stamp = Stamp("units", f"{groups['micros']}us")
+    elif groups.get("time"):
         stamp = Stamp("clock" if ":" in groups["time"] else "seconds", groups["time"])
     extended = bool(groups.get("extended")) or number > CAN_ID_LIMIT or "extended" in (groups.get("before") or "").lower()
     if number > CAN_ID_MASK:

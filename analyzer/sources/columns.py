@@ -18,6 +18,7 @@ import csv
 import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from decimal import Decimal
 from typing import Any
 
 from analyzer.catalogue import Role
@@ -33,17 +34,19 @@ from analyzer.values import CAN_ID_LIMIT, CAN_ID_MASK, FD_LENGTHS, SECOND_NS, co
 
 #: What columns are called, in small letters and without anything but letters and digits.
 _NAMES: dict[str, tuple[str, ...]] = {
-    "time": ("timestamp", "time", "times", "timesec", "ts", "t", "datetime", "timems", "timeus", "timens", "tms", "tus", "tns",
+    "time": ("timestamp", "timestamps", "time", "times", "timesec", "ts", "t", "datetime", "timems", "timeus", "timens",
+             "tms", "tus", "tns",
              "timestampms", "timestampus", "timestampns", "ms", "us", "millis", "micros", "seconds", "elapsed",
-             "zeit", "zeitstempel", "系统时间", "时间"),
-    "mark": ("dir", "direction", "txrx", "rxtx", "topic", "传输方向", "方向", "sender", "type", "event", "richtung"),
+             "zeit", "zeitstempel", "系统时间", "时间", "start", "starts", "starttime", "begin", "uhrzeit", "时间标识"),
+    "mark": ("dir", "direction", "txrx", "rxtx", "topic", "传输方向", "方向", "sender", "type", "event", "richtung", "row",
+             "line"),
     "data": ("data", "databytes", "datahex", "bytes", "hex", "payload", "frame", "raw", "buffer", "message", "msg", "daten",
-             "数据"),
-    "id": ("id", "canid", "arbitrationid", "identifier", "idhex", "id号", "帧id"),
+             "value", "text", "uartrxtx", "uartrx", "uarttx", "数据", "数据hex"),
+    "id": ("id", "canid", "arbitrationid", "identifier", "idhex", "id号", "帧id", "frameid", "identifierhex"),
     "extended": ("extended", "isextended", "ext", "ide", "isextendedid", "帧格式"),
     "remote": ("remote", "rtr", "isremoteframe", "帧类型"),
-    "length": ("len", "dlc", "length", "dl", "长度"),
-    "port": ("bus", "channel", "interface", "port", "can通道", "通道"),
+    "length": ("len", "dlc", "length", "dl", "长度", "数据长度"),
+    "port": ("bus", "channel", "chn", "interface", "port", "can通道", "通道"),
 }  # fmt: skip
 #: Columns that say by their own name who sent their bytes.
 _SENT = re.compile(r"(tx|request|sent|send|rx|response|reply|answer|received?|recv)(?:buf|buffer|data|bytes|hex|frame)?")
@@ -53,13 +56,16 @@ _UNIT = re.compile(r"(?:time|timestamp|t)?(ms|us|ns|millis|micros|seconds)$")
 _UNITS = {"ms": SECOND_NS // 1000, "us": SECOND_NS // 1_000_000, "ns": 1}
 _UNITS |= {"millis": _UNITS["ms"], "micros": _UNITS["us"], "seconds": SECOND_NS}
 _TRUE = ("true", "1", "yes", "x", "扩展帧", "远程帧")
-_CLEAN = re.compile(r"[\W_]+")
+_CLEAN = re.compile(r"^\d+:|[\W_]+")
 _RULE = re.compile(r"[\s|:-]+")
 _WHOLE = re.compile(r"\d{1,19}")
 _NUMBER = re.compile(r"\d{1,19}[.,]\d{1,12}")
+_POWER = re.compile(r"\d\.\d{1,12}[eE][+-]\d{1,2}")
+_PAIR = re.compile(r"[0-9A-Fa-f]{2}")
 #: What tools put before the bytes of a cell.
 _BEFORE = re.compile(r"x\|\s*")
 _CAN_BYTES = 64
+_LARGEST = 0xFF
 #: Lines among which the heading must be.
 _HEADING_LINES = 10
 _LEAST_SHARE = 0.5
@@ -86,6 +92,8 @@ class _Table:
 
     def __init__(self, names: list[str] | None, separator: str) -> None:
         self.names = names
+        #: Cells of one byte each are decimal numbers: one has three digits, and none a letter.
+        self.decimal = False
         self._separator = separator
 
     @classmethod
@@ -98,19 +106,32 @@ class _Table:
             for separator in ("|",) if text.startswith("|") else (",", ";", "\t"):
                 names = [_key(cell) for cell in _cells(text, separator)]
                 if len(names) > 1 and _is_heading(names):
-                    return cls(names, separator)
+                    table = cls(names, separator)
+                    cells = [cell for each in lines for cell in (table.row(each) or {}).get("cells", ())]
+                    table.decimal = bool(cells) and all(map(str.isdecimal, cells)) and any(len(cell) == 3 for cell in cells)
+                    return table
         return None
 
     def row(self, line: str) -> Row | None:
         """Return the cells of a line by what their columns are, None for a line that is no row."""
-        text = line.strip()
+        text = line.strip(" \r\n") if self._separator == "\t" else line.strip()
         if self.names is None:
             return _of_json(text)
         cells = _cells(text, self._separator)
         if len(cells) < 2 or [_key(cell) for cell in cells] == self.names or (self._separator == "|" and _RULE.fullmatch(text)):
             return None
         row = _named(zip(self.names, cells, strict=False))
-        if beyond := [cell for cell in cells[len(self.names) :] if cell]:
+        if self.decimal and "cells" in row:
+            row["cells"] = [f"{int(cell):02X}" if cell.isdecimal() and int(cell) <= _LARGEST else cell for cell in row["cells"]]
+            if str(row.get("id", "")).isdecimal():
+                row["id"] = int(row["id"])
+        beyond = [cell for cell in cells[len(self.names) :] if cell]
+        if beyond and self.names[-1] in _NAMES["data"] and all(_PAIR.fullmatch(cell) for cell in (str(row["data"]), *beyond)):
+            # Each byte has a cell of its own.
+            row["data"] = " ".join((row["data"], *beyond))
+        elif beyond and _CELL.fullmatch(self.names[-1]) and all(map(_PAIR.fullmatch, beyond)):
+            row["cells"] += beyond
+        elif beyond:
             row["beyond"] = beyond
         return row
 
@@ -289,6 +310,8 @@ class _Times:
         text = str(row["time"]).strip()
         if _NUMBER.fullmatch(text):
             text = text.replace(",", ".")
+        elif _POWER.fullmatch(text):
+            text = f"{Decimal(text):f}"
         if row["unit"]:
             return number_ns(text, _UNITS[row["unit"]])
         if _WHOLE.fullmatch(text):
@@ -331,7 +354,7 @@ def _records(source: Source, table: _Table, is_can: bool, times: _Times) -> Iter
             if not is_can:
                 if not data:
                     continue
-                yield Chunk(t_ns, port, data, role, True)
+                yield Chunk(t_ns, port, data, role, len(data) > 1)
                 continue
             number = _identifier(row.get("id"))
             if number is None or number > CAN_ID_MASK or len(data) > _CAN_BYTES:

@@ -36,16 +36,22 @@ _LEAST_FIELDS, _FIELD_BYTES = 3, 2
 _LEAST_CELLS, _MOST_CELLS = 4, 32
 _WORDS = re.compile(r"[^\W\d_]{3,}")
 #: A row of a dump, and the place behind its last byte.
-_DUMP_ROW = re.compile(r"\W*([0-9A-Fa-f]{4,8}):?\s{1,3}((?:[0-9A-Fa-f]{2}(?:\s{1,2}|$|(?=\s*\|)))+)")
+_DUMP_ROW = re.compile(r"\W*([0-9A-Fa-f]{4,8}):?\s{1,3}((?:(?:[0-9A-Fa-f]{2}){1,2}(?:\s{1,2}|$|(?=\s*\|)))+)")
+#: A row of memory as a debugger shows it: `0x20000108 <rx_buf+8>:  0xa0  0xec`.
+_MEMORY_ROW = re.compile(r"0x([0-9A-Fa-f]{6,16})(?: <[\w+.]+>)?:((?:\s+0x[0-9A-Fa-f]{2})+)")
 _DUMP_END = re.compile(r"\s*[0-9A-Fa-f]{4,8}\s*")
 
 
 def has_fields(lines: Sequence[str]) -> bool:
     """Say whether lines below each other name the fields of a frame."""
-    return has_cells(lines) or any(
-        is_frame(list(rows))
-        for named, rows in groupby((_field_of(line) for line in lines), key=lambda row: row is not None)
-        if named
+    return (
+        has_cells(lines)
+        or any(map(_MEMORY_ROW.fullmatch, lines))
+        or any(
+            is_frame(list(rows))
+            for named, rows in groupby((_field_of(line) for line in lines), key=lambda row: row is not None)
+            if named
+        )
     )
 
 
@@ -80,6 +86,8 @@ class Parts:
         self._named, self._cells = named, cells
         self._fields: list[re.Match[str]] = []
         self._rows = bytearray()
+        #: Where the memory begins that a debugger shows.
+        self._base = 0
 
     def take(self, text: str) -> bool:
         """Take a line that is the next field of a frame, or the next row of a dump; say whether it is one."""
@@ -91,12 +99,15 @@ class Parts:
                 return False
             self._fields.append(field)
             return True
-        row = _DUMP_ROW.match(text)
+        memory = _MEMORY_ROW.fullmatch(text)
+        if memory is not None and not self._rows:
+            self._base = int(memory[1], 16)
+        row = memory or _DUMP_ROW.match(text)
         if row is None and self._rows and _DUMP_END.fullmatch(text) is not None:
             return int(text, 16) == len(self._rows)
-        if row is None or self._fields or int(row[1], 16) != len(self._rows):
+        if row is None or self._fields or int(row[1], 16) - (self._base if memory else 0) != len(self._rows):
             return False
-        self._rows += bytes.fromhex(row[2])
+        self._rows += bytes.fromhex(row[2].replace("0x", ""))
         return True
 
     def end(self) -> tuple[bytes, list[re.Match[str]]]:

@@ -23,15 +23,20 @@ _RECEIVED = "|".join(sorted((word for word, way in ACTIONS.items() if way < 0), 
 _letters = "|".join(LETTERS)
 SIGNS_PATTERN = "|".join(re.escape(sign) for sign in sorted(SIGNS, key=len, reverse=True))
 _END = r"(?![0-9A-Za-z_]|::)"
-DECORATION = r"[\s:=<>|\])→←◇◆：,]*(?:-+[>\s]\s*)?"
+#: What some programs put before a time.
+TIMED = r"(?:@|T\+|(?:time|ts|t)\s*[=:]\s*\"?)?"
+DECORATION = r"[\s:=<>|\])→←◇◆：,;]*(?:-+[>\s]\s*)?"
 #: A byte of two digits.
 PAIR = r"(?:0[xX])?[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])"
 #: What is written or read by its number, by name: what stands behind are a number and values, no bytes.
 _VALUES = r"(?:reg|coil|bits?(?![a-z])|float|holding|input)"
 #: Words for bytes, behind the word that says who sent: `ReadFrame`, `rx_buffer`, `TX data`.
-CONTENT = r"(?:data|bytes?|frame|adu|pdu|buffer|buf|packet|msg|message|raw)"
+CONTENT = r"(?:data|bytes?|frame|adu|pdu|buffer|buf|packet|msg|message|raw|数据|报文|帧)"
 #: What bytes can begin with.
-_BYTES = rf"(?={PAIR}|[\[{{(<\"'b]|[0-9A-Fa-f]{{4,}}\s*(?:$|->|<-|[→←|#])|(?:[0-9A-Fa-f]{{2}}\.){{5}}|-?\d{{1,3}}[\s,])"
+_BYTES = (
+    rf"(?={PAIR}|0x(?:[0-9A-Fa-f]{{2}}){{3,}}\b|[\[{{(<\"'b]|"
+    r"[0-9A-Fa-f]{4,}\s*(?:$|->|<-|[→←|#])|(?:[0-9A-Fa-f]{2}\.){5}|-?\d{1,3}[\s,])"
+)
 #: What stands between the name of a call and the bytes that it returned.
 _RETURNED = rf"\(\d{{0,5}}\)(?:\s*(?:[-=]>|[→=:])\s*{_BYTES}|\s+(?={PAIR}|(?:[0-9A-Fa-f]{{2}}){{3,}}(?:\s|$)|b['\"]|\[))"
 
@@ -55,14 +60,21 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
     (when, has, re.compile(pattern, re.IGNORECASE))
     for when, has, pattern in (
         # A time; `month` has letters that no other has.
-        (When.ANY, "", rf"\s*[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.]|:[0-9A-Fa-f])\s*[\])]?(?:[\s,;:|]|-(?!>))*"),
+        (When.ANY, "", rf"\s*{TIMED}[\[(]?\s*(?:{ANY})(?![0-9A-Za-z_.]|:[0-9A-Fa-f])\s*[\])\"]?(?:[\s,;:|]|-(?!>))*"),
         # `# SEND HEX>`: the bytes follow on the next lines.
         (When.ANY, "#", r"\s*#\s*(?P<assist>SEND|RECV)\s+(?P<form>HEX|ASCII|BIN)[^>]{0,80}>\s*"),
-        # `ser.write(`, `write(3, "..."`.
+        # Milliseconds since the start, as a counter of a controller gives them: `[65250] TX`, `65250 TX`, `I (65250) bus:`.
+        (
+            When.UNMARKED,
+            "",
+            rf"\s*(?:\[\s*(?P<millis>\d{{4,10}})\]|[VDIWE] \((?P<counted>\d{{1,10}})\)"
+            rf"|(?P<leading>[1-9]\d{{3,9}})(?=[\s:]+(?:{WORDS_PATTERN}){_END}))[\s:]*",
+        ),
+        # `ser.write(`, `write(3, "..."`, `HAL_UART_Transmit(&huart1, {`.
         (
             When.ANY,
             "(",
-            rf"\s*(?:[$>\s]*)(?:[A-Za-z_]\w*\.)*(?P<call>{WORDS_PATTERN})(?!\w*{_VALUES})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"']))?",
+            rf"\s*(?:[$>\s]*)(?:(?:[A-Za-z_]\w*\.)*|HAL_\w{{1,8}}_)(?P<call>{WORDS_PATTERN})(?!\w*{_VALUES})\w{{0,12}}\((?=[^)]*[,\"'])(?:\d{{1,4}},\s*(?=[\"'])|&?\w+,\s*(?=[{{\[]))?",
         ),
         # `>>> list(ser.read(64))`, `>>> ser.read(64).hex(" ")`: a console prints below it what it returns.
         (
@@ -82,6 +94,15 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         # Who sends to whom: `PC=>MOT`, `COM>TCP`, `[host <- drive]`.
         (When.UNMARKED, "", rf"\s*[\[(]?{_ENDS}"),
         (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{WORDS_PATTERN})(?:_?{CONTENT})?(?:\(\):)?{_END}{DECORATION}"),
+        # `('TX', b'\\xfa')`, as Python prints pairs.
+        (When.ANY, "'", rf"\s*[\[({{]?\s*'(?P<word>{WORDS_PATTERN})'\s*[,:]\s*"),
+        # Who sends to whom, as analyzers of USB name the ends.
+        (
+            When.UNMARKED,
+            "host",
+            r"\s*(?:(?P<host>host\s+\d+\.\d+\.\d+)|(?P<drive>\d+\.\d+\.\d+\s+host))\s+(?:USB\s+)?(?:\d{1,5}\s+)?",
+        ),
+        (When.UNMARKED, "\t", r"\d{1,9}\t(?=\d+\.\d+\t)"),
         # What the bytes are called, how many they are, a counter as Modbus Poll prints it.
         (When.MARKED, "", rf"(?:hex|{CONTENT}){_END}[\s:=>]*"),
         (When.MARKED, "", r"len(?:gth)?\s*[=:]?\s*\d{1,5}\s*(?:bytes?)?(?:[\s:=>,-]+(?:(?:from|to)=\d+\s*)*|$)"),
@@ -105,7 +126,7 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         # `W 1 3 0 0`: a letter before numbers alone.
         (When.UNMARKED, "", r"\s*(?P<letter>[wrt])\s+(?=(?:(?:0x)?[0-9a-f]{1,3}[\s,]+){2,}(?:0x)?[0-9a-f]{1,3}[\s,]*$)"),
         (When.UNMARKED, "", LETTER.pattern),
-        (When.UNMARKED, "", rf"\s*+(?::\s*+)?(?P<sign>{SIGNS_PATTERN})(?![<>=-])[\s:]*"),
+        (When.UNMARKED, "", rf"\s*+(?::\s*+)?[\[(]?(?P<sign>{SIGNS_PATTERN})(?![<>=-])[\])]?[\s:]*"),
         (
             When.ANY,
             "",

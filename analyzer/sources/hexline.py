@@ -109,7 +109,8 @@ _ARROW = re.compile(r"-+>")
 _TRAILING = re.compile(r"(?:(?<!\b16)#|//|;|\(|\||!|--(?=\s)|(?<![-=])[-=]++>|<[-=]+|[→←]|>\s*\d+ bytes?\b).*", re.DOTALL)
 #: Words behind bytes: `old_data:`, `, 4) = 4`, `OK`.
 _WORDY = re.compile(
-    r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+(?: data)?\s*[:=]|,\s*\d+\s*\)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*", re.DOTALL
+    r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+(?: data)?\s*[:=]|,\s*\d+\s*(?:,\s*\w+\s*)?\)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*",
+    re.DOTALL,
 )
 _STRING = re.compile(r"b?('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\")")
 _EACH = re.compile(r"([\[<])\s*(?:0x)?[0-9A-Fa-f]{1,2}\s*[\]>]\s*[\[<]")
@@ -134,6 +135,17 @@ _NUMBER = re.compile(r"\d+\s*")
 #: Two unknown names are a mark only if nothing but bytes follows them.
 _FRAME = re.compile(rf"(?:{PAIR}[\s,:-]*){{3,}}")
 _AROUND_NOTE = " \t,;|"
+#: The place of the first byte, as rows of dumps have it.
+_PLACE = re.compile(r"(?:0{4}|[0-9A-F]{8}|[0-9A-F]{3}0)(?::\s*|\s{2,})(?=[0-9A-F]{2}(?:\s|$))", re.IGNORECASE)
+#: How many bytes there are, in a cell before theirs.
+_COUNT_CELL = re.compile(
+    r"(\d{1,5})\s*[;,|\t]\s*(?=(?:(?:0x|16#)?[0-9A-F]{2}(?: |-|:|\s*$)){2}|(?:[0-9A-F]{2}){3,}\s*(?:$|[;,|\t]))", re.IGNORECASE
+)
+#: What a logger puts before its words.
+_LEVEL = re.compile(r"\b(?:DEBUG|INFO|WARN(?:ING)?|ERROR|TRACE)\b")
+_NAME_PARTS = re.compile(r"[._]")
+#: The parts of a name: `tx_buf`, `txBuf`, `abTx`, `tx0`.
+_PARTS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
 #: A sentence before a mark: no header of bytes.
 _TWO_WORDS = re.compile(r"[^\W\d_]+ [^\W\d_]+ $")
 #: Words of a sentence, and how many of them are one.
@@ -142,6 +154,7 @@ _SENTENCE_WORDS = 3
 _BRACKETS = {"[": "]", "{": "}", "(": ")"}
 _CLOSERS = " ]})>\"'□`"
 _ITEM_LIMIT = 10
+_LONGEST_HEADER = 120
 _COLONS_OF_TIME = 2
 
 
@@ -331,6 +344,18 @@ class _Peeler:
             )
         if not rest and (self.stamp.kind or self.marked) and not self.spoken:
             return HexLine(Shape.HEADER, text=text, ascii=self.ascii, **taken)  # type: ignore[arg-type]
+        if (
+            self.words
+            and self.stamp.kind in ("", "millis")
+            and len(text) < _LONGEST_HEADER
+            and (time := DISTANT_TIME.search(rest)) is not None
+        ):
+            # `Write request, 1, 20.11.2026 14:01:05`: a monitor names what Windows was asked for; it asks to read, too.
+            self.stamp = Stamp()
+            self._take(time)
+            role = role_of([word for word in words if word in ACTIONS] or words, self.sign)
+            taken |= {"stamp": self.stamp, "role": role}
+            return HexLine(Shape.HEADER, text=text, **taken)  # type: ignore[arg-type]
         broken = not commented and _is_broken(rest, self.marked)
         shape = Shape.BROKEN if broken else Shape.COMMENT
         return HexLine(shape, text=rest if broken else text, **taken)  # type: ignore[arg-type]
@@ -340,7 +365,12 @@ class _Peeler:
             return numbers
         if not self.marked and LETTER.match(text) is not None:
             return None
-        if not self.decimal and self.number is None:
+        if self.marked and (placed := _PLACE.match(text)) is not None:
+            text = text[placed.end() :]
+        if self.marked and self.number is None and (celled := _COUNT_CELL.match(text)) is not None:
+            self.number = int(celled[1])
+            text = text[celled.end() :]
+        elif not self.decimal and self.number is None:
             if (lead := self.lead.match(text)) is not None:
                 self.number, self.led = int(lead[1]), True
                 text = text[lead.end() :]
@@ -365,10 +395,19 @@ class _Peeler:
             if found is not None and found.end() > at and self._take(found):
                 self.at = found.end()
                 return True
-        if self.marked:
+        named = bool(self.words) and not self.sign and all(word in SPEAKERS for word in self.words)
+        if self.marked and not named:
             return False
+        if named and (time := DISTANT_TIME.search(text, at, at + DISTANT_LIMIT)) is not None:
+            # What stands before the time of a logger is the name of a program.
+            self.words.clear()
+            self.at = time.start()
+            return True
         distant = DISTANT.search(text, at, at + DISTANT_LIMIT)
+        if named and (distant is None or _LEVEL.search(text, at, distant.start()) is None):
+            return False
         if distant is not None and distant.start() > at:
+            self.words.clear()
             self.spoken = _TWO_WORDS.search(text[at : distant.start()]) is not None
             self._pass(distant.start())
             self.at = distant.start()
@@ -376,7 +415,10 @@ class _Peeler:
         phrase = PHRASE.search(text, at, at + 2 * DISTANT_LIMIT)
         if phrase is None or self._with_note(text[phrase.end() :])[0] is None:
             return False
-        self.words.append(phrase["word"].lower())
+        said = [phrase["word"].lower()]
+        if said[0] in SPEAKERS:
+            said += [word for word in re.findall(r"[^\W\d_]+", phrase[0].lower()) if word in ACTIONS]
+        self.words += said
         self._pass(phrase.start())
         self.at = phrase.end()
         return True
@@ -398,10 +440,16 @@ class _Peeler:
                 if self.stamp.kind:
                     return False
                 self.stamp = Stamp(group, value)
+            elif group in ("millis", "counted", "leading"):
+                if self.stamp.kind:
+                    return False
+                self.stamp = Stamp("millis", value)
             elif group in ("word", "assist", "call"):
                 self.words.append(value.lower())
                 if value.lower() in SPEAKERS and found[0].lstrip().startswith("["):
                     self.tags.append(value.lower())
+            elif group in ("host", "drive"):
+                self.words.append(group)
             elif group == "form":
                 self.ascii = value.upper() == "ASCII"
             elif group in ("sign", "letter"):
@@ -418,11 +466,12 @@ class _Peeler:
                 self.declared = True
                 self.declaration = found[0].strip(" =")
                 # What a program calls "read" is the command that reads.
-                self.words += [word for word in value.lower().split("_") if word in WORDS and word != "read"]
+                parts = [part.lower() for part in _PARTS.findall(value)]
+                self.words += [word for word in parts if word in WORDS and word != "read"]
             else:
                 self.name = self.name or value
-                # `[client.write]`: what a program calls.
-                if (word := value.rpartition(".")[2].lower()) in ACTIONS and word != value.lower():
+                # `[client.write]`, `UART_TX`: what a program calls.
+                if (word := _NAME_PARTS.split(value)[-1].lower()) in ACTIONS and word != value.lower():
                     self.words.append(word)
         return True
 
@@ -440,6 +489,8 @@ class _Peeler:
 
     def _with_note(self, rest: str) -> tuple[Written | None, str]:
         """Return the bytes at the beginning of a text and what stands behind them as a comment."""
+        if self.marked and (placed := _PLACE.match(rest)) is not None:
+            rest = rest[placed.end() :]
         # A list that goes on in the next line.
         if _BRACKETS.get(rest[:1], rest) not in rest:
             rest = rest[1:].strip()

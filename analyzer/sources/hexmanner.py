@@ -24,6 +24,10 @@ _SINGLE_LINES = 4
 _DECIMAL_BYTES, _DECIMAL_HEADS = 4, 4
 #: A request to read registers, and what a reply has beside its registers.
 _READ_BYTES, _AROUND = 8, 5
+#: Bytes of the shortest native frame.
+_SUMMED = 4
+#: The head of a frame of LK, and commands that read and ask without data.
+_LK, _LK_HEAD, _LK_READS = 0x3E, 5, range(0x90, 0xA0)
 #: An odd number of digits without a gap, and the number of such lines that is no slip.
 _ODD_DIGITS, _UNPADDED_LINES = re.compile(r"\s*[0-9A-F](?:[0-9A-F]{2}){2,}\s*"), 2
 #: Bytes with gaps between them, and one of one digit beside one of two.
@@ -40,27 +44,52 @@ _ARROW = "->"
 
 
 def _asks(data: bytes) -> bool:
-    """Say whether bytes are a request to read registers: who receives one is a server, or listens."""
+    """Say whether bytes are a request, to read registers or of a native dialect: who receives one is a server, or listens."""
+    if data[:1] == b"\xfa" and _sums(data):
+        return True
+    if len(data) == _LK_HEAD and data[0] == _LK and data[1] in _LK_READS and _sums(data):
+        return True
     return len(data) == _READ_BYTES and data[1] in REGISTER_READS and modbus_crc(data) == 0
 
 
 def _replies(data: bytes) -> bool:
-    """Say whether bytes are a reply of registers, and no request."""
+    """Say whether bytes are a reply, of registers or of a native dialect, and no request."""
+    if data[:1] == b"\xfb" and _sums(data):
+        return True
+    if len(data) > _LK_HEAD and data[0] == _LK and data[1] in _LK_READS and _sums(data[:_LK_HEAD]):
+        return data[3] == len(data) - _LK_HEAD - 1
     long = len(data) >= _AROUND and len(data) != _READ_BYTES
     return long and data[1] in REGISTER_READS and data[2] == len(data) - _AROUND and modbus_crc(data) == 0
+
+
+def _sums(data: bytes) -> bool:
+    """Say whether bytes end in their sum."""
+    return len(data) >= _SUMMED and sum(data[:-1]) & 0xFF == data[-1]
 
 
 def _is_deaf(traffic: Sequence[HexLine], roles: Sequence[Role]) -> bool:
     """Say whether the marks tell nothing, because all lines have the same: those of a listener, or the name of a host."""
     if Role.REQUEST not in roles:
         return roles.count(Role.REPLY) >= _LISTENER_LINES or any(p.role is Role.REPLY and _asks(p.data) for p in traffic)
-    return Role.REPLY not in roles and any(_replies(p.data) for p in traffic) and any(_asks(p.data) for p in traffic)
+    marked = [p.data for p in traffic if p.role is Role.REQUEST]
+    return Role.REPLY not in roles and any(map(_replies, marked)) and any(map(_asks, marked))
 
 
 def _is_turned(traffic: Sequence[HexLine]) -> bool:
     """Say whether a server writes: all requests that can be told are marked as received, and all replies as sent."""
     asked = {p.role for p in traffic if _asks(p.data)}
     return asked == {Role.REPLY} and {p.role for p in traffic if _replies(p.data)} == {Role.REQUEST}
+
+
+def _below(parts: Sequence[HexLine]) -> Iterator[HexLine]:
+    """Yield the lines of traffic, with the role of the header that stands above them."""
+    header = Role.UNKNOWN
+    for part in parts:
+        if part.shape is Shape.HEADER:
+            header = part.role
+        elif part.shape is Shape.TRAFFIC:
+            header = Role.UNKNOWN if part.marked or part.stamp.kind else header
+            yield part if header is Role.UNKNOWN else part._replace(role=header)
 
 
 def _asker(traffic: Sequence[HexLine]) -> str:
@@ -108,6 +137,32 @@ def _counts_up(lines: Sequence[str], traffic: Sequence[HexLine]) -> bool:
 
 #: Rows whose numbers count up by no chance, and the heads of native dialects.
 _COUNTED_ROWS, _HEADS = 3, (b"\xfa", b"\xfb", b"\x3e")
+
+
+def _counts_bytes(traffic: Sequence[HexLine]) -> bool:
+    """Say whether the first number of each line says how many bytes follow, in lines of different lengths."""
+    counts = [(p.number, len(p.data)) if p.led else (int(f"{p.data[0]:x}"), len(p.data) - 1)
+              for p in traffic if p.led or f"{p.data[0]:x}".isdecimal()]  # fmt: skip
+    fits = len(counts) == len(traffic) > 1 and all(number == size for number, size in counts)
+    return fits and len(set(counts)) > 1 and any(p.led for p in traffic)
+
+
+def _spelled(data: bytes) -> bytes:
+    """Return the bytes that a string of hex digits stands for, none for any other."""
+    return bytes.fromhex(data.decode()) if len(data) >= _SPELLED and _HEX_DIGITS.fullmatch(data) is not None else b""
+
+
+#: Letters of the shortest frame.
+_SPELLED, _HEX_DIGITS = 8, re.compile(rb"(?:[0-9A-Fa-f]{2})+")
+
+
+def _leaves_replies(traffic: Sequence[HexLine]) -> bool:
+    """Say whether a sign stands before what was sent and none before what was received: some is a reply, and none a request."""
+    bare = [p for p in traffic if not p.marked]
+    marked = all(p.role is Role.REQUEST and not p.worded for p in traffic if p.marked)
+    return (
+        marked and 0 < len(bare) < len(traffic) and any(_replies(p.data) for p in bare) and not any(_asks(p.data) for p in bare)
+    )
 
 
 def _is_digit(line: HexLine) -> bool:
@@ -166,6 +221,10 @@ class Manner(NamedTuple):
     asker: str = ""
     #: A number stands before the bytes of each line.
     led: bool = False
+    #: Strings of hex digits are bytes, as Python's hexlify returns them: the replies are frames.
+    spelled: bool = False
+    #: Only what was sent has a mark: what stands without one was received.
+    replies_bare: bool = False
     #: There is no line of a log: sentences are read.
     prose: bool = False
     #: Frames stand field by field, a line each.
@@ -188,7 +247,7 @@ class Manner(NamedTuple):
             return cls(single=True, decimal=is_decimal_column(lines))
         quoted = _is_quoted(lines)
         parts = [take_apart(_QUOTED.sub("", line, 1) if quoted else line) for line in lines]
-        traffic = [p for p in parts if p.shape is Shape.TRAFFIC]
+        traffic = list(_below(parts))
         roles = [p.role for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)]
         stamped = [p for p in parts if p.stamp.kind]
         prose = not any(p.stamp.kind or p.marked for p in traffic)
@@ -200,7 +259,9 @@ class Manner(NamedTuple):
             decimal=any(p.radix is Radix.DECIMAL for p in traffic),
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
             brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
-            led=(len(traffic) > 1 and all(p.led for p in traffic[:2])) or _counts_up(lines, traffic),
+            led=(len(traffic) > 1 and all(p.led for p in traffic[:2])) or _counts_up(lines, traffic) or _counts_bytes(traffic),
+            spelled=any(p.role is Role.REPLY and _replies(_spelled(p.data)) for p in traffic),
+            replies_bare=_leaves_replies(traffic),
             deaf=_is_deaf(traffic, roles),
             turned=_is_turned(traffic),
             asker=_asker(traffic),
@@ -225,11 +286,15 @@ class Manner(NamedTuple):
         if self.short and line.shape is Shape.BROKEN and _SHORT.fullmatch(line.text) is not None:
             data = bytes(int(digit, 16) for digit in line.text.split())
             line = line._replace(shape=Shape.TRAFFIC, data=data, radix=Radix.EITHER)
+        if self.spelled and line.data and (data := _spelled(line.data)):
+            line = line._replace(data=data)
         if self.lettered and line.data and line.sign in _HEX_LETTERS:
             line = line._replace(data=bytes((int(line.sign, 16),)) + line.data, sign="")
         role = line.role
         if self.deaf or (self.arrow and not line.worded):
             role = Role.UNKNOWN
+        elif self.replies_bare and line.shape is Shape.TRAFFIC and not line.marked:
+            role = Role.REPLY
         elif self.brackets and line.sign.startswith("each"):
             role = Role.REQUEST if line.sign == "each[" else Role.REPLY
         elif self.asker and TO in line.sign:

@@ -54,7 +54,9 @@ _TWO_DIGITS = 0x10
 _REMARKS = ("#", "//", ";")
 _OPEN = ("{", "[", "(", ",")
 _LIST_ITEMS = r"(?:(?:0[xX])?[0-9A-Fa-f]{1,3}(?![0-9A-Fa-f])\s*+,?\s*+)*+"
-_LIST = re.compile(rf"[=(:]\s*+(?:new\s+\w+\[\d*\]\s*+|bytes\(|bytearray\(|Buffer\.from\()?[\[{{]\s*+{_LIST_ITEMS}$")
+_LIST = re.compile(
+    rf"(?:[=(:]|\w\(\d+\))\s*+(?:new\s+\w+\[\d*\]\s*+|bytes\(|bytearray\(|Buffer\.from\()?[\[{{]\s*+{_LIST_ITEMS}$"
+)
 _GOES_ON = re.compile(rf"\s*+{_LIST_ITEMS}(?:[\]}})][\]}});,\s]*)?(?:(?://|#|/\*).*)?")
 #: What libmodbus prints of a long reply, and where a console has wrapped it.
 _LONG_LINE = re.compile(r"(?:<[0-9A-F]{2}>){24,}\s*", re.IGNORECASE)
@@ -64,7 +66,7 @@ _LABELLED = re.compile(r"[:=>|]\s*[\[({<'\"`]?\s*$")
 #: Frames of a line whose columns a note names.
 _COLUMNS_SHOWN = 10
 _SPOILT = re.compile(r"[\s,:-]{0,2}(?:0x\w{1,2}|\d\w?|\w\d)\b")
-_WORDS = re.compile(r"[^\W\d_]{3,}")
+_WORDS = re.compile(r"(?<!\d)[^\W\d_]{3,}")
 _LABEL = re.compile(r"data|bytes?|hex|frame|buffer|message|msg|payload|raw", re.IGNORECASE)
 #: Characters of a line in which a library reports.
 _LONGEST_REPORT = 400
@@ -77,6 +79,7 @@ _AT_ONCE_NS = 1_000_000_000
 _RUN_OF_DIGITS = re.compile(r"\s*[0-9A-F]{5,}\s*")
 #: How many bytes a line has: nothing to tell anyone.
 _COUNTED = re.compile(r"\(?\s*(?:len\w*\s*[=:]?\s*)?\d+\s*(?:bytes?|B)?\s*\)?(?:\s*=\s*\d+)?", re.IGNORECASE)
+_DUMPED = re.compile(r"\s*\|?\s*[0-9A-Fa-f]{4,8}:?\s\s?[0-9A-Fa-f]{2}")
 _HEX_LETTER = re.compile(r"[A-Fa-f]|0x|\\x")
 _BUS_NAME = re.compile(r"(?:bus|com|port|can|tty|uart|usart|rs-?485|rs-?232|usb|serial|line|ch|channel|axis)\W?\w*", re.I)
 #: A name as this program exports it: a bus, and not a number of one.
@@ -85,7 +88,7 @@ _EXPORTED_NAME = re.compile(r"bus:(?!\d+$)([\w.-]+)")
 
 def score(head: bytes) -> float:
     """Say how sure it is that these bytes are hex text, 0..1."""
-    lines = head_lines(head)[:_SAMPLE_LINES]
+    lines = list(_whole_lists(head_lines(head)[:_SAMPLE_LINES]))
     if is_single(lines):
         return 0.4 if any(_HEX_LETTER.search(line) for line in lines) or is_decimal_column(lines) else 0.1
     parts = [take_apart(line) for line in lines]
@@ -135,8 +138,9 @@ def _reported(lines: Sequence[str]) -> float:
 
 def read(source: Source) -> Iterator[Chunk | Comment]:
     """Read the lines one by one."""
-    manner = Manner.of(head_lines(source.head))
-    parts = [manner.take(line) for line in head_lines(source.head)]
+    lines = list(_whole_lists(head_lines(source.head)))
+    manner = Manner.of(lines)
+    parts = [manner.take(line) for line in lines]
     clock = StampClock((p.stamp for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)), source)
     for note in manner.notes(parts):
         source.note(note)
@@ -298,6 +302,9 @@ class _Reader:
             if each.left:
                 self._source.note(f"line {number}, column {each.column}: {each.data.hex(' ').upper()} is left out: {each.left}")
         frames = self._known.new_of(text, [each for each in said if not each.left])
+        if self._printed is not None and _DUMPED.match(text):
+            # The rows of a dump below a call show its bytes again.
+            frames = [each for each in frames if each.data not in self._printed[0]]
         if not frames:
             yield self._source.comment(t_ns, text)
             return

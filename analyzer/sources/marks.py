@@ -19,28 +19,31 @@ ACTIONS: dict[str, int] = {
         ("tx", "txd", "send", "sends", "sending", "sended", "sent", "transmit", "transmitted", "transmitting", "write",
          "writing", "wrote", "written", "发送", "发", "irp_mj_write", "送信", "gesendet", "sende", "senden", "envoyé", "envoi",
          "enviado", "enviando", "inviato", "trasmesso", "отправлено", "передача", "передано", "wysłano", "verzonden",
-         "odesláno", "gönderilen", "gönderildi", "송신", "发出", "wr", "snd"),
+         "odesláno", "gönderilen", "gönderildi", "송신", "发出", "wr", "snd", "sendet", "émission", "envoyés", "envío",
+         "enviados", "inviati", "trasmessi"),
         _SENT,
     ),
     **dict.fromkeys(
         ("rx", "rxd", "recv", "rcv", "rcvd", "recvd", "receive", "receives", "received", "receiving", "recieve", "recieved",
          "recieving", "read", "got", "接收", "收", "irp_mj_read", "受信", "empfangen", "empfang", "reçu", "recibido",
          "recibiendo", "ricevuto", "получено", "принято", "приём", "прием", "odebrano", "ontvangen", "přijato", "alınan",
-         "alındı", "수신", "收到", "rd"),
+         "alındı", "수신", "收到", "rd", "empfängt", "réception", "reçus", "recibidos", "ricevuti", "recebido", "recebidos"),
         _RECEIVED,
     ),
 }  # fmt: skip
 #: Who speaks: the host is meant where none is named.
 SPEAKERS: dict[str, int] = {
-    **dict.fromkeys(("master", "host", "pc", "client"), 1),
-    **dict.fromkeys(("slave", "drive", "motor", "device", "servo", "server"), -1),
+    **dict.fromkeys(("master", "host", "pc", "client", "上位机", "主机", "主站"), 1),
+    **dict.fromkeys(("slave", "drive", "motor", "device", "servo", "server", "下位机", "从机", "从站", "电机", "驱动器"), -1),
 }
 #: Marks of traffic that was sent.
 MATTERS: dict[str, int] = {
-    **dict.fromkeys(("request", "req", "query", "poll", "command", "cmd", "anfrage", "befehl"), 1),
+    **dict.fromkeys(("request", "req", "query", "poll", "command", "cmd", "anfrage", "befehl", "запрос",
+                     "requête", "richiesta", "solicitud", "请求", "命令", "指令"), 1),
     **dict.fromkeys(
         ("response", "resp", "reply", "answer", "ack", "replies", "replied", "responds", "responded", "answers", "answered",
-         "returns", "returned", "antwort", "回复", "应答"),
+         "returns", "returned", "antwort", "回复", "应答", "返回", "响应", "ответ", "réponse", "risposta", "respuesta",
+         "resposta"),
         -1,
     ),
 }  # fmt: skip

@@ -42,6 +42,8 @@ _COLUMNS: dict[str, tuple[str, ...]] = {
 #: A header must have these columns, and one of the second group.
 _NEEDED = ("time", "data")
 _TELLING = ("type", "duration", "parity", "framing", "name")
+#: What no analyzer of single bytes has: identifiers, directions and lengths.
+_OTHERS = frozenset(("id", "frame id", "dlc", "dir", "direction", "len", "length"))
 #: Types of rows that carry no byte of a line.
 _WITHOUT_BYTES = ("start", "stop", "address", "enable", "disable", "result", "error")
 _BITS_PER_BYTE = 10
@@ -114,7 +116,7 @@ def _table(line: str, separator: str) -> _Table | None:
         for what, known in _COLUMNS.items()
         if any(name in names for name in known)
     }
-    fits = all(what in places for what in _NEEDED) and any(what in places for what in _TELLING)
+    fits = all(what in places for what in _NEEDED) and any(what in places for what in _TELLING) and _OTHERS.isdisjoint(names)
     return _Table(places, separator) if fits else None
 
 

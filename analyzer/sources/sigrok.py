@@ -16,7 +16,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from analyzer.catalogue import Role
 from analyzer.records import Chunk
 from analyzer.sources.lines import Lines, fitting, head_lines
 from analyzer.sources.marks import ReceivedMarks, role_of_name
@@ -89,7 +88,7 @@ def _records(source: Source) -> Iterator[Chunk]:
             samples = samples or (int(stop) - int(start)) * _DATA_BITS // (_FRAME_BITS * len(data) - 2)
             if source.baud and samples > 0:
                 t_ns = int(stop) * (_DATA_BITS * SECOND_NS // source.baud) // samples
-        role = role_of_name(kind) if kind else Role.UNKNOWN
+        role = role_of_name(kind or decoder)
         port = None if decoder.lower().rstrip("-1").startswith("uart") and decoder[-1:] not in "23456789" else decoder
         yield Chunk(t_ns, source.port(port), data, heard(role), len(data) > 1)
 

@@ -11,7 +11,8 @@ or a later date on the first place shows otherwise.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from analyzer.sources.source import Source
@@ -27,10 +28,11 @@ STAMPS: dict[str, str] = {
     "slashed": rf"\d{{1,2}}/\d{{1,2}}/\d{{4}}(?:[T_,]|\s){{1,2}}{_DAYTIME}",
     "month": rf"(?:{_MONTH}\s+\d{{1,2}}|\d{{1,2}}\s+{_MONTH})\s+{_DAYTIME}",
     "clock": _DAYTIME,
-    "step": rf"\+\d{{1,19}}(?:\.\d{{1,12}}{_UNIT}?|{_UNIT})",
+    "step": rf"\+\s{{0,8}}\d{{1,19}}(?:\.\d{{1,12}}{_UNIT}?|{_UNIT})",
     "seconds": rf"\d{{1,19}}\.\d{{1,12}}{_UNIT}?",
     "units": rf"\d{{1,19}}{_UNIT}",
     "epoch_ms": r"\d{13}",
+    "epoch_s": r"1[4-9]\d{8}",
 }
 ANY = "|".join(f"(?P<{kind}>{pattern})" for kind, pattern in STAMPS.items())
 #: Those that nothing else looks like, wherever they stand.
@@ -42,7 +44,7 @@ _DATED = re.compile(
     r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})[T_,\s]{1,2}(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?(?:\s?([AaPp])[Mm])?"
     r"\s?(Z|[+-]\d\d:?\d\d)?"
 )
-_NUMBER = re.compile(r"\+?(\d+(?:\.\d+)?)\s?([a-zμ]*)")
+_NUMBER = re.compile(r"\+?\s*(\d+(?:\.\d+)?)\s?([a-zμ]*)")
 _MONTHS = 12
 
 _SOURCES = {
@@ -55,6 +57,8 @@ _SOURCES = {
     "seconds": "seconds as printed",
     "units": "numbers as printed",
     "epoch_ms": "milliseconds as printed",
+    "epoch_s": "seconds as printed",
+    "millis": "milliseconds as printed",
 }
 #: Kinds of stamps that are no times since the epoch.
 _CLOCKS = {"clock": Clock.DAY, "month": Clock.DAY, "date": Clock.PRINTED, "dmy": Clock.PRINTED, "slashed": Clock.PRINTED}
@@ -80,6 +84,9 @@ class StampClock:
     def __init__(self, stamps: Iterable[Stamp], source: Source) -> None:
         """Look at the first stamps of a capture, and tell it what its times are."""
         known = [stamp for stamp in stamps if stamp.kind]
+        self._counts_millis = _are_times([int(stamp.text) for stamp in known if stamp.kind == "millis"])
+        if not self._counts_millis:
+            known = [stamp for stamp in known if stamp.kind != "millis"]
         self._days = DayCount()
         self._day_first = self._order([stamp.text for stamp in known if stamp.kind == "slashed"], source)
         steps = [_number_ns(stamp.text) for stamp in known if stamp.kind == "step"]
@@ -94,6 +101,8 @@ class StampClock:
             "seconds": _number_ns,
             "units": _number_ns,
             "epoch_ms": lambda text: int(text) * 1_000_000,
+            "epoch_s": lambda text: int(text) * 1_000_000_000,
+            "millis": lambda text: int(text) * 1_000_000,
         }
         if known:
             source.time_source = f"capture: {_SOURCES[known[0].kind]}, exact to their digits"
@@ -102,7 +111,9 @@ class StampClock:
 
     def __call__(self, stamp: Stamp) -> int | None:
         """Return the time of a stamp, None for an empty one. Raises ValueError for a time that is none."""
-        return self._kinds[stamp.kind](stamp.text) if stamp.kind else None
+        if not stamp.kind or (stamp.kind == "millis" and not self._counts_millis):
+            return None
+        return self._kinds[stamp.kind](stamp.text)
 
     @staticmethod
     def _order(texts: list[str], source: Source) -> bool:
@@ -127,6 +138,12 @@ class StampClock:
             month, day = day, month
         ns = day_ns(int(year), int(month), int(day)) + clock_ns(_hour(hour, half), minute, second, fraction)
         return ns - zone_ns(zone) if zone is not None else ns
+
+
+def _are_times(numbers: Sequence[int]) -> bool:
+    """Say whether numbers without a unit are times, rather than those of a process or of lines."""
+    steps = {b - a for a, b in pairwise(numbers)}
+    return not steps or (min(steps) >= 0 and max(steps) > 1)
 
 
 def _hour(hour: str, half: str | None) -> str:

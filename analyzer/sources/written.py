@@ -13,6 +13,7 @@ commas, and without a zero before a digit: `[58,48,49,13,10]`.
 from __future__ import annotations
 
 import ast
+import html
 import re
 from collections.abc import Callable
 from enum import StrEnum
@@ -50,6 +51,7 @@ _DAYTIME = re.compile(r"[0-2]?\d:[0-5]\d:[0-5]\d")
 _NUMBER = re.compile(r"-?\d{1,3}")
 _ESCAPE = re.compile(r"\\(?:x[0-9A-Fa-f]{2}|[0-7])")
 _LATIN = re.compile("[\x80-\xff]")
+_ZERO = re.compile(r"(\\\\)|\\0")
 #: `10-15-0-204`, as modbus_tk prints it: no signs.
 _DASHED = re.compile(r"\d{1,3}(?:-\d{1,3})+")
 _QUOTES = str.maketrans("", "", "'\"")
@@ -69,9 +71,19 @@ def plain(line: str) -> str:
         line = _TAG.sub("", line)
     if '"Buffer"' in line:
         line = _JSON_BUFFER.sub(_as_buffer, line)
+    line = unescaped(line)
     return _CAST.sub("", line) if ")0x" in line or ") 0x" in line else line
 
 
+def unescaped(line: str) -> str:
+    """Return a line without what a page has for characters."""
+    if "&" not in line or _ENTITY.search(line) is None:
+        return line
+    return html.unescape(_BREAK.sub("", line)).replace("\xa0", " ")
+
+
+#: What stands for characters in the text of a page, and its ends of lines.
+_ENTITY, _BREAK = re.compile(r"&(?:[gl]t|amp|nbsp|quot|#\d{2,4});"), re.compile(r"<br ?/?>")
 #: A Buffer of Node as it stands in JSON, or in an object of JSON with nothing else.
 _JSON_BUFFER = re.compile(
     r'(\{\s*"\w+"\s*:\s*)?\{\s*"type"\s*:\s*"Buffer"\s*,\s*"data"\s*:\s*\[(?P<numbers>(?:\s*\d{1,3}\s*,)*\s*\d{1,3}\s*)\]\s*\}(?(1)\s*\})'
@@ -96,7 +108,7 @@ def _bare(text: str) -> Written | None:
 
 
 def _marked(text: str) -> Written:
-    return Written(bytes(int(token, 16) for token in _TOKEN.findall(re.sub(r"0[xX]|\\[xX]|16#|&[hH]|[$hH]", " ", text))))
+    return Written(bytes(int(token, 16) for token in _TOKEN.findall(re.sub(r"0[xX]|\\[xX]|(?:B#)?16#|&[hH]|[$hH]", " ", text))))
 
 
 def _each(text: str) -> Written | None:
@@ -123,6 +135,9 @@ def _literal(text: str) -> Written | None:
         return None
     # Python 2 prints the characters of bytes as they are.
     text = _LATIN.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+    if "\\x" in text:
+        # Beside hexadecimal escapes `\0` is a zero, as Rust prints it, and no octal number begins with it.
+        text = _ZERO.sub(lambda found: found[1] or "\\x00", text)
     try:
         value = ast.literal_eval(text if text[0] == "b" else f"b{text}")
     except (ValueError, SyntaxError, MemoryError, RecursionError):
@@ -164,7 +179,7 @@ _NUMBERED = re.compile(
 )
 #: What bytes begin with, however they are written: most words do not.
 _BEGIN = re.compile(
-    r"[\[{(<\"'\\$&-]|16#|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|(?:[0-9A-Fa-f]{2}\.){5}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"
+    r"[\[{(<\"'\\$&-]|(?:B#)?16#|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|(?:[0-9A-Fa-f]{2}\.){3}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"
 )
 #: A line of a log that a post shows as a piece of code of its own.
 _INLINE = re.compile(r"\s*`([^`]+)`\s*")
@@ -185,10 +200,13 @@ _WAYS: tuple[tuple[re.Pattern[str], Callable[[str], Written | None]], ...] = tup
         (r"(?:(['\"])(?:0[xX])?[0-9A-Fa-f]{1,2}\1[\s,;]*){2,}", lambda text: read(text.translate(_QUOTES))),
         (r"(?:[\[<{(]\s*(?:(?:0[xX])?[0-9A-Fa-f]{1,2}|\d{3})\s*[\]>})]\s*){2,}", _each),
         (rf"[0-9A-Fa-f]{{1,2}}(?:{_GAP}[0-9A-Fa-f]{{1,2}})*[\s,;:|_-]*", _bare),
-        (r"(?:(?:0[xX]|\\[xX]|\$|16#|&[hH])[0-9A-Fa-f]{1,2}[\s,;:|-]*)+", _marked),
+        (r"(?:(?:0[xX]|\\[xX]|\$|(?:B#)?16#|&[hH])[0-9A-Fa-f]{1,2}[\s,;:|-]*)+", _marked),
         (r"(?=.*0[xX])(?:0[xX][0-9A-Fa-f]{1,2}|\d{1,3})(?:\s*,\s*(?:0[xX][0-9A-Fa-f]{1,2}|\d{1,3}))+\s*,?\s*", _mixed),
         (r"(?:[0-9A-Fa-f]{2}[hH][\s,;]*)+", _marked),
-        (r"[0-9A-Fa-f]{2}(?:\.[0-9A-Fa-f]{2}){5,}", lambda text: Written(bytes.fromhex(text.replace(".", "")))),
+        (
+            r"(?:[0-9A-Fa-f]{2}\.){5}(?:\.?[0-9A-Fa-f]{2})+|(?=.*[A-Fa-f])[0-9A-Fa-f]{2}(?:\.[0-9A-Fa-f]{2}){3,}",
+            lambda text: Written(bytes.fromhex(text.replace(".", ""))),
+        ),
         (r"0[xX](?:[0-9A-Fa-f]{2})+", lambda text: Written(bytes.fromhex(text[2:]))),
         (r"(?=.*(?:\d{3}|-\d))-?\d{1,3}(?:[\s,;]+-?\d{1,3})+[\s,;]*", _decimal),
         (r"(?=.*\d{3})\d{1,3}(?:-\d{1,3})+", _decimal),
