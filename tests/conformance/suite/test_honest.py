@@ -19,7 +19,7 @@ from conformance.motion import motion, resting
 from conformance.motion.declared import QUICK
 from conformance.safety import stopping
 from conformance.suite import engine, set_otherwise
-from conformance.suite.plan import Plan, every_claim, open_rig
+from conformance.suite.plan import Plan, open_rig
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.suite.target import parse
 from conformance.talk.probe import MS, SECOND_NS
@@ -82,6 +82,16 @@ def test_an_honest_drive_on_a_port_is_not_accused(drive, tmp_path, capsys, monke
     assert "noise measured" in out
 
 
+def judged(rig, claims):
+    """Run the claims about a rig's drive whose ids end so."""
+    return [engine.run_claim(c, rig) for c in registry.every(rig.dialect) if c.id.endswith(claims)]
+
+
+def opened(drive, seed=0):
+    target = parse(drive)
+    return open_rig(Plan((target,), seed=seed), target)
+
+
 SET_OTHERWISE = [(bus, setting) for bus in ("mks-rs485", "mks-can") for setting in ("respond", "active")]
 OF_REPLIES = (
     "ranges/move_relative_axis/position/inside",
@@ -94,8 +104,7 @@ OF_REPLIES = (
 def test_a_drive_that_a_user_set_not_to_answer_motion_is_set_to_for_the_claims_and_back(dialect, setting, tmp_path):
     told = {} if dialect == "mks-can" else KNOWN | {setting: "0"}
     rig = EmulatedPort(f"{dialect}@1,{setting}=0", tmp_path, settings=told)
-    wanted = [c for c in every_claim(rig._target) if c.id.endswith(OF_REPLIES)]
-    found = {c.id: engine.run_claim(c, rig).outcome for c in wanted}
+    found = {v.claim.id: v.outcome for v in judged(rig, OF_REPLIES)}
     rig.close()
     assert set(found.values()) == {Outcome.CONFIRMED}, found
     assert rig.setting(setting) == 0
@@ -104,8 +113,7 @@ def test_a_drive_that_a_user_set_not_to_answer_motion_is_set_to_for_the_claims_a
 def test_a_drive_that_may_not_be_set_to_answer_motion_is_not_judged_by_its_silence_and_says_what_to_set(tmp_path):
     told = {name: value for name, value in KNOWN.items() if name not in ("respond", "active")}
     rig = EmulatedPort("mks-rs485@1,respond=0", tmp_path, settings=told)
-    wanted = [c for c in every_claim(rig._target) if c.id.endswith("/shape/stop_speed/answered")]
-    reasons = {engine.run_claim(c, rig).reason for c in wanted}
+    reasons = {v.reason for v in judged(rig, "/shape/stop_speed/answered")}
     rig.close()
     assert len(reasons) == 1
     assert "set respond and active to 1" in reasons.pop()
@@ -113,9 +121,7 @@ def test_a_drive_that_may_not_be_set_to_answer_motion_is_not_judged_by_its_silen
 
 @pytest.mark.parametrize("drive", ["mks-rs485@1,respond=0", "mks-can@1,active=0"])
 def test_an_emulated_drive_that_is_set_not_to_answer_motion_is_not_refuted(drive):
-    target = parse(drive)
-    rig = open_rig(Plan((target,)), target)
-    found = {c.id: engine.run_claim(c, rig).outcome for c in every_claim(target) if c.id.endswith(OF_REPLIES)}
+    found = {v.claim.id: v.outcome for v in judged(opened(drive), OF_REPLIES)}
     assert set(found.values()) == {Outcome.CONFIRMED}, found
 
 
@@ -123,14 +129,8 @@ def test_an_emulated_drive_that_is_set_not_to_answer_motion_is_not_refuted(drive
     "drive", ["mks-rs485@28,group_address=156", "mks-can@28,group_address=156", "mks-rs485@28,group_address=255"]
 )
 def test_the_group_of_a_drive_is_no_foreign_address(drive):
-    target = parse(drive)
-    rig = open_rig(Plan((target,)), target)
-    wanted = [
-        c
-        for c in every_claim(target)
-        if c.id.endswith(("run_speed/other_address", "addressing/other/one_bit", "addressing/other/enable"))
-    ]
-    assert {engine.run_claim(c, rig).outcome for c in wanted} == {Outcome.CONFIRMED}
+    found = judged(opened(drive), ("run_speed/other_address", "addressing/other/one_bit", "addressing/other/enable"))
+    assert {v.outcome for v in found} == {Outcome.CONFIRMED}
 
 
 LIMITED = [
@@ -141,9 +141,7 @@ LIMITED = [
 
 @pytest.mark.parametrize(("drive", "claims", "reason"), LIMITED)
 def test_what_a_setting_of_the_user_forbids_is_not_judged_and_says_what_to_set(drive, claims, reason):
-    target = parse(drive)
-    rig = open_rig(Plan((target,)), target)
-    found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claims)]
+    found = judged(opened(drive), claims)
     assert len(found) == len(claims)
     assert {v.outcome for v in found} == {Outcome.INCONCLUSIVE}, [(v.claim.id, v.outcome, v.reason) for v in found]
     assert all(reason in v.reason for v in found)
@@ -356,11 +354,9 @@ ONCE_ACCUSED = [
 
 @pytest.mark.parametrize(("drive", "seed", "claim"), ONCE_ACCUSED, ids=lambda value: value if isinstance(value, str) else "")
 def test_an_honest_drive_that_was_accused_once_is_not_accused(drive, seed, claim, monkeypatch):
-    target = parse(drive)
-    rig = open_rig(Plan((target,), seed=seed), target)
     once, attempts = engine._once, []
     monkeypatch.setattr(engine, "_once", lambda claim, on: attempts.append(once(claim, on)) or attempts[-1])
-    found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claim)]
+    found = judged(opened(drive, seed), claim)
     assert found
     assert [v.reason for v in found if v.outcome is Outcome.REFUTED] == []
     # Nor is it where the line damaged something, and the claim is begun anew.
@@ -379,10 +375,7 @@ def test_an_honest_drive_that_was_accused_once_is_not_accused(drive, seed, claim
     ],
 )
 def test_a_walk_goes_on_where_the_line_damages_replies(drive):
-    target = parse(drive)
-    rig = open_rig(Plan((target,)), target)
-    found = {engine.run_claim(c, rig).outcome for c in every_claim(target) if c.id.endswith("state/walk/1")}
-    assert found == {Outcome.CONFIRMED}
+    assert {v.outcome for v in judged(opened(drive), "state/walk/1")} == {Outcome.CONFIRMED}
 
 
 @pytest.mark.parametrize("trait", ["line-errors=1%", "request-errors=1%"])
@@ -497,9 +490,7 @@ STORED = [
 @pytest.mark.parametrize(("drive", "claim"), STORED)
 @pytest.mark.parametrize("told", [True, False], ids=["told", "untold"])
 def test_a_drive_that_a_user_has_set_is_judged_as_any_other(drive, claim, told):
-    target = parse(drive)
-    rig = EmulatedRig(target.specification, told=None if told else {})
-    found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claim)]
+    found = judged(EmulatedRig(make.parse(drive), told=None if told else {}), claim)
     assert [(v.outcome, v.reason) for v in found] == [(Outcome.CONFIRMED, "")]
 
 
@@ -520,9 +511,7 @@ def test_a_drive_that_a_user_has_set_is_judged_as_any_other(drive, claim, told):
     ],
 )
 def test_a_claim_that_an_ideal_drive_with_the_same_settings_fails_judges_nothing_and_says_what_to_set(drive, claim, reason):
-    target = parse(drive)
-    rig = EmulatedRig(target.specification, told={})
-    found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claim)]
+    found = judged(EmulatedRig(make.parse(drive), told={}), claim)
     assert [v.outcome for v in found] == [Outcome.INCONCLUSIVE]
     assert reason in found[0].reason
 
@@ -536,9 +525,7 @@ def test_a_claim_that_an_ideal_drive_with_the_same_settings_fails_judges_nothing
 )
 @pytest.mark.parametrize("told", [None, {}], ids=["told", "untold"])
 def test_settings_excuse_no_fault(drive, claim, told):
-    target = parse(drive)
-    rig = EmulatedRig(target.specification, told=told)
-    found = [engine.run_claim(c, rig) for c in every_claim(target) if c.id.endswith(claim)]
+    found = judged(EmulatedRig(make.parse(drive), told=told), claim)
     assert [v.outcome for v in found] == [Outcome.REFUTED], [v.reason for v in found]
 
 
@@ -569,7 +556,7 @@ def test_a_run_that_was_kept_for_power_on_is_stopped_and_forgotten_before_the_fi
     kept = f"saved_run=1,saved_speed=100,saved_acceleration=20,{zero}"
     rig = EmulatedPort(f"mks-rs485@1,work_mode=sr_vfoc,{kept}", tmp_path, settings=KNOWN | {"work_mode": "sr_vfoc"})
     rig.gate.wait(powered_ns)
-    found = [engine.run_claim(c, rig).outcome for c in every_claim(rig._target) if c.id.endswith("restart/ends-motion")]
+    found = [v.outcome for v in judged(rig, "restart/ends-motion")]
     rig.close()
     assert found == [Outcome.CONFIRMED]
     assert "a run kept for power-on, which is forgotten" in capsys.readouterr().err
@@ -583,7 +570,7 @@ def test_a_run_that_no_shaft_shows_is_forgotten_before_the_first_restart(fault, 
     kept = "saved_run=1,saved_speed=100,saved_acceleration=200"
     rig = EmulatedPort(f"mks-rs485@1,{kept}{fault}", tmp_path, settings=KNOWN)
     before = rig.setting("work_mode")
-    found = [engine.run_claim(c, rig).outcome for c in every_claim(rig._target) if c.id.endswith("restart/ends-motion")]
+    found = [v.outcome for v in judged(rig, "restart/ends-motion")]
     rig.close()
     assert found == [outcome]
     assert (rig.setting("saved_run"), rig.setting("work_mode")) == (0, before)
