@@ -117,7 +117,8 @@ def read(probe: Probe, command: Command, values: Mapping[str, int]) -> dict[str,
     if command.verb in _SWITCHES:
         return _switch(probe, command)
     own = _OWN_READS.get(command.name)
-    exchange = probe.ask(own) if own else probe.ask(Verb.READ_PARAMETER, {"parameter": selector(command, values)})
+    asked = {} if own else {"parameter": selector(command, values)}
+    exchange = probe.ask(own or Verb.READ_PARAMETER, asked, quiet_ns=0)
     answer = exchange.reply
     if answer is None or not answer.message.frame.checksum_ok or probe.refused(exchange):
         return None
@@ -134,7 +135,7 @@ def read(probe: Probe, command: Command, values: Mapping[str, int]) -> dict[str,
 def _switch(probe: Probe, command: Command) -> dict[str, int] | None:
     name, reads, told = _SWITCHES[command.verb]
     control = command.request_forms[0].layout.named[name]
-    answer = probe.ask(command, {name: next(v for v, n in control.choice_names.items() if n == reads)}).reply
+    answer = probe.ask(command, {name: next(v for v, n in control.choice_names.items() if n == reads)}, quiet_ns=0).reply
     if answer is None or not answer.message.frame.checksum_ok or told not in answer.values:
         return None
     return {name: int(answer.values[told])}

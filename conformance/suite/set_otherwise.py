@@ -51,7 +51,10 @@ def every(rig: ClaimRig) -> Iterator[Held]:
     if rig.dialect.name not in make.KINDS:
         return
     usual = make.plain_drive(rig.dialect.name, rig.model).settings.held
-    known = {n: v for n, v in rig.held.items() if n in usual and usual[n] != v}
+    fields = names(rig.dialect)
+    # A drive may tell what no drive can be set to: that is judged by claims, and no ideal drive has it.
+    told = {n: v for n, v in rig.held.items() if n not in fields or fields[n].allows(v)}
+    known = {n: v for n, v in told.items() if n in usual and usual[n] != v}
     if known:
         yield Held(tuple(known.items()), known=True)
     for each in _may_hold(rig.dialect, rig.untold, usual):

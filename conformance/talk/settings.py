@@ -36,7 +36,7 @@ def read_back(probe: Probe, command: Command) -> tuple[dict[str, int] | None, Ex
     None instead of fields: the drive says that it cannot be read. No fields: it answered by another layout. Raises
     Inconclusive where there is no readable reply.
     """
-    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": command.code})
+    exchange = probe.ask(Verb.READ_PARAMETER, {"parameter": command.code}, quiet_ns=0)
     answer = probe.reply(exchange)
     if probe.refused(exchange):
         return None, exchange

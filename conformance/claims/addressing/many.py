@@ -366,7 +366,7 @@ def _never_answered(probe: Probe, many: Many, chosen: tuple[Command, ...]) -> No
     motion.ready_to_move(probe)
     to = many.join(probe)
     for read, values in every_read(probe.dialect) if many is not PACKAGES else ():
-        _expect_silence(probe, probe.ask(read, values, address=to, until=Until.TIMEOUT, timeout_ns=_SETTING_NS), many.what)
+        _expect_silence(probe, probe.ask(read, values, address=to, until=Until.TIMEOUT), many.what)
     way = -1 if many is GROUPS else 1
     motion.switch(probe, False)
     _expect_not_moved(probe, many, chosen, to, way, "of a motor that is off")

@@ -529,6 +529,12 @@ def test_settings_excuse_no_fault(drive, claim, told):
     assert [v.outcome for v in found] == [Outcome.REFUTED], [v.reason for v in found]
 
 
+def test_what_no_drive_can_be_set_to_is_given_to_no_ideal_drive():
+    rig = EmulatedRig(make.parse("mks-can@1"))
+    rig._held = {"home_direction": 60, "home_speed": 77}
+    assert [str(held) for held in set_otherwise.every(rig) if held.known] == ["home_speed 77"]
+
+
 @pytest.mark.parametrize("number", range(4))
 def test_a_drawn_drive_has_as_many_stored_settings_as_are_asked_for(number):
     none, usual, all_of_them = (honest.drawn(number, 2, *share).split(",") for share in ((0,), (), (100,)))
