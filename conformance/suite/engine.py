@@ -5,8 +5,8 @@ reason says so. Where the claim was a sequence of steps (a walk), emulated drive
 manual has it, and one with each known fault. Where the steps refute one of them in the same way, they are shortened there,
 which costs no motion. What is left is confirmed on the real drive.
 
-A line may damage what it carries, and what a claim then takes for the drive's doing. So a claim that refutes while something
-came damaged or was not answered is tried again, also on an emulated drive, and so is one that comes to nothing. It counts
+A line may damage what it carries, and what a claim then takes for the drive's doing. So a claim that comes to nothing is tried
+again, and one that refutes while something came damaged or was not answered, also on an emulated drive. It counts
 where it comes again without damage, or each time alike. Once a line has been seen to lose something, each refutation has to
 come alike as often: nothing tells whether a request to all drives came.
 

@@ -409,6 +409,20 @@ REFUTES = {
     "resilience/settings/stopped": "mks-can@1,fault=stored-before-judged",
     "resilience/settings/pulse-mode": "mks-rs485@1,fault=stored-before-judged",
     "resilience/settings/refused": "mks-modbus@1,fault=stored-before-judged",
+    "examples/move_relative_pulses/5": "mks-rs485@1,fault=interim-missing",
+    "examples/stop_relative_pulses/3": "mks-rs485@1,fault=stop-completion-missing",
+    "examples/run_speed/3": "mks-can@1,fault=run-status-2",
+    "examples/run_speed/1": "write-many-quantity-in-bytes",
+    "examples/restart/1": "mks-modbus@1,fault=restart-unanswered",
+    "examples/move_relative_pulses/to_group_2": "mks-rs485@1,fault=ignores-group",
+    "examples/move_relative_pulses/to_all_1": "mks-can@1,fault=answers-broadcast",
+    "examples/long_package/1": "package-ignored",
+    "examples/clear_turns/1": "lk-echo-with-status",
+    "traffic/reply_checks": "mks-rs485@1,fault=checksum-wrong",
+    "traffic/reply_reserved": "mks-can@1,fault=reserved-bits-set",
+    "traffic/reply_choices": "mks-modbus@1,fault=status-outside-list",
+    "traffic/answered": "lk-rs485@1,model=MF,fault=late-reply mks-rs485@1,fault=lost-reply mks-can@1,fault=speed-reply-code-31",
+    "traffic/once": "mks-can@1,fault=doubled-reply",
 }
 
 

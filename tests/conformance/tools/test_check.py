@@ -17,7 +17,7 @@ from conformance.claims.frames import traffic as theme
 from conformance.claims.frames.traffic_rules import ROWS, Party, row_of
 from conformance.drives import make
 from conformance.suite.rig_emulated import EmulatedRig
-from tests.conformance.theme_runs import claims_of, refuted, run
+from tests.conformance.theme_runs import claims_of, run
 
 READS = ("read_position", "read_speed", "read_status", "read_enabled", "read_encoder_carry", "read_io")
 
@@ -43,22 +43,6 @@ def test_who_sent_a_frame_is_to_blame_for_it():
 
 
 # --- in a run of the suite --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("fault", "dialect", "name"),
-    [
-        ("checksum-wrong", "mks-rs485", "reply_checks"),
-        ("reserved-bits-set", "mks-can", "reply_reserved"),
-        ("status-outside-list", "mks-modbus", "reply_choices"),
-        ("late-reply", "lk-rs485", "answered"),
-        ("doubled-reply", "mks-can", "once"),
-        ("lost-reply", "mks-rs485", "answered"),
-        ("speed-reply-code-31", "mks-can", "answered"),
-    ],
-)
-def test_a_fault_is_refuted_by_the_finding_about_it(fault, dialect, name):
-    assert name in refuted(Theme.TRAFFIC, f"{dialect}@1,fault={fault}")
 
 
 def test_a_session_is_shared():
