@@ -65,14 +65,6 @@ class Story:
         self.seen += [(self.now, o.at_ns, o.data, o.can_id) for o in said]
 
 
-def hasty(open_story):
-    story = open_story()
-    story.tell("set_subdivision", subdivision=32)
-    story.tell("set_current", current=500)
-    story.wait(SECOND)
-    yield story
-
-
 def reads(open_story):
     story = open_story()
     for counts in (70_000, -150_000, -5):
@@ -137,57 +129,6 @@ def saved_runs(open_story):
         yield story
 
 
-def runs(open_story):
-    for mode, speed, acceleration, direction in (
-        (5, 700, 250, 1), (4, 4000, 0, 0), (3, 500, 0, 1), (5, 3001, 0, 0), (5, 3000, 255, 0), (5, 4095, 0, 0),
-    ):  # fmt: skip
-        story = open_story(mode=mode)
-        story.tell("run_speed", speed=speed, acceleration=acceleration, direction=direction)
-        story.wait(SECOND, 8)
-        story.tell("stop_speed", acceleration=acceleration)
-        story.wait(SECOND, 8)
-        yield story
-
-
-def stops(open_story):
-    for move, stop, values in (
-        ("move_relative_axis", "stop_relative_axis", {"position": 1_000_000}), ("run_speed", "stop_speed", {}),
-        ("move_relative_axis", "emergency_stop", {"position": 1_000_000}), ("run_speed", "enable", {}),
-        ("move_absolute_axis", "set_zero", {"position": 1_000_000}), ("run_speed", "emergency_stop", {}),
-    ):  # fmt: skip
-        for acceleration in (220, 0):
-            story = open_story()
-            story.tell(move, speed=600, acceleration=255, **values)
-            story.wait(SECOND)
-            story.tell(stop, **({"acceleration": acceleration} if stop.startswith("stop") else {}))
-            story.wait(2 * SECOND, 10)
-            story.wait(5 * SECOND)
-            yield story
-
-
-def subdivisions(open_story):
-    for subdivision in (8, 32, 128, 0):
-        story = open_story()
-        story.tell("set_subdivision", subdivision=subdivision)
-        story.tell("run_speed", speed=400)
-        story.wait(100 * MS, 2)
-        story.tell("emergency_stop")
-        story.tell("move_relative_pulses", speed=400, pulses=400)
-        story.wait(5 * SECOND, 3)
-        yield story
-
-
-def reads_in_motion(open_story):
-    story = open_story(protection=0)
-    story.tell("run_speed", direction=1, speed=700, acceleration=255)
-    story.wait(100 * MS, 3)
-    story.tell("read_pulses")
-    story.drive.block()
-    story.wait(300 * MS)
-    story.tell("read_angle_error")
-    yield story
-
-
 def limits(open_story):
     story = open_story()
     story.drive.place_switch("left", -5000)
@@ -247,10 +188,7 @@ def others(open_story):
     yield story
 
 
-CHAPTERS = (
-    hasty, calibration, reads, updates, saved_runs, runs, exceptions, reads_in_motion, limits, stops, subdivisions, others,
-    settings,
-)  # fmt: skip
+CHAPTERS = (calibration, reads, updates, saved_runs, limits, exceptions, others, settings)
 
 
 def told(chapter, name, faults=(), quirks=()):
