@@ -32,8 +32,8 @@ REFUTES = {
     "motion/set_subdivision/speed-at-128": "speed-ignores-subdivision+",
     "motion/set_subdivision/speed-at-32": "speed-scaled-at-32+",
     "motion/run_speed/highest-sr_open": "mode-limit-ignored",
-    "motion/run_speed/crossed-speed": "speed-2800-at-most+",
-    "motion/move_absolute_pulses/crossed-taken": "speed-3000-refused+",
+    "motion/run_speed/crossed-speed": "speed-2800-at-most",
+    "motion/move_absolute_pulses/crossed-taken": "speed-3000-refused",
     "motion/home/turns": "home-speed-low-byte home-direction-not-stored home-speed-as-sent+",
     "motion/move_absolute_axis/takes-over": (
         "update-ignored+ newer-move-ignored+ newer-target-refused+ mks-can@1,fault=absolute-pulses-as-counts"
@@ -44,7 +44,6 @@ REFUTES = {
     "motion/stop_absolute_axis/by-ramp": "stop-coasts+",
     "motion/stop_speed/at-once": "speed-stop-ignored+",
     "motion/stop_relative_pulses/by-ramp": "move-stop-ignored+",
-    "motion/stop_absolute_pulses/crossed-stops": "open-mode-stops-ignored",
     "motion/move_relative_pulses/widest": "pulses-signed",
     "motion/enable/off-ends-motion": "off-refused-while-turning+",
     "motion/set_zero/while-turning": "zero-ignored-while-turning+",
@@ -76,8 +75,10 @@ REFUTES = {
     "motion/read_encoder_carry/standing": "position-sign-turned carry-cut-to-zero",
     "motion/read_position/wide": "position-half-width",
     "motion/read_position/turn": "position-doubled",
-    "motion/read_encoder_carry/at-the-carry": "carry-too-late",
-    "motion/read_speed/crossed": "speed-sign-turned speed-doubled speed-read-up-to-2000+",
+    "motion/read_encoder_carry/at-the-carry": (
+        "carry-too-late mks-rs485@1,fault=carry-a-count-late mks-can@1,fault=carry-a-count-late"
+    ),
+    "motion/read_speed/crossed": "speed-sign-turned speed-doubled",
     "motion/read_pulses/counts-moves": "pulses-frozen",
     "motion/read_angle_error/held-+0_25": "angle-error-in-counts",
     "motion/read_angle_error/held--1_5": "angle-error-half-width",
@@ -204,7 +205,6 @@ REFUTES = {
     "motion/move_increment/follows-temperature": "lk-motion-temperature-first",
     "motion/write_parameter/speed-limit-run_speed-at-once": "lk-speed-limit-late",
     "motion/read_pulses/wide": "pulses-of-16-bits+",
-    "motion/read_encoder_carry/crossed": "mks-rs485@1,fault=carry-a-count-late mks-can@1,fault=carry-a-count-late",
     "motion/home/status-from-closed": "mks-can@1,fault=homing-as-running",
     "motion/set_respond/0-status-follows": "status-silent-is-stopped",
     "motion/read_io/not-in-position-while-moving": "in-position-always",
@@ -214,7 +214,6 @@ REFUTES = {
     "motion/move_absolute_pulses/at-each-subdivision": "mks-can@1,fault=absolute-pulses-direction-wrong",
     "motion/set_direction/and-move_relative_pulses": "direction-setting-of-runs",
     "motion/set_subdivision/pulses-at-others": "move-of-25-as-20+",
-    "motion/move_absolute_axis/crossed-ends": "fast-move-ends-beyond+",
     "motion/move_absolute_axis/at-each-subdivision": "move-speed-ignores-subdivision+",
     "motion/move_absolute_pulses/mode-limit": "mode-limit-ignored-by-moves",
     "motion/emergency_stop/ends-move_relative_pulses": "emergency-stop-of-runs+",

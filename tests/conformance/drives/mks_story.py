@@ -116,6 +116,18 @@ def updates(open_story):
         yield story
 
 
+def runs(open_story):
+    for mode, speed, acceleration, direction in (
+        (5, 700, 250, 1), (4, 4000, 0, 0), (3, 500, 0, 1), (5, 3001, 0, 0), (5, 3000, 255, 0), (5, 4095, 0, 0),
+    ):  # fmt: skip
+        story = open_story(mode=mode)
+        story.tell("run_speed", speed=speed, acceleration=acceleration, direction=direction)
+        story.wait(SECOND, 8)
+        story.tell("stop_speed", acceleration=acceleration)
+        story.wait(SECOND, 8)
+        yield story
+
+
 def saved_runs(open_story):
     for state in (0xC8, 0xCA):
         story = open_story()
@@ -167,6 +179,9 @@ def others(open_story):
         story.tell("move_relative_axis", speed=600, position=5000)
         yield story
     story = open_story()
+    story.tell("move_relative_axis", speed=1800, position=30_000)
+    story.wait(5 * SECOND)
+    story.tell("read_position")
     widest = story.dialect.by_name["move_relative_pulses"].request_forms[0].layout.named["pulses"].high
     story.tell("move_relative_pulses", speed=60, acceleration=248, pulses=widest)
     story.wait(SECOND, 2)
@@ -188,7 +203,7 @@ def others(open_story):
     yield story
 
 
-CHAPTERS = (calibration, reads, updates, saved_runs, limits, exceptions, others, settings)
+CHAPTERS = (calibration, reads, updates, saved_runs, runs, limits, exceptions, others, settings)
 
 
 def told(chapter, name, faults=(), quirks=()):
