@@ -35,6 +35,8 @@ from conformance.talk.probe import MS, Probe, Until
 SLOW, STEEP = 10, 252
 #: How long a move at 300 rpm is watched that is to go half a turn.
 _WAY_NS = 150 * MS
+#: From the highest speed a stop takes 1.2 s by the law; one that does nothing is not waited for as a long move is.
+_STOPS_NS = 5000 * MS
 #: A speed both bytes of which are filled, and what is left of one of which a drive drops the highest bit.
 _TWO_BYTE_RPM, _LEFT = 257, 60
 
@@ -80,8 +82,8 @@ def _end(probe: Probe, command: Command) -> None:
     stops = probe.dialect.stops_of(command)
     if stops:
         # The end of a stop is told unasked: a request that is sent meanwhile would collide with it.
-        probe.ask(stops[0], {"acceleration": QUICK}, until=Until.DONE)
-    motion.wait_standing(probe)
+        probe.ask(stops[0], {"acceleration": QUICK}, until=Until.DONE, timeout_ns=_STOPS_NS)
+    motion.wait_standing(probe, stopped=bool(stops))
 
 
 def _ready(probe: Probe, mode: str = "") -> None:
