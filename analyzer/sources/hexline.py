@@ -477,10 +477,11 @@ class _Peeler:
                 parts = [part.lower() for part in _PARTS.findall(value)]
                 self.words += [word for word in parts if word in WORDS and word != "read"]
             else:
-                self.name = self.name or value
-                # `[client.write]`, `UART_TX`: what a program calls.
+                # `[client.write]`, `UART_TX`: what a program calls; the line is named before it, if at all.
                 if (word := _NAME_PARTS.split(value)[-1].lower()) in ACTIONS and word != value.lower():
                     self.words.append(word)
+                    value = value[: -len(word) - 1]
+                self.name = self.name or value
         return True
 
     def _speaks(self, found: re.Match[str]) -> bool:

@@ -153,6 +153,7 @@ def test_a_request_and_its_reply(form: str) -> None:
     wanted = [(Role.REQUEST, REQUEST), (Role.REPLY, REPLY)] * (len(found) // 2)
     assert found
     assert [(each.direction, each.data.hex(" ").upper()) for each in found] == wanted
+    assert len({each.port for each in found}) == 1
     assert form in UNTIMED or all(each.t_ns is not None for each in found)
 
 
