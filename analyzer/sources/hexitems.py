@@ -91,17 +91,17 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         ),
         # `read(8) -> b'\\xfb'`: a call with what it returned.
         (When.ANY, "(", rf"\s*(?:[A-Za-z_]\w*\.)*(?P<call>{WORDS_PATTERN}){_RETURNED}"),
-        # Who sends to whom: `PC=>MOT`, `COM>TCP`, `[host <- drive]`.
-        (When.UNMARKED, "", rf"\s*[\[(]?{_ENDS}"),
-        (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{WORDS_PATTERN})(?:_?{CONTENT})?(?:\(\):)?{_END}{DECORATION}"),
-        # `('TX', b'\\xfa')`, as Python prints pairs.
-        (When.ANY, "'", rf"\s*[\[({{]?\s*'(?P<word>{WORDS_PATTERN})'\s*[,:]\s*"),
         # Who sends to whom, as analyzers of USB name the ends.
         (
             When.UNMARKED,
             "host",
             r"\s*(?:(?P<host>host\s+\d+\.\d+\.\d+)|(?P<drive>\d+\.\d+\.\d+\s+host))\s+(?:USB\s+)?(?:\d{1,5}\s+)?",
         ),
+        # Who sends to whom: `PC=>MOT`, `COM>TCP`, `[host <- drive]`.
+        (When.UNMARKED, "", rf"\s*[\[(]?{_ENDS}"),
+        (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{WORDS_PATTERN})(?:_?{CONTENT})?(?:\(\):)?{_END}{DECORATION}"),
+        # `('TX', b'\\xfa')`, as Python prints pairs.
+        (When.ANY, "'", rf"\s*[\[({{]?\s*'(?P<word>{WORDS_PATTERN})'\s*[,:]\s*"),
         (When.UNMARKED, "\t", r"\d{1,9}\t(?=\d+\.\d+\t)"),
         # What the bytes are called, how many they are, a counter as Modbus Poll prints it.
         (When.MARKED, "", rf"(?:hex|{CONTENT}){_END}[\s:=>]*"),
@@ -117,8 +117,11 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
             "",
             rf"\s*(?P<label>hex|data|bytes|frame|packet|buffer|payload|msg|message|raw)\s*\d*\s*(?:[:=]|(?=<Buffer\b))\s*{_BYTES}",
         ),
+        # What Windows was asked for, and how it went; the place of a line that searches of files and loggers print.
+        (When.MARKED, "", r"(?:(?:UP|DOWN|SUCCESS|STATUS_\w+)\s+)+"),
+        (When.ANY, ":", r"\s*[\w./-]{1,60}\.[A-Za-z]\w{0,4}:\d{1,7}[:\s]\s*"),
         # One byte behind a bullet is what a list explains.
-        (When.UNMARKED, "", rf"(?P<bullet>[-•]|\d{{1,3}}[.)])\s+{_BYTES}(?!{PAIR}\s*$)"),
+        (When.UNMARKED, "", rf"(?P<bullet>[-•]|\d{{1,3}}[.)])\s+(?:{_BYTES}(?!{PAIR}\s*$)|(?=(?:{SIGNS_PATTERN})\s))"),
         # `echo -ne '\\xFA' > /dev/ttyUSB0`.
         (When.UNMARKED, "", r"(?:\$\s+)?(?P<shell>echo|printf)\s+(?:-\w+\s+)*(?=['\"])"),
         (When.UNMARKED, "", rf"\s*(?P<letter>out|in)\s+{_BYTES}"),
@@ -139,16 +142,19 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         # A declaration: `uint8_t run[] = {`.
         (
             When.UNMARKED,
-            "=",
-            r"[\w\s*:<>]{0,60}?(?P<variable>[A-Za-z_]\w*+)\s*+(?:\[\w*\]\s*+)?=\s*(?=[\[{(\"'<]|b['\"]|byte|new|0x|Buffer)",
+            "",
+            r"[\w\s*:<>]{0,60}?(?P<variable>\$\d{1,4}|[A-Za-z_]\w*+)\s*+(?:\[\w*\]\s*+)?(?:=|:(?=\s\[(?:16#|0x)))\s*(?=[\[{(\"'<]|b['\"]|byte|new|0x|Buffer)",
         ),
     )
 )
 #: A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark; so does a phrase that ends in a colon.
 DISTANT = re.compile(
-    rf"(?<![\w.])(?<!before )(?:{_ENDS}|(?:{WORDS_PATTERN}){_RETURNED}"
-    rf"|(?:{WORDS_PATTERN})\s*(?:[>\]=|]|:(?!:))|(?<![\w,]\s)(?:{WORDS_PATTERN})\s+"
-    rf"(?={PAIR}[\s,:-]+{PAIR}|<Buffer|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
+    rf"(?<![^\W_])(?<!\.)(?<!before )(?:{_ENDS}|(?:{WORDS_PATTERN}){_RETURNED}"
+    rf"|(?<=:)(?:{SIGNS_PATTERN})\s+(?={PAIR}[\s,:-]+{PAIR})|(?<=\s)(?:->|<-)\s+(?=\d{{1,3}}-\d{{1,3}}-)"
+    # `bus.py:41 write(b'...')`, `msg=tx data="FA 01"`, `modbus_tx_adu: FA 01`; a number behind a name is that of a line.
+    rf"|(?:{WORDS_PATTERN})\w{{0,12}}\((?=b['\"]|[\[{{'\"])|(?:{WORDS_PATTERN})\s+(?:hex|{CONTENT})=[\"']?(?={PAIR})"
+    rf"|(?:{WORDS_PATTERN})(?:_{CONTENT}(?!>))?\s*(?:[>\]=|]|:(?!:|\d{{1,5}}\s-\s))|(?<![\w,]\s)(?:{WORDS_PATTERN})\s+"
+    rf"(?={PAIR}[\s,:-]+{PAIR}|(?:[0-9a-f]{{2}}){{3,}}(?:\s|$)|<Buffer|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
     re.IGNORECASE,
 )
 PHRASE = re.compile(rf"(?<![\w.])(?P<word>{WORDS_PATTERN}){_END}[^:]{{1,60}}:\s+{_BYTES}", re.IGNORECASE)

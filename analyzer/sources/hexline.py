@@ -109,10 +109,11 @@ _ARROW = re.compile(r"-+>")
 _TRAILING = re.compile(r"(?:(?<!\b16)#|//|;|\(|\||!|--(?=\s)|(?<![-=])[-=]++>|<[-=]+|[→←]|>\s*\d+ bytes?\b).*", re.DOTALL)
 #: Words behind bytes: `old_data:`, `, 4) = 4`, `OK`.
 _WORDY = re.compile(
-    r"(?<=[\s\"'\])},])(?:[A-Za-z_]{2}\w*+(?: data)?\s*[:=]|,\s*\d+\s*(?:,\s*\w+\s*)?\)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*",
+    r"(?<=[\s\"'\])},])"
+    r"(?:[A-Za-z_]{2}\w*+(?: data)?\s*[:=]|,\s*\d+\s*(?:,\s*\w+\s*)?\)|[A-Za-z]{3}(?:\s|$)|[G-Zg-z_][A-Za-z_]{2,}+(?:\s|$)).*",
     re.DOTALL,
 )
-_STRING = re.compile(r"b?('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\")")
+_STRING = re.compile(r"`[^`]*`|b?('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\")")
 _EACH = re.compile(r"([\[<])\s*(?:0x)?[0-9A-Fa-f]{1,2}\s*[\]>]\s*[\[<]")
 _SPLIT = re.compile(r"[\s,;:|]+")
 _HEXLIKE = re.compile(r"(?:0[xX]|\\[xX]|\$)?[0-9A-Fa-f]{1,2}[hH]?")
@@ -136,7 +137,9 @@ _NUMBER = re.compile(r"\d+\s*")
 _FRAME = re.compile(rf"(?:{PAIR}[\s,:-]*){{3,}}")
 _AROUND_NOTE = " \t,;|"
 #: The place of the first byte, as rows of dumps have it.
-_PLACE = re.compile(r"(?:0{4}|[0-9A-F]{8}|[0-9A-F]{3}0)(?::\s*|\s{2,})(?=[0-9A-F]{2}(?:\s|$))", re.IGNORECASE)
+_PLACE = re.compile(
+    r"(?:0x[0-9A-F]{8}(?=\s\s)|0{4}|[0-9A-F]{8}|[0-9A-F]{3}0)(?::\s*|\s{2,})(?=[0-9A-F]{2}(?:\s|$))", re.IGNORECASE
+)
 #: How many bytes there are, in a cell before theirs.
 _COUNT_CELL = re.compile(
     r"(\d{1,5})\s*[;,|\t]\s*(?=(?:(?:0x|16#)?[0-9A-F]{2}(?: |-|:|\s*$)){2}|(?:[0-9A-F]{2}){3,}\s*(?:$|[;,|\t]))", re.IGNORECASE
@@ -328,7 +331,12 @@ class _Peeler:
         if any(word in ACTIONS for word in words):
             words = [word for word in words if word not in self.tags]
         role = role_of(words, self.sign)
-        commented = text.startswith(_COMMENT_SIGNS) and not (self.words and not rest) and not _ARROW.match(text)
+        commented = (
+            text.startswith(_COMMENT_SIGNS)
+            and not (self.words and text.startswith("* "))
+            and not (self.words and not rest)
+            and not _ARROW.match(text)
+        )
         taken = {"stamp": self.stamp, "role": role, "name": self.name, "sign": self.sign, "worded": bool(self.words)}
         if found is not None and found.data and not commented:
             return HexLine(
@@ -469,10 +477,11 @@ class _Peeler:
                 parts = [part.lower() for part in _PARTS.findall(value)]
                 self.words += [word for word in parts if word in WORDS and word != "read"]
             else:
-                self.name = self.name or value
-                # `[client.write]`, `UART_TX`: what a program calls.
+                # `[client.write]`, `UART_TX`: what a program calls; the line is named before it, if at all.
                 if (word := _NAME_PARTS.split(value)[-1].lower()) in ACTIONS and word != value.lower():
                     self.words.append(word)
+                    value = value[: -len(word) - 1]
+                self.name = self.name or value
         return True
 
     def _speaks(self, found: re.Match[str]) -> bool:

@@ -77,8 +77,12 @@ def _is_deaf(traffic: Sequence[HexLine], roles: Sequence[Role]) -> bool:
 
 def _is_turned(traffic: Sequence[HexLine]) -> bool:
     """Say whether a server writes: all requests that can be told are marked as received, and all replies as sent."""
-    asked = {p.role for p in traffic if _asks(p.data)}
-    return asked == {Role.REPLY} and {p.role for p in traffic if _replies(p.data)} == {Role.REQUEST}
+    asked = [p.role for p in traffic if _asks(p.data)]
+    replied = {p.role for p in traffic if _replies(p.data)}
+    # An echo comes after what was sent, alone or with the reply.
+    first = next((p.data for p in traffic if _asks(p.data)), b"")
+    echoed = not replied and any(p.role is Role.REQUEST and p.data.startswith(first) for p in traffic)
+    return asked[:1] == [Role.REPLY] and (echoed or (replied == {Role.REQUEST}))
 
 
 def _below(parts: Sequence[HexLine]) -> Iterator[HexLine]:
@@ -152,6 +156,16 @@ def _spelled(data: bytes) -> bytes:
     return bytes.fromhex(data.decode()) if len(data) >= _SPELLED and _HEX_DIGITS.fullmatch(data) is not None else b""
 
 
+def _is_spelled(traffic: Sequence[HexLine]) -> bool:
+    """Say whether what was received are hex digits, and no echo: a program prints bytes so, for no drive sends letters."""
+    sent = {p.data for p in traffic if p.role is Role.REQUEST}
+    return any(p.role is Role.REPLY and p.data not in sent and _spelled(p.data) for p in traffic)
+
+
+#: A list of hexadecimal numbers without zeros before them, and what shows that they are hexadecimal.
+_SHORT_LIST = re.compile(r"\[\s*[0-9A-Fa-f]{1,2}(?:,\s*[0-9A-Fa-f]{1,2}){3,}\s*\]")
+_HEX_LIST = re.compile(r"[\[,]\s*(?:[A-Fa-f][0-9A-Fa-f]|[0-9][A-Fa-f])\s*[,\]]")
+_DIGIT_ALONE = re.compile(r"\b[0-9A-Fa-f]\b")
 #: Letters of the shortest frame.
 _SPELLED, _HEX_DIGITS = 8, re.compile(rb"(?:[0-9A-Fa-f]{2})+")
 
@@ -223,6 +237,8 @@ class Manner(NamedTuple):
     led: bool = False
     #: Strings of hex digits are bytes, as Python's hexlify returns them: the replies are frames.
     spelled: bool = False
+    #: A list without 0x has numbers that are certainly hexadecimal: so are those of all others.
+    padded: bool = False
     #: Only what was sent has a mark: what stands without one was received.
     replies_bare: bool = False
     #: There is no line of a log: sentences are read.
@@ -260,7 +276,8 @@ class Manner(NamedTuple):
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
             brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
             led=(len(traffic) > 1 and all(p.led for p in traffic[:2])) or _counts_up(lines, traffic) or _counts_bytes(traffic),
-            spelled=any(p.role is Role.REPLY and _replies(_spelled(p.data)) for p in traffic),
+            spelled=_is_spelled(traffic),
+            padded=any(_SHORT_LIST.search(line) and _HEX_LIST.search(line) for line in lines),
             replies_bare=_leaves_replies(traffic),
             deaf=_is_deaf(traffic, roles),
             turned=_is_turned(traffic),
@@ -276,6 +293,8 @@ class Manner(NamedTuple):
 
     def take(self, text: str) -> HexLine:
         """Take a line apart as this text is written."""
+        if self.padded and (listed := _SHORT_LIST.search(text)) is not None:
+            text = text[: listed.start()] + _DIGIT_ALONE.sub(r"0\g<0>", listed[0]) + text[listed.end() :]
         line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal, self.led)
         if self.lone and _is_digit(line):
             found = _DIGIT.fullmatch(line.text)

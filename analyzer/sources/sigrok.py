@@ -16,6 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from analyzer.catalogue import Role
 from analyzer.records import Chunk
 from analyzer.sources.lines import Lines, fitting, head_lines
 from analyzer.sources.marks import ReceivedMarks, role_of_name
@@ -89,7 +90,10 @@ def _records(source: Source) -> Iterator[Chunk]:
             if source.baud and samples > 0:
                 t_ns = int(stop) * (_DATA_BITS * SECOND_NS // source.baud) // samples
         role = role_of_name(kind or decoder)
-        port = None if decoder.lower().rstrip("-1").startswith("uart") and decoder[-1:] not in "23456789" else decoder
+        named = kind is None and role is not Role.UNKNOWN
+        port = (
+            None if named or (decoder.lower().rstrip("-1").startswith("uart") and decoder[-1:] not in "23456789") else decoder
+        )
         yield Chunk(t_ns, source.port(port), data, heard(role), len(data) > 1)
 
 

@@ -41,9 +41,9 @@ class Written(NamedTuple):
 _LITERAL_LIMIT = 1 << 16
 #: Calls and declarations that stand around bytes in programs and their output.
 _CALL = re.compile(
-    r"(?:<Buffer\s|(?:bytes|bytearray|list|Buffer\.from|bytes\.fromhex|bytearray\.fromhex)\(|new\s+byte\[\d*\]\s*)"
+    r"(?:<Buffer\s|(?:bytes|bytearray|list|Buffer\.from|bytes\.fromhex|bytearray\.fromhex)\(|new\s+byte\[\d*\]\s*|(?:\[\]byte|Uint8Array\(\d*\)\s*)(?=[\[{]))"
 )
-_WRAPPERS = {"[": "]", "{": "}", "(": ")", '"': '"', "'": "'", "<": ">"}
+_WRAPPERS = {"`": "`", "[": "]", "{": "}", "(": ")", '"': '"', "'": "'", "<": ">"}
 _TOKEN = re.compile(r"[0-9A-Fa-f]{1,2}")
 _TWO_DIGITS = re.compile(r"[0-9A-Fa-f]{2}")
 _HEX_LETTER = re.compile(r"[A-Fa-f]")
@@ -67,7 +67,7 @@ def plain(line: str) -> str:
         line = _BULLET.sub("", line)
     if "**" in line:
         line = _EMPHASIS.sub("", line)
-    if "</" in line:
+    if "</" in line or "[/" in line:
         line = _TAG.sub("", line)
     if '"Buffer"' in line:
         line = _JSON_BUFFER.sub(_as_buffer, line)
@@ -150,6 +150,18 @@ def _escaped(text: str) -> Written | None:
     return _literal(text) if _ESCAPE.search(text) is not None else None
 
 
+def _parted(text: str) -> Written | None:
+    """Return the bytes of a string as Qt prints it: a digit that goes with no escape stands behind two quotes."""
+    parts = [
+        _escaped(f'"{_SHORT_ESCAPE.sub(_PADDED, part)}"') or Written(part.encode("latin-1", "replace"))
+        for part in text[1:-1].split('""')
+    ]
+    return Written(b"".join(part.data for part in parts)) if _ESCAPE.search(text) is not None else None
+
+
+_SHORT_ESCAPE, _PADDED = re.compile(r"\\x(?=[0-9A-Fa-f](?![0-9A-Fa-f]))"), r"\\x0"
+
+
 def decimal(text: str) -> bytes | None:
     """Return the bytes of a text of decimal numbers, None if it is none, or has numbers that are no bytes."""
     text = _unwrapped(text.strip())
@@ -179,7 +191,7 @@ _NUMBERED = re.compile(
 )
 #: What bytes begin with, however they are written: most words do not.
 _BEGIN = re.compile(
-    r"[\[{(<\"'\\$&-]|(?:B#)?16#|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|(?:[0-9A-Fa-f]{2}\.){3}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer"
+    r"[\[{(<\"'`\\$&-]|(?:B#)?16#|[0-9A-Fa-f]{1,2}(?![0-9A-Za-z_.])|0[xX]|\d{3}|[0-9A-Fa-f]{4}|(?:[0-9A-Fa-f]{2}\.){3}|[0-9A-Fa-f]{2}[hH]|b['\"]|byte|list|new|Buffer|Uint8Array"
 )
 #: A line of a log that a post shows as a piece of code of its own.
 _INLINE = re.compile(r"\s*`([^`]+)`\s*")
@@ -187,7 +199,10 @@ _INLINE = re.compile(r"\s*`([^`]+)`\s*")
 _BULLET = re.compile(r"^\s*-(?=0x[0-9A-Fa-f]{1,2}\b)")
 #: What makes letters bold in a post.
 _EMPHASIS = re.compile(r"(?<=[\s\dA-Fa-f_])\*\*_?|_?\*\*(?=[\s\dA-Fa-f_])")
-_TAG = re.compile(r"</?(?:b|i|u|em|p|br|li|td|tr|pre|code|span|strong)(?: [^<>]*)?/?>", re.IGNORECASE)
+_TAG = re.compile(
+    r"</?(?:b|i|u|em|p|br|li|td|tr|pre|code|span|strong)(?: [^<>]*)?/?>|\[/?(?:b|i|u|code|color|size)(?:=[^\]]*)?\]",
+    re.IGNORECASE,
+)
 _CAST = re.compile(r"\((?:byte|char|u?int8_t|unsigned char)\)\s?(?=0[xX])")
 _GAP = r"(?:\s*[,;|_-]\s*|\s+|:)"
 #: Ways to write bytes, the first that fits wins. Plain pairs of digits are read before these.
@@ -197,12 +212,14 @@ _WAYS: tuple[tuple[re.Pattern[str], Callable[[str], Written | None]], ...] = tup
         (r"b'.*'|b\".*\"", _literal),
         (r"'(?:[^'\\]|\\.)*+'", _escaped),
         (r'"(?:[^"\\]|\\.)*+"', _escaped),
+        (r'"(?:[^"\\]|\\.|"")*+"', _parted),
         (r"(?:(['\"])(?:0[xX])?[0-9A-Fa-f]{1,2}\1[\s,;]*){2,}", lambda text: read(text.translate(_QUOTES))),
         (r"(?:[\[<{(]\s*(?:(?:0[xX])?[0-9A-Fa-f]{1,2}|\d{3})\s*[\]>})]\s*){2,}", _each),
         (rf"[0-9A-Fa-f]{{1,2}}(?:{_GAP}[0-9A-Fa-f]{{1,2}})*[\s,;:|_-]*", _bare),
         (r"(?:(?:0[xX]|\\[xX]|\$|(?:B#)?16#|&[hH])[0-9A-Fa-f]{1,2}[\s,;:|-]*)+", _marked),
         (r"(?=.*0[xX])(?:0[xX][0-9A-Fa-f]{1,2}|\d{1,3})(?:\s*,\s*(?:0[xX][0-9A-Fa-f]{1,2}|\d{1,3}))+\s*,?\s*", _mixed),
         (r"(?:[0-9A-Fa-f]{2}[hH][\s,;]*)+", _marked),
+        (r"(?:\\[0-9A-Fa-f]{2}){3,}", lambda text: Written(bytes.fromhex(text.replace("\\", "")))),
         (
             r"(?:[0-9A-Fa-f]{2}\.){5}(?:\.?[0-9A-Fa-f]{2})+|(?=.*[A-Fa-f])[0-9A-Fa-f]{2}(?:\.[0-9A-Fa-f]{2}){3,}",
             lambda text: Written(bytes.fromhex(text.replace(".", ""))),

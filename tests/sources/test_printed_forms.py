@@ -55,8 +55,34 @@ UNTIMED = {
         'read(3, "\\373\\1:\\0017", 64) = 5\n | 00000  fb 01 3a 01 37                 ..:.7            |'
     ),
 }  # fmt: skip
+#: What is read line by line, and not as sentences.
+UNTIMED |= {
+    "Go": "TX []byte{0xfa, 0x1, 0x3a, 0x35}\nRX []byte{0xfb, 0x1, 0x3a, 0x1, 0x37}",
+    "Node list": "TX Uint8Array(4) [ 250, 1, 58, 53 ]\nRX Uint8Array(5) [ 251, 1, 58, 1, 55 ]",
+    "Rust without zeros": "tx: [fa, 1, 3a, 35]\nrx: [fb, 1, 3a, 1, 37]",
+    "LabVIEW": "write \\FA\\01\\3A\\35\nread \\FB\\01\\3A\\01\\37",
+    "Qt string": 'write "\\xFA\\x1:5"\nread "\\xFB\\x1:\\x1""7"',
+    "words behind": "REQUEST  FA 01 3A 35  CRC OK\nRESPONSE  FB 01 3A 01 37  CRC OK",
+    "PLC array": "abTx : [16#FA, 16#01, 16#3A, 16#35]\nabRx : [16#FB, 16#01, 16#3A, 16#01, 16#37]",
+    "bullets": "* Sent: `FA 01 3A 35`\n* Received: `FB 01 3A 01 37`",
+    "BB code": "[code]\nTX: [b]FA 01 3A 35[/b]\nRX: [b]FB 01 3A 01 37[/b]\n[/code]",
+    "numbered": "1. -> FA 01 3A 35\n2. <- FB 01 3A 01 37",
+    "sign behind a logger": "DEBUG:umodbus:--> fa 01 3a 35\nDEBUG:umodbus:<-- fb 01 3a 01 37",
+}
 #: What tells the time, too.
 TIMED = {
+    "call behind a logger": (
+        "2026-11-20 14:01:05,250 [DEBUG] bus.py:41 write(b'\\xfa\\x01:5')\n"
+        "2026-11-20 14:01:05,254 [DEBUG] bus.py:52 read(b'\\xfb\\x01:\\x017')"
+    ),
+    "loguru": (
+        "2026-11-20 14:01:05.250 | DEBUG    | drive.bus:send:42 - TX: FA 01 3A 35\n"
+        "2026-11-20 14:01:05.254 | DEBUG    | drive.bus:recv:57 - RX: FB 01 3A 01 37"
+    ),
+    "ESP-IDF dump": "I (65250) TX: 0x3ffb04a0   fa 01 3a 35      |..:5|\nI (65254) RX: 0x3ffb04b0   fb 01 3a 01 37   |..:.7|",
+    "label": "[14:01:05.250] <dbg> bus: modbus_tx_adu: fa 01 3a 35\n[14:01:05.254] <dbg> bus: modbus_rx_adu: fb 01 3a 01 37",
+    "Tasmota": "14:01:05.250 DMP: TX FA013A35\n14:01:05.254 DMP: RX FB013A0137",
+    "grep": "app.log:11:14:01:05.250 TX FA 01 3A 35\napp.log:12:14:01:05.254 RX FB 01 3A 01 37",
     "YAT": "(14:01:05.250) (<<) FAh 01h 3Ah 35h (4)\n(14:01:05.254) (>>) FBh 01h 3Ah 01h 37h (5)",
     "the name of the program": (
         "2026-11-20 14:01:05,250 - servo - DEBUG - TX fa 01 3a 35\n"
@@ -127,6 +153,7 @@ def test_a_request_and_its_reply(form: str) -> None:
     wanted = [(Role.REQUEST, REQUEST), (Role.REPLY, REPLY)] * (len(found) // 2)
     assert found
     assert [(each.direction, each.data.hex(" ").upper()) for each in found] == wanted
+    assert len({each.port for each in found}) == 1
     assert form in UNTIMED or all(each.t_ns is not None for each in found)
 
 
