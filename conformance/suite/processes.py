@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import signal
 import traceback
@@ -30,7 +31,7 @@ def spread(work: Sequence[W], call: Callable[[W], R], jobs: int, begin: Callable
     try:
         for piece in (next(pieces) for _ in range(min(jobs, len(work)))):
             ours, theirs = context.Pipe()
-            processes.append(context.Process(target=_work, args=(theirs, call, begin, about), daemon=True))
+            processes.append(context.Process(target=_work, args=(ours, theirs, call, begin, about), daemon=True))
             processes[-1].start()
             # The process alone holds its end: when it dies, even in the middle of a result, reading ends.
             theirs.close()
@@ -60,22 +61,25 @@ def spread(work: Sequence[W], call: Callable[[W], R], jobs: int, begin: Callable
             process.join()
 
 
-def _work(given: Connection, call: Callable[[Any], Any], begin: Callable[..., None], about: tuple[Any, ...]) -> None:
+def _work(
+    ours: Connection, given: Connection, call: Callable[[Any], Any], begin: Callable[..., None], about: tuple[Any, ...]
+) -> None:
     """Do pieces of work until the process is ended. Signals are left to the process that began this one."""
+    # Reading ends with the process that began this one only if no copy of its end is left.
+    ours.close()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
     begin(*about)
-    while True:
-        try:
+    # The process that began this one may die.
+    with contextlib.suppress(EOFError, ConnectionResetError, BrokenPipeError):
+        while True:
             number, piece = given.recv()
-        except EOFError:  # the process that began this one has died
-            return
-        result = failure = None
-        try:
-            result = call(piece)
-        except Exception as error:
-            error.add_note(traceback.format_exc())
-            failure = error
-        given.send((number, result, failure))
+            result = failure = None
+            try:
+                result = call(piece)
+            except Exception as error:
+                error.add_note(traceback.format_exc())
+                failure = error
+            given.send((number, result, failure))
