@@ -157,7 +157,14 @@ def _emulate(specifications: Sequence[Specification], arguments: argparse.Namesp
     # The signals are taken over before anything is opened, so that all of it is closed again.
     stop = Stop()
     stack.callback(stop.close)
-    stack.enter_context(handled(lambda number, frame: stop.ask("a signal")))
+
+    def ask_to_end(number: int, frame: object) -> None:
+        if stop.asked:
+            # The driver of a bus may hang, and then nobody looks.
+            raise KeyboardInterrupt
+        stop.ask("a signal")
+
+    stack.enter_context(handled(ask_to_end))
     place = _open(bus, arguments)
     stack.callback(place.port.close)
     clock = Clock()

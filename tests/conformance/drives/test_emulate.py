@@ -310,3 +310,15 @@ def test_the_command_is_listed_without_importing_it() -> None:
     emulate.add_arguments(parser)
     assert "DRIVE" in parser.format_help()
     assert os.linesep not in HELP["emulate"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_signal_ends_what_hangs_in_a_driver(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def hang(bus: object, arguments: argparse.Namespace) -> None:
+        signal.raise_signal(number)
+        signal.raise_signal(number)
+        pytest.fail("nobody can end it")
+
+    monkeypatch.setattr(emulate, "_open", hang)
+    with pytest.raises(KeyboardInterrupt):
+        run("mks-can@1", "--can", "virtual:x")
