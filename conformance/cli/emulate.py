@@ -169,16 +169,16 @@ def _emulate(specifications: Sequence[Specification], arguments: argparse.Namesp
     stack.callback(place.port.close)
     clock = Clock()
     ticks: list[Callable[[int], None]] = []
-    if arguments.log:
-        log = BusLog.of(bus, arguments.log, _dialects(specifications), anchor_ns=clock.anchor_ns, force=arguments.force)
-        about = {"source": "emulated drives: " + " ".join(arguments.drives), "seed": str(arguments.seed)}
-        stack.callback(log.finish, about)
-        ticks.append(log.tick)
     if arguments.state:
         state = StateFile(arguments.state, drives)
         state.save()
         stack.callback(state.save)
         ticks.append(lambda now_ns: state.save())
+    if arguments.log:
+        log = BusLog.of(bus, arguments.log, _dialects(specifications), anchor_ns=clock.anchor_ns, force=arguments.force)
+        about = {"source": "emulated drives: " + " ".join(arguments.drives), "seed": str(arguments.seed)}
+        stack.callback(log.finish, about)
+        ticks.append(log.tick)
 
     def tick(now_ns: int) -> None:
         for each in ticks:

@@ -6,6 +6,8 @@ import argparse
 import json
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -167,6 +169,38 @@ def test_a_log_does_not_replace_the_state(capsys: pytest.CaptureFixture[str], tm
     kept = (tmp_path / "s").read_bytes()
     assert "--state and --log name the same file" in refused(capsys, *words, "--log", str(tmp_path / "s"), "--force")
     assert (tmp_path / "s").read_bytes() == kept
+
+
+def test_a_state_that_cannot_be_written_replaces_no_log(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, data: bytes) -> None:
+        raise UsageError(f"cannot write {path}: No space left on device")
+
+    log = tmp_path / "a.mcap"
+    log.write_text("of yesterday")
+    monkeypatch.setattr("conformance.serve.state.write_whole", refuse)
+    words = ("mks-rs485@1", "--pty", "--log", str(log), "--force", "--state", str(tmp_path / "s"))
+    assert "cannot write" in refused(capsys, *words)
+    assert log.read_text() == "of yesterday"
+
+
+@pytest.mark.parametrize("limit", [0, 4])
+def test_a_log_that_cannot_be_begun_replaces_none(limit: int, tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    log.write_text("of yesterday")
+    begun = (
+        f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit})); import sys; sys.argv[0] = 'servotap'"
+    )
+    words = ["emulate", "mks-rs485@1", "--pty", "--duration", "0.05", "--log", str(log), "--force"]
+    program = [sys.executable, "-c", f"{begun}; from analyzer.__main__ import main; sys.exit(main())", *words]
+    ended = subprocess.run(program, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (
+        2,
+        f"servotap emulate: cannot write {log}: File too large; the incomplete file was removed\n",
+    )
+    assert log.read_text() == "of yesterday"
+    assert list(tmp_path.iterdir()) == [log]
 
 
 def test_it_ends_by_itself_and_echoes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
