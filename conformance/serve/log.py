@@ -16,6 +16,7 @@ from analyzer.catalogue import Dialect
 from analyzer.cli.output import write_whole
 from analyzer.errors import UsageError
 from analyzer.framer import SILENCE_NS
+from analyzer.live.clock import checked_utc
 from analyzer.pipeline import Pipeline
 from analyzer.port import Options
 from analyzer.sinks.mcap_log import McapLog
@@ -48,6 +49,7 @@ class BusLog:
         self.path = Path(path)
         if self.path.exists() and not force:
             raise UsageError(f"{path} exists; --force replaces it")
+        checked_utc(anchor_ns)
         # One that cannot be begun replaces none.
         write_whole(self.path, magic.MCAP, replace=force)
         try:

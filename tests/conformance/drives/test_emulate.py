@@ -203,6 +203,15 @@ def test_a_log_that_cannot_be_begun_replaces_none(limit: int, tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == [log]
 
 
+def test_a_clock_that_no_log_can_hold_is_told(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.time_ns", lambda: -1)
+    words = ("mks-rs485@1", "--pty", "--duration", "0.05", "--log", str(tmp_path / "a.mcap"))
+    assert "set it to a time before 2262" in refused(capsys, *words)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_it_ends_by_itself_and_echoes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     log = tmp_path / "a.mcap"
     assert run("mks-rs485@1", "--echo", "--pty", "--duration", "0.05", "--log", str(log)) == 0
