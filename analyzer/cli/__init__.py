@@ -155,13 +155,21 @@ def _main(words: list[str]) -> int:
         hint = f"; did you mean {near[0]}?" if near else ""
         print(f"servotap: no command {name!r}{hint} (see servotap --help)", file=sys.stderr)
         return 2
-    load = partial(import_module, entry[0])
+    load = partial(_loaded, entry[0])
     module = load() if entry[0].startswith(_OWN) else attempt(f"the command {name} ({entry[0]})", load)
     # Its start had it off. The first search would go through all that was loaded, which stays.
     if own_process.is_own:
         gc.freeze()
     gc.enable()
     return 2 if module is None else _run(name, module, rest)
+
+
+def _loaded(name: str) -> ModuleType:
+    """Return the module of a command. Raises AttributeError for one that is none."""
+    module = import_module(name)
+    for part in ("add_arguments", "run"):
+        getattr(module, part)
+    return module
 
 
 def _joined(words: Sequence[str]) -> list[str]:

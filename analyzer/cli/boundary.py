@@ -257,6 +257,8 @@ _PANIC = "PanicException"
 #: How Python tells that the system gives no more threads, and that a number is too long to be read: its cost grows with the
 #: square of its digits. How the loader of libraries tells that there is no memory for one.
 _NO_THREAD, _TOO_MANY_DIGITS, _NO_ROOM = "can't start new thread", "Exceeds the limit (", "failed to map segment"
+#: How Python tells of a clock that it cannot read, and that no folder takes a temporary file.
+_NO_TIME, _NO_SCRATCH = "timestamp too large to convert to C _PyTime_t", "No usable temporary directory found"
 
 
 def refused(error: BaseException) -> str:
@@ -270,12 +272,16 @@ def refused(error: BaseException) -> str:
         return f"the system has no more for this process: {error}"
     if isinstance(error, ValueError) and str(error).startswith(_TOO_MANY_DIGITS):
         return f"a number has more than {sys.get_int_max_str_digits()} digits"
+    if isinstance(error, OverflowError) and str(error) == _NO_TIME:
+        return "this computer's clock is behind 2262: set it"
     if not isinstance(error, OSError):
         # pathlib tells a loop of links so, before Python 3.13.
         return str(error) if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop") else ""
     if error.errno in _SHORT:
         return f"the system has no more for this process: {error.strerror}"
     if error.errno == errno.ENOENT and error.filename is None:
+        if str(error.strerror).startswith(_NO_SCRATCH):
+            return "no folder takes temporary files; TMPDIR names one"
         return "the current folder has been removed: change into one that exists"
     if error.filename is not None:
         name = os.fsdecode(error.filename) if isinstance(error.filename, (bytes, str, os.PathLike)) else str(error.filename)

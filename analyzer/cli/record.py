@@ -348,7 +348,7 @@ def configure(
     `named`: what the profile says of them; it counts where the options say nothing.
     """
     from analyzer.devices import described, read
-    from analyzer.live.clock import now
+    from analyzer.live.clock import checked_utc, now
     from analyzer.live.config import RecordingConfig
 
     devices = read(arguments.dbc, arguments.modbus_map)
@@ -362,8 +362,7 @@ def configure(
     groups = dict.fromkeys((*arguments.group, *(group for each in named for group in each.bus.groups)))
     rotate_bytes, rotate_ns = _rotation(arguments)
     anchor = now()
-    if not 0 <= anchor.wall_ns < 1 << 63:
-        raise UsageError(f"this computer's clock is {anchor.wall_ns // 10**9} s from 1970: set it to a time before 2262")
+    checked_utc(anchor.wall_ns)
     return RecordingConfig(
         log=str(target.absolute()),
         ports=tuple(_port(number, e, dialects[e.name], ids) for number, e in enumerate(endpoints, 1)),

@@ -195,7 +195,8 @@ def take(works: list[Work], to: Destination, options: argparse.Namespace) -> Tak
 def reason_of(error: Exception, name: str) -> str:
     """Return why a capture cannot be read, without the name of its file: that stands beside it."""
     file = posixpath.basename(name)
-    return printable(str(error).removeprefix(f"{file}:").removeprefix(f"{file} ").lstrip())
+    said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return printable(said.removeprefix(f"{file}:").removeprefix(f"{file} ").lstrip())
 
 
 def _take_one(work: Work, shared: Files, seen: set[str], options: argparse.Namespace) -> tuple[dict[str, Any], list[Added]]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import time
 from typing import NamedTuple
 
+from analyzer.errors import UsageError
 from analyzer.values import counted
 
 #: A wall clock that has moved by more than this within one look, against the monotonic one, was set.
@@ -59,6 +60,13 @@ def now() -> Now:
 def _boot_ns() -> int | None:
     number = getattr(time, "CLOCK_BOOTTIME", None)
     return None if number is None else time.clock_gettime_ns(number)
+
+
+def checked_utc(wall_ns: int) -> int:
+    """Return a time of the wall clock. Raises UsageError for one that no log can hold, before 1970 or behind 2262."""
+    if not 0 <= wall_ns < 1 << 63:
+        raise UsageError(f"this computer's clock is {wall_ns // 10**9} s from 1970: set it to a time before 2262")
+    return wall_ns
 
 
 class WallClock:

@@ -10,6 +10,7 @@ Lines that python-can itself passes over (of an unknown letter) are not seen her
 from __future__ import annotations
 
 import contextlib
+import operator
 import os
 import socket
 import time
@@ -20,6 +21,7 @@ from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.reader_can_library import flags_of
 from analyzer.live.reader_can_socket import dissect_kernel, with_room
+from analyzer.plugins import is_failure
 from analyzer.records import CanFrame
 from analyzer.system.own_process import without
 from analyzer.values import quote
@@ -51,6 +53,19 @@ def socket_of(bus: can.BusABC) -> socket.socket:
         raise
 
 
+def _dissected(message: can.Message) -> tuple[int, int, bytes, str]:
+    """Return identifier, flags and data of a message, and why it is no frame, or nothing. Raises what no message raises."""
+    data, flags = bytes(message.data or b""), flags_of(message)
+    can_id = operator.index(message.arbitration_id)
+    why = ""
+    if not 0 <= can_id < 1 << 32:
+        why = f"a frame has the identifier {can_id}"
+    # CAN FD has lengths that python-can rounds; a remote frame has a length and no data.
+    elif not message.is_remote_frame and not message.is_fd and len(data) != message.dlc:
+        why = f"a frame of length {message.dlc} has {len(data)} bytes"
+    return can_id, flags, data, why
+
+
 class LibraryPort(CanPort):
     """A bus of python-can. Raises UsageError where it cannot be opened."""
 
@@ -61,8 +76,10 @@ class LibraryPort(CanPort):
             raise UsageError(f"no CAN interface {quote(interface)} (python-can has {', '.join(sorted(known))})")
         try:
             self._bus = can.Bus(interface=interface, channel=channel, **options)
-        # Each interface raises what its library raises.
-        except Exception as error:
+        # Each interface raises what its library raises, and some leave the program.
+        except BaseException as error:
+            if not is_failure(error):
+                raise
             raise UsageError(f"cannot open {self.name}: {type(error).__name__}: {error}") from None
         # The kernel keeps frames while this process does not run. Most interfaces have no file, or one that is no socket.
         with contextlib.suppress(NotImplementedError, OSError), contextlib.closing(socket_of(self._bus)) as made:
@@ -75,8 +92,11 @@ class LibraryPort(CanPort):
         from_ns = time.monotonic_ns()
         try:
             message = self._bus.recv(timeout_ns / 1e9)
-        # A line of garbage on an adapter's port raises from deep inside.
-        except Exception as error:
+            got = None if message is None else _dissected(message)
+        # A line of garbage on an adapter's port raises from deep inside, and an interface may give anything.
+        except BaseException as error:
+            if not is_failure(error):
+                raise
             self._failures += 1
             self._not_read(f"{type(error).__name__}: {error}")
             if self._failures >= _FAILURES:
@@ -86,19 +106,18 @@ class LibraryPort(CanPort):
             time.sleep(0.01)
             return None
         self._failures = 0
-        if message is None:
+        if message is None or got is None:
             pause_ns = min(timeout_ns, _PAUSE_NS)
             if time.monotonic_ns() - from_ns < pause_ns:
                 time.sleep(pause_ns / 1e9)
             return None
-        # CAN FD has lengths that python-can rounds; a remote frame has a length and no data.
-        if not message.is_remote_frame and not message.is_fd and len(message.data or b"") != message.dlc:
-            self._not_read(f"a frame of length {message.dlc} has {len(message.data or b'')} bytes")
+        can_id, flags, data, why = got
+        if why:
+            self._not_read(why)
             return None
-        data, flags = bytes(message.data or b""), flags_of(message)
-        if not self.acceptance.takes(message.arbitration_id, flags, len(data)):
+        if not self.acceptance.takes(can_id, flags, len(data)):
             return None
-        frame = self._frame(message.arbitration_id, flags, data)
+        frame = self._frame(can_id, flags, data)
         # Some interfaces mark what is handed back, others do not; either way it has come back once.
         returned = self._hands_back and self._returned(frame)
         return None if returned or not message.is_rx else frame
@@ -127,10 +146,12 @@ class LibraryPort(CanPort):
             self._own.append((time.monotonic_ns(), frame.id, frame.data))
         try:
             self._bus.send(message)
-        # Each interface raises what its library raises.
-        except Exception as error:
+        # As in receiving.
+        except BaseException as error:
             if self._hands_back:
                 self._own.pop()
+            if not is_failure(error):
+                raise
             raise ServotapError(f"{self.name} does not send: {type(error).__name__}: {error}") from None
 
     def close(self) -> None:

@@ -157,21 +157,28 @@ def _emulate(specifications: Sequence[Specification], arguments: argparse.Namesp
     # The signals are taken over before anything is opened, so that all of it is closed again.
     stop = Stop()
     stack.callback(stop.close)
-    stack.enter_context(handled(lambda number, frame: stop.ask("a signal")))
+
+    def ask_to_end(number: int, frame: object) -> None:
+        if stop.asked:
+            # The driver of a bus may hang, and then nobody looks.
+            raise KeyboardInterrupt
+        stop.ask("a signal")
+
+    stack.enter_context(handled(ask_to_end))
     place = _open(bus, arguments)
     stack.callback(place.port.close)
     clock = Clock()
     ticks: list[Callable[[int], None]] = []
-    if arguments.log:
-        log = BusLog.of(bus, arguments.log, _dialects(specifications), anchor_ns=clock.anchor_ns, force=arguments.force)
-        about = {"source": "emulated drives: " + " ".join(arguments.drives), "seed": str(arguments.seed)}
-        stack.callback(log.finish, about)
-        ticks.append(log.tick)
     if arguments.state:
         state = StateFile(arguments.state, drives)
         state.save()
         stack.callback(state.save)
         ticks.append(lambda now_ns: state.save())
+    if arguments.log:
+        log = BusLog.of(bus, arguments.log, _dialects(specifications), anchor_ns=clock.anchor_ns, force=arguments.force)
+        about = {"source": "emulated drives: " + " ".join(arguments.drives), "seed": str(arguments.seed)}
+        stack.callback(log.finish, about)
+        ticks.append(log.tick)
 
     def tick(now_ns: int) -> None:
         for each in ticks:

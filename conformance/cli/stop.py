@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from analyzer.catalogue import Dialect
+from analyzer.cli.boundary import report
 from analyzer.cli.frame import parse_target
 from analyzer.dialects import drive_name
 from analyzer.errors import ServotapError, UsageError
@@ -29,7 +30,7 @@ from conformance.bus.line import LineLost
 from conformance.claim import Inconclusive, NotStopped
 from conformance.cli.endpoint import at_own_rate, gate_to
 from conformance.cli.scan import DEFAULT_ADDRESSES, dialects_on, rates_of, showing_progress
-from conformance.gate.gate import Gate
+from conformance.gate.gate import Gate, Refused
 from conformance.gate.permissions import Allowance
 from conformance.motion import motion
 from conformance.safety import stopping
@@ -117,6 +118,10 @@ def run(arguments: argparse.Namespace) -> int:
                 failures.append(f"no drive answered on {arguments.endpoint}: {everywhere.said()}")
         except ServotapError as error:
             failures.append(str(error))
+        except Exception as error:
+            # No fault of ours may keep the power on.
+            report(error)
+            failures.append(f"a fault of servotap: {type(error).__name__}")
         except KeyboardInterrupt:
             failures.append(f"{', '.join(drive.name for drive in drives) or arguments.endpoint}: interrupted")
     power = ""
@@ -145,7 +150,8 @@ def _stopped(gate: Gate, drives: list[_Drive], everywhere: _Everywhere | None) -
         everywhere.tell()
         drives += [each for each in everywhere.found() if each not in drives]
         drives += [] if drives else everywhere.insist()
-    for drive in drives:
+    # A silent one is given up only after long: those that answer are stopped and proved to stand before it.
+    for drive in sorted(drives, key=lambda drive: not _answers(gate, drive)) if len(drives) > 1 else drives:
         # Where more comes than any line brings, bytes that fit by chance look like drives: their ramps are waited for at once.
         is_flooded = not gate.line.is_can and gate.line.passed > passed
         yield _prove(gate, drive, told_ns if is_flooded else None)
@@ -223,6 +229,16 @@ def _ask(gate: Gate, drive: _Drive) -> None:
     probe = plain_probe(drive.dialect, drive.address, gate.under(stopping.stopping(drive.address)))
     for command in stopping.ramped_stops(drive.dialect):
         stopping.ask(probe, command)
+
+
+def _answers(gate: Gate, drive: _Drive) -> bool:
+    if drive.rate != gate.line.endpoint.bits_per_second:
+        gate.set_speed(drive.rate)
+    try:
+        motion.speed(plain_probe(drive.dialect, drive.address, gate))
+    except (Inconclusive, Refused):
+        return False
+    return True
 
 
 def _prove(gate: Gate, drive: _Drive, told_ns: int | None) -> tuple[str, bool]:

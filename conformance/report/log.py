@@ -18,6 +18,7 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.cli.output import whole
 from analyzer.errors import UsageError
+from analyzer.live.clock import checked_utc
 from analyzer.pipeline import Pipeline
 from analyzer.port import PortSetup, topic_name
 from analyzer.records import CanFrame, Chunk
@@ -112,7 +113,7 @@ class RunLog:
 
 
 def _begun_ns(run: RunRecord) -> int:
-    return calendar.timegm(time.strptime(run.started_at, "%Y-%m-%dT%H:%M:%SZ")) * 1_000_000_000
+    return checked_utc(calendar.timegm(time.strptime(run.started_at, "%Y-%m-%dT%H:%M:%SZ")) * 1_000_000_000)
 
 
 def write_log(path: Path, records: Sequence[VerdictRecord], run: RunRecord) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 
+from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, Risk, Verb, all_fields
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.layout import Field
@@ -36,6 +37,10 @@ def load(path: Path) -> dict[str, dict[str, str]]:
             found[name] = {str(n): _text(path, n, v) for n, v in value.items()}
         else:
             found.setdefault("", {})[name] = _text(path, name, value)
+    every = {field for dialect in registry.every() for field in _fields(dialect)}
+    for name in found.get("", {}):
+        if name not in every:
+            raise UnreadableError(f"{path}: no dialect has a setting {quote(name)}{near(name, every)}")
     return found
 
 
@@ -45,16 +50,22 @@ def _text(path: Path, name: str, value: object) -> str:
     return str(value)
 
 
+def _fields(dialect: Dialect) -> dict[str, Field]:
+    """Return the fields of a dialect's settings."""
+    fields: dict[str, Field] = {}
+    for command in dialect.commands:
+        if Risk.SETTING in command.all_risks:
+            fields |= {name: f for name, f in all_fields(command.request_forms).items() if f.fixed is None}
+    return fields
+
+
 def known(dialect: Dialect, drive: str, given: Mapping[str, Given]) -> dict[str, int]:
     """Return what the user says that a drive's settings are, as sent, by field.
 
     `drive`: its name, DIALECT@ADDRESS. Raises UsageError for a name that is no setting and a value that none can have.
     """
     texts = {**given.get("", {}), **given.get(drive, {})}
-    fields: dict[str, Field] = {}
-    for command in dialect.commands:
-        if Risk.SETTING in command.all_risks:
-            fields |= {name: f for name, f in all_fields(command.request_forms).items() if f.fixed is None}
+    fields = _fields(dialect)
     values = {}
     for name, text in texts.items():
         field = fields.get(name)

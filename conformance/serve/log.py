@@ -13,12 +13,15 @@ from typing import IO
 from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect
+from analyzer.cli.output import write_whole
 from analyzer.errors import UsageError
 from analyzer.framer import SILENCE_NS
+from analyzer.live.clock import checked_utc
 from analyzer.pipeline import Pipeline
 from analyzer.port import Options
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sinks.summary import Summary
+from analyzer.sources import magic
 from conformance.drives.bus import Bus, Traffic
 from conformance.drives.uart import BITS, SECOND_NS
 
@@ -46,8 +49,11 @@ class BusLog:
         self.path = Path(path)
         if self.path.exists() and not force:
             raise UsageError(f"{path} exists; --force replaces it")
+        checked_utc(anchor_ns)
+        # One that cannot be begun replaces none.
+        write_whole(self.path, magic.MCAP, replace=force)
         try:
-            self._stream: IO[bytes] = self.path.open("wb")
+            self._stream: IO[bytes] = self.path.open("r+b")
         except OSError as error:
             raise UsageError(f"cannot write {path}: {error.strerror}") from None
         self._bus = name

@@ -7,13 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import fnmatch
-import multiprocessing
 import shlex
-import signal
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -31,13 +28,11 @@ from conformance.safety import settings
 from conformance.safety.keeper import cannot_keep
 from conformance.safety.stopping import MAY_MOVE
 from conformance.suite import engine, order
+from conformance.suite.processes import spread
 from conformance.suite.record import RunRecord, VerdictRecord, record
 from conformance.suite.rig import ClaimRig, lacking
 from conformance.suite.target import Target
 from conformance.talk.probe import ALL_QUIRKS
-
-if TYPE_CHECKING:
-    from multiprocessing.pool import Pool
 
 #: Claims that a worker takes at once.
 _BATCH = 12
@@ -250,16 +245,7 @@ def _run_target(plan: Plan, target: Target) -> Iterator[VerdictRecord]:
 _plan: Plan | None = None
 
 
-def be_worker() -> None:
-    """Leave the signals to the process that started this one: it ends its workers by one of them."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    if hasattr(signal, "SIGHUP"):
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
-
 def _begin(plan: Plan) -> None:
-    be_worker()
     global _plan
     _plan = plan
 
@@ -282,10 +268,5 @@ def _spread(plan: Plan, targets: Sequence[Target], jobs: int) -> Iterator[Verdic
         if target in targets:
             ids = [claim.id for claim in plan.selected(target)]
             work += [(index, tuple(ids[at : at + _BATCH])) for at in range(0, len(ids), _BATCH)]
-    # A forked worker has the claims and the catalogue already; where there is no fork it makes them anew.
-    methods = multiprocessing.get_all_start_methods()
-    context = multiprocessing.get_context("fork" if "fork" in methods else "spawn")
-    pool: Pool
-    with context.Pool(min(jobs, max(1, len(work))), _begin, (plan,)) as pool:
-        for records in pool.imap(_batch, work):
-            yield from records
+    for records in spread(work, _batch, jobs, _begin, plan):
+        yield from records

@@ -10,7 +10,6 @@ full run tries every claim and reports all refutations.
 
 from __future__ import annotations
 
-import multiprocessing
 import re
 import sys
 import time
@@ -28,6 +27,7 @@ from conformance.drives import make
 from conformance.drives.drive import Fault
 from conformance.suite import engine, order
 from conformance.suite import plan as suite
+from conformance.suite.processes import spread
 from conformance.suite.rig_emulated import EmulatedRig
 from conformance.suite.target import EMULATED, Target, parse, telling_models
 
@@ -144,11 +144,6 @@ def _begin(targets: tuple[Target, ...], seed: int, full: bool, most: int | None,
     _work = (targets, seed, full, most, among)
 
 
-def _begin_worker(targets: tuple[Target, ...], seed: int, full: bool, most: int | None, among: frozenset[str]) -> None:
-    suite.be_worker()
-    _begin(targets, seed, full, most, among)
-
-
 def _one(task: tuple[str, str]) -> Mutant:
     assert _work is not None  # every worker begins with `_begin`
     targets, seed, full, most, among = _work
@@ -207,13 +202,10 @@ def mutants(
         _begin(tuple(targets), seed, full, most, frozenset(among))
         yield from map(_one, tasks)
         return
-    methods = multiprocessing.get_all_start_methods()
-    context = multiprocessing.get_context("fork" if "fork" in methods else "spawn")
     # The claims are made before the workers are forked, so that each has them.
     for target in targets:
         suite.every_claim(target)
-    with context.Pool(jobs, _begin_worker, (tuple(targets), seed, full, most, frozenset(among))) as pool:
-        yield from pool.imap_unordered(_one, tasks)
+    yield from spread(tasks, _one, jobs, _begin, tuple(targets), seed, full, most, frozenset(among))
 
 
 def run_mutants(plan: Plan, *, jobs: int = 1, as_json: bool = False, full: bool = False) -> int:

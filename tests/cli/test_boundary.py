@@ -16,6 +16,7 @@ from types import SimpleNamespace
 import pytest
 from rich.progress import Progress
 
+from analyzer import cli
 from analyzer.cli import COMMANDS, boundary, main
 from analyzer.cli import show as show_module
 from analyzer.cli.boundary import FOLDER, READER_GONE, _clean_streams, bounded
@@ -83,6 +84,28 @@ def test_a_current_folder_that_was_removed_is_told(faults, capsys, tmp_path, mon
     assert main(["record", "left=tcp:127.0.0.1:1", "-o", "left.mcap"]) == 2
     assert capsys.readouterr().err == "servotap: the current folder has been removed: change into one that exists\n"
     assert faults() == []
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (OverflowError("timestamp too large to convert to C _PyTime_t"), "this computer's clock is behind 2262: set it"),
+        (
+            FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']"),
+            "no folder takes temporary files; TMPDIR names one",
+        ),
+    ],
+)
+def test_what_the_machine_lacks_is_no_fault_of_ours(error, told, faults, capsys):
+    assert bounded(fails(error), []) == 2
+    assert capsys.readouterr().err == f"servotap: {told}\n"
+    assert faults() == []
+
+
+def test_a_module_that_is_no_command_is_left_out(capsys, monkeypatch):
+    monkeypatch.setattr(cli, "_added", lambda: {"foo": ("errno", "")})
+    assert main(["foo"]) == 2
+    assert "the command foo (errno) failed and is left out: AttributeError" in capsys.readouterr().err
 
 
 def prints(status):

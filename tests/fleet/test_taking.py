@@ -204,8 +204,10 @@ def test_what_is_no_file_is_told_and_not_waited_for(tmp_path):
     (tmp_path / "in").mkdir()
     os.mkfifo(tmp_path / "in" / "pipe.log")
     (tmp_path / "in" / "endless.log").symlink_to("/dev/zero")
+    (tmp_path / "in" / "gone.log").symlink_to("nowhere")
     outcome = ingest(lake(tmp_path / "lake"), tmp_path / "in")
-    assert outcome.unread == [(name, "a pipe, a socket or a device: expected a file") for name in ("endless.log", "pipe.log")]
+    special = "a pipe, a socket or a device: expected a file"
+    assert outcome.unread == [("endless.log", special), ("gone.log", "No such file or directory"), ("pipe.log", special)]
 
 
 def test_a_name_that_is_no_text_is_taken_once(tmp_path):

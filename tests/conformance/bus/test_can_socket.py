@@ -259,3 +259,51 @@ def test_an_interface_of_python_can_passes_over_others_too():
         got = [f.id for _ in range(101) if (f := port.receive(0)) is not None]
         assert got == [*[0x300] * 32, 1]
         assert port.acceptance.passed == 2 * 68
+
+
+class Broken(can.BusABC):
+    """A driver that does what no driver should. `does`: what is raised, or given instead of a message."""
+
+    does: Any = None
+
+    def __init__(self, *words: Any, **options: Any) -> None: ...
+
+    def recv(self, timeout: float | None = None) -> Any:
+        if isinstance(self.does, BaseException):
+            raise self.does
+        return self.does
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self.recv()
+
+    def shutdown(self) -> None: ...
+
+
+@pytest.mark.parametrize(
+    "does",
+    [
+        SystemExit(4),
+        type("Panic", (BaseException,), {})("p"),
+        "no message",
+        can.Message(arbitration_id=1.5, check=False),  # type: ignore[arg-type]
+    ],
+    ids=["leaves", "panics", "no message", "no identifier"],
+)
+def test_a_driver_that_breaks_off_or_gives_no_message_is_a_port_that_is_gone(does, monkeypatch, capsys):
+    monkeypatch.setattr(python_can.can, "Bus", Broken)
+    monkeypatch.setattr(python_can.time, "sleep", lambda seconds: None)
+    monkeypatch.setattr(Broken, "does", does)
+    with closing(LibraryPort("virtual", "x")) as port:
+        with pytest.raises(ServotapError, match="is gone"):
+            list(iter(lambda: port.receive(0), does))
+        if isinstance(does, BaseException):
+            with pytest.raises(ServotapError, match="does not send"):
+                port.put(frame(1, b"1"))
+    assert "cannot be read" in capsys.readouterr().err
+
+
+def test_ctrl_c_in_a_driver_is_the_users(monkeypatch):
+    monkeypatch.setattr(python_can.can, "Bus", Broken)
+    monkeypatch.setattr(Broken, "does", KeyboardInterrupt())
+    with closing(LibraryPort("virtual", "x")) as port, pytest.raises(KeyboardInterrupt):
+        port.receive(0)

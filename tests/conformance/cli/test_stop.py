@@ -19,6 +19,7 @@ import pytest
 
 from analyzer import cli as analyzer_cli
 from analyzer import dialects
+from analyzer.cli import boundary
 from analyzer.encoder import build
 from analyzer.errors import ServotapError
 from analyzer.records import CanFrame
@@ -87,6 +88,13 @@ def test_a_drive_that_does_not_answer_is_not_stopped(port, capsys, tmp_path, mon
     assert run(place, "--addresses", "20") == 20
     assert "no drive answered" in capsys.readouterr().err
     assert run(place, "mks-can@1") == 2
+
+
+def test_a_silent_drive_does_not_keep_one_that_answers_waiting(port, monkeypatch):
+    proved = []
+    monkeypatch.setattr(stop, "_prove", lambda gate, drive, told_ns: (proved.append(drive.address) or "", True))
+    assert run(port[0], "mks-rs485@9", "mks-rs485@2") == 0
+    assert proved == [2, 9]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -264,3 +272,12 @@ def test_a_connection_that_is_reset_for_good_ends_with_the_deadline(capsys, monk
     assert told.count("NOT STOPPED") == 1
     assert "127.0.0.1" in told
     assert (tmp_path / "cut").exists()
+
+
+def test_a_fault_of_ours_cuts_the_power(port, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stop, "_stopped", lambda *about: [][0])
+    monkeypatch.setenv(boundary.FOLDER, str(tmp_path))
+    words = [port[0], "mks-rs485@2", "--cut-power", f"touch {tmp_path / 'cut'}"]
+    assert boundary.bounded(lambda words: run(*words), words) == boundary.FAULT
+    assert (tmp_path / "cut").exists()
+    assert "NOT STOPPED: a fault of servotap: IndexError; " in capsys.readouterr().err

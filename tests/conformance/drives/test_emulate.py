@@ -6,6 +6,8 @@ import argparse
 import json
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -169,6 +171,47 @@ def test_a_log_does_not_replace_the_state(capsys: pytest.CaptureFixture[str], tm
     assert (tmp_path / "s").read_bytes() == kept
 
 
+def test_a_state_that_cannot_be_written_replaces_no_log(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, data: bytes) -> None:
+        raise UsageError(f"cannot write {path}: No space left on device")
+
+    log = tmp_path / "a.mcap"
+    log.write_text("of yesterday")
+    monkeypatch.setattr("conformance.serve.state.write_whole", refuse)
+    words = ("mks-rs485@1", "--pty", "--log", str(log), "--force", "--state", str(tmp_path / "s"))
+    assert "cannot write" in refused(capsys, *words)
+    assert log.read_text() == "of yesterday"
+
+
+@pytest.mark.parametrize("limit", [0, 4])
+def test_a_log_that_cannot_be_begun_replaces_none(limit: int, tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    log.write_text("of yesterday")
+    begun = (
+        f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit})); import sys; sys.argv[0] = 'servotap'"
+    )
+    words = ["emulate", "mks-rs485@1", "--pty", "--duration", "0.05", "--log", str(log), "--force"]
+    program = [sys.executable, "-c", f"{begun}; from analyzer.__main__ import main; sys.exit(main())", *words]
+    ended = subprocess.run(program, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (
+        2,
+        f"servotap emulate: cannot write {log}: File too large; the incomplete file was removed\n",
+    )
+    assert log.read_text() == "of yesterday"
+    assert list(tmp_path.iterdir()) == [log]
+
+
+def test_a_clock_that_no_log_can_hold_is_told(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.time_ns", lambda: -1)
+    words = ("mks-rs485@1", "--pty", "--duration", "0.05", "--log", str(tmp_path / "a.mcap"))
+    assert "set it to a time before 2262" in refused(capsys, *words)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_it_ends_by_itself_and_echoes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     log = tmp_path / "a.mcap"
     assert run("mks-rs485@1", "--echo", "--pty", "--duration", "0.05", "--log", str(log)) == 0
@@ -310,3 +353,15 @@ def test_the_command_is_listed_without_importing_it() -> None:
     emulate.add_arguments(parser)
     assert "DRIVE" in parser.format_help()
     assert os.linesep not in HELP["emulate"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_signal_ends_what_hangs_in_a_driver(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def hang(bus: object, arguments: argparse.Namespace) -> None:
+        signal.raise_signal(number)
+        signal.raise_signal(number)
+        pytest.fail("nobody can end it")
+
+    monkeypatch.setattr(emulate, "_open", hang)
+    with pytest.raises(KeyboardInterrupt):
+        run("mks-can@1", "--can", "virtual:x")

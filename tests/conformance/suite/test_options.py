@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.errors import UsageError
+from analyzer.errors import UnreadableError, UsageError
 from conformance.bus.line import LineLost
 from conformance.claim import NotStopped, RigFault
 from conformance.gate.permissions import add_gate_arguments
@@ -44,6 +44,13 @@ def test_settings_are_read_from_the_file(tmp_path: Path):
     path.write_text(json.dumps({"subdivision": 16}))
     assert plan("--settings", str(path)).settings == {"": {"subdivision": "16"}}
     assert plan().settings == {}
+
+
+def test_a_setting_that_no_drive_has_is_refused(tmp_path: Path):
+    path = tmp_path / "settings.json"
+    path.write_text(json.dumps({"work_mod": "sr_vfoc"}))
+    with pytest.raises(UnreadableError, match="no dialect has a setting 'work_mod'; did you mean work_mode"):
+        plan("--settings", str(path))
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "x", "4000"])
