@@ -25,7 +25,7 @@ _TIMES = 24
 _SWINGS = 4
 #: How often a supply or a speed is looked at, and the bytes before a reply.
 _FEWER = 12
-#: How often a measurement is begun in which the line damages something.
+#: How often a measurement is begun in which the line damages or loses something.
 _ATTEMPTS = 4
 #: Fields of the supply.
 _SUPPLY = ("voltage", "current", "temperature")
@@ -116,14 +116,14 @@ def in_motion(probe: Probe) -> Noise:
     """Turn the shaft for a moment; return the noise with that of the speed and of a shaft that has just come to rest.
 
     Where the drive does not run, the noise is that at rest, and the hindrance what the drive says of it. What the line damages
-    is measured anew.
+    or loses is measured anew.
     """
     found = probe.noise
     for _ in range(_ATTEMPTS):
         since = len(probe.traffic)
         with suppress(Inconclusive, Refused):
             found = _in_motion(probe)
-        if not any(exchange.damaged for exchange in probe.traffic[since:]):
+        if not any(exchange.damaged or (exchange.awaited and not exchange.is_read) for exchange in probe.traffic[since:]):
             break
         with suppress(Inconclusive, Refused):
             motion.stand_still(probe)
@@ -141,7 +141,7 @@ def _in_motion(probe: Probe) -> Noise:
     probe.wait(_GOING_NS)
     speeds: list[float] = []
     while len(speeds) < _TIMES and probe.gate.now_ns() - begun_ns < _STEADY_NS:
-        now = abs(motion.speed(probe).value)
+        now = abs(motion.speed(probe, probe.noise.silence_ns).value)
         if speeds and now < speeds[0] / 2:
             # At some subdivisions the shaft is faster than was sent, and is there before.
             break

@@ -33,8 +33,8 @@ DRIVES = ("mks-rs485@1", "mks-modbus@1", "mks-can@1", "lk-rs485@1")
 _TELLING = ("/sign", "/distance", "/again", "/same-place", "/at-rest", "/read_position/clean", "/answers-raw", "/voltage")
 
 
-def rig(text: str) -> EmulatedRig:
-    return EmulatedRig(make.parse(text))
+def rig(text: str, seed: int = 0) -> EmulatedRig:
+    return EmulatedRig(make.parse(text), seed=seed)
 
 
 def readings(text: str, name: str = "read_position", count: int = 40) -> set[tuple[tuple[str, int], ...]]:
@@ -97,9 +97,9 @@ def test_an_end_of_replies_that_comes_twice_is_one_fault_and_not_one_of_each_com
     assert set(found.values()) == {Outcome.CONFIRMED}
 
 
-def moved(text: str) -> Noise:
+def moved(text: str, seed: int = 0) -> Noise:
     """Return the noise that a rig knows when a claim has moved the shaft."""
-    each = rig(text)
+    each = rig(text, seed)
     each.probe(next(c for c in registry.every(each.dialect) if resting.can_turn(each.dialect, c)))
     return each.noise
 
@@ -112,6 +112,14 @@ def test_the_speed_of_a_shaft_that_rests_still_is_measured_in_a_move(drive):
     assert noise.degrees == noise.loop == noise.rpm == 0
     assert 0.01 < noise.share <= 0.021
     assert noise.speed(300) >= 6
+
+
+@pytest.mark.parametrize(
+    ("drive", "seed"), [("mks-rs485@1", 5), ("mks-rs485@1", 18), ("mks-modbus@1", 9), ("mks-modbus@1", 23)]
+)
+def test_a_line_that_loses_requests_hides_no_noise_of_a_shaft_that_turns(drive, seed):
+    # Of these seeds one loses the request of the move, the others reads of its speed.
+    assert moved(f"{drive},speed-noise=2%,request-errors=3%", seed).share > 0.01
 
 
 @pytest.mark.parametrize("drive", DRIVES)
