@@ -1,15 +1,17 @@
 """The route of a walk (`model.walk`): in which states which deeds are done, so that any two conditions meet.
 
     work mode x on or off x subdivision x direction x replies       the state of the drive
-    standing, running or moving, either way                         what the shaft does meanwhile
+    standing, rising, running or moving, either way                 what the shaft does meanwhile
+    to the drive, to all, to its group, in a slot of a package      how the deed reaches it
     each command that is no read, inside and outside its limits     the deed
 
 The rows are a covering array (`model.covering`), in an order and with values drawn by the seed. After each deed some of the
-reads are looked at, others each time.
+reads are looked at, others each time; before some comes a frame that is not for the drive. While the next setting has to wait,
+a short motion shows what the last one did: of those that are drawn the one in which most meets that has not met yet.
 
 Rules kept here:
 - Settings that motion depends on are sent only while the shaft stands: how they affect a motion no manual says.
-- Nothing of the link, of the flash or of power-on, and nothing that searches or calibrates.
+- Nothing of the link but the group, of the flash or of power-on, and nothing that searches or calibrates.
 - Values that a motor cannot move without stay strong; none depends on a switch.
 """
 
@@ -18,6 +20,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
+from itertools import combinations
 from typing import Any, NamedTuple
 
 from analyzer import dialects as registry
@@ -25,7 +28,8 @@ from analyzer.catalogue import Command, Dialect, Form, MotionKind, Risk, Verb
 from analyzer.layout import Effect, Field
 from conformance.gate.bounds import NO_BOUNDS, Leeway
 from conformance.model import covering, limits, lk_parameters
-from conformance.model.steps import LEAVE, LOOK, Step, selectors
+from conformance.model.asides import Way, asides, slots, ways
+from conformance.model.steps import ASIDE, LEAVE, LOOK, WAY, Step, selectors
 from conformance.motion import declared, ramp
 from conformance.motion.declared import MOVES, SUBDIVISION
 from conformance.talk import samples
@@ -54,24 +58,38 @@ _STRONG = frozenset({"current", "home_current", "holding_current", "stall_tolera
 _SUBDIVISIONS = (SUBDIVISION, 64, 7, 128, 0)
 #: Of these a little less is as good, so that what was not stored shows.
 _EITHER = _STRONG - {"end_limit"}
+#: More of this does not hurt, and needs its high byte.
+_MORE = {"stall_tolerance": 0x0123}
+#: How many parameters are written one after the other.
+_WRITTEN = 5
 #: How often values are drawn anew that are those of before.
 _DRAWS = 6
 #: What motions are drawn from: the speed, the way in turns, the acceleration; and for how long they go at most.
 _RPM, _TURNS, _ACCELERATIONS = (
     (3, 25, 60, 140, 600, 1600, 3000),
-    (0.025, 0.11, 0.25, 0.6, 2, 7, 21),
+    (0, 0.025, 0.11, 0.25, 0.6, 2, 7, 21),
     (0, 56, 200, 230, 248, 255),
 )
-_AT_ONCE_MOST, _LEAST_OVER, _RAMP_NS, _MOVE_NS = 140, 60, 140 * MS, 250 * MS
+#: Other speeds come from 1 to nearly 3000 rpm, small ones as often as large ones.
+_DECADES = 3.47
+_AT_ONCE_MOST, _LEAST_OVER, _RAMP_NS, _MOVE_NS = 140, 60, 160 * MS, 250 * MS
 #: The same of drives without a law of ramps: a speed, and turns that take 0.6 s at most by it.
 _FREE_PACES = [(r, t) for r in (15, 40, 90, 160) for t in (0.025, 0.11, 0.25, 0.6, 1.4) if t * 100 <= r]
+#: A run beyond what 16 bits hold in tenths of a degree for each second.
+_FREE_FAST = 600
 #: How far a move goes that is not waited for, and how fast.
-_LONG, _LONG_RPM = 540, 90
+_LONG, _LONG_RPM = 300, 140
 #: A homing search that no switch ends is this fast at most.
 _HOME_RPM = 600
 _GOING_LOOKS, _LOOKS = 2, 3
+#: The share of moves among the motions that fill a wait; the others are runs.
+_MOVES, _ALIKE = 0.7, 0.5
+#: How many motions are drawn, of which the one with most that is new comes.
+_DRAWN = 6
+#: The group that the drive is in at first; others are behind the addresses that drives often have.
+_GROUP, _GROUP_LEAST = 0x50, 0x11
 #: What changes between rows, and the share of rows that come in any case.
-_SETTINGS, _LEAPS = ("mode", "on", "subdivision", "direction", "replies"), 0.15
+_SETTINGS, _LEAPS = ("mode", "on", "subdivision", "direction", "replies"), 0.05
 #: The farthest name of a place, in hundredths of a degree.
 _FAR = 100_000_000
 #: Limits with which a motor moves as it would without.
@@ -88,6 +106,8 @@ class _Deed(NamedTuple):
 
 def _done(command: Command) -> bool:
     risks = command.all_risks
+    if command.verb is Verb.SET_GROUP_ADDRESS:
+        return True
     if command.slots is not None or risks == {Risk.READ} or risks & _NOT_DONE:
         return False
     if command.motion is not None and command.motion.kind in _NOT_MOVED:
@@ -123,7 +143,9 @@ def _factors(dialect: Dialect) -> dict[str, Sequence[Any]]:
         found["direction"] = (0, 1)
     if Verb.SET_RESPOND in verbs:
         found["replies"] = ((1, 1), (1, 0), (0, 1), (0, 0))
-    found["going"] = (0, *((kind, way) for kind in ("run", "move") for way in (1, -1)))
+    kinds = ("run", "move") if dialect.ramp is None else ("run", "move", "rise")
+    found["going"] = (0, *((kind, way) for kind in kinds for way in (1, -1)))
+    found["way"] = ways(dialect)
     found["deed"] = deeds(dialect)
     return found
 
@@ -139,17 +161,21 @@ def _rows(dialect_name: str, model: str) -> tuple[dict[str, Any], ...]:
     rules: list[covering.Rule] = [
         lambda going, deed: not going or not (verbs[deed.name].verb in _OF_STANDING or deed.name == "set_position"),
         lambda going, deed: verbs[deed.name].motion is not None or going in (0, ("run", 1), ("move", -1)),
+        lambda way, deed: way == Way.OWN or not (deed.stray or verbs[deed.name].verb is Verb.SET_GROUP_ADDRESS),
+        # A stop has something to stop, a homing begins at rest.
+        lambda going, deed: going or not verbs[deed.name].motion or declared.of(verbs[deed.name]).kind is not MotionKind.STOP,
+        lambda going, deed: not going or verbs[deed.name].verb is not Verb.HOME,
     ]
     if "replies" in factors:
         # Only motion commands can be silenced.
         rules.append(lambda deed, replies: verbs[deed.name].motion is not None or replies in ((1, 1), (0, 0)))
     if "subdivision" in factors:
-        rules.append(lambda deed, subdivision: verbs[deed.name].motion is not None or subdivision in _SUBDIVISIONS[1:4])
+        rules.append(lambda deed, subdivision: verbs[deed.name].motion is not None or subdivision == _SUBDIVISIONS[2])
     able = factors | {"on": (1,)} | ({"mode": tuple(m for m in factors["mode"] if m in bus)} if bus else {})
     found = covering.rows(able, *rules)
     # Where nothing moves each deed is refused, or done without a motion.
     unable = {name: levels for name, levels in factors.items() if name in ("mode", "on", "deed")} | {"going": (0,)}
-    unable["deed"] = tuple(deed for deed in unable["deed"] if verbs[deed.name].verb is not Verb.HOME)
+    unable["deed"] = tuple(d for d in unable["deed"] if verbs[d.name].verb is not Verb.HOME and not d.stray)
     still = [lambda on, mode: (on and mode not in bus) or (not on and mode in bus)] if bus else [lambda on: not on]
     return found + covering.rows(unable, *still)
 
@@ -167,8 +193,11 @@ class _Route:
         self.dialect, self.leeway = dialect, leeway
         self.chance = random.Random(f"{seed} {dialect.name} route")
         self.state: dict[str, Any] = {}
-        self._next, self._rpm = 0, float(_LONG_RPM)
-        self._selectors = selectors(dialect)
+        self._next, self._written, self._rpm = 0, seed, float(_LONG_RPM)
+        self._runs = {command.name for command in dialect.motions(MotionKind.RUN)}
+        #: What has met in the motions that fill waits: three of their conditions each.
+        self._met: set[tuple[Any, ...]] = set()
+        self._selectors, self._ways, self._asides = selectors(dialect), ways(dialect), (0, *asides(dialect))
         #: What each setting was sent last: it is sent something else next, so that what is not stored shows.
         self._sent: dict[str, dict[str, int]] = {}
 
@@ -179,8 +208,13 @@ class _Route:
     def steps(self, leg: int, legs: int) -> Iterator[Step]:
         rows = list(_rows(self.dialect.name, self.dialect.model))
         self.chance.shuffle(rows)
+        group = self.dialect.by_verb.get(Verb.SET_GROUP_ADDRESS)
+        if group is not None:
+            yield Step(group.name, {"group_address": _GROUP})
         for row in self._ordered(rows[leg - 1 :: legs]):
-            yield from _into(self.dialect, self.state, row)
+            for step in _into(self.dialect, self.state, row):
+                yield step
+                yield from self._filler() if step.name != motion_on(self.dialect)[0] else ()
             yield from self._row(row)
         if Verb.WRITE_IO in self.dialect.by_verb:
             yield Step(self.dialect.by_verb[Verb.WRITE_IO].name, {"alm_mask": 0, "pend_mask": 0, "alm": 0, "pend": 0})
@@ -197,17 +231,28 @@ class _Route:
     def _row(self, row: Mapping[str, Any]) -> Iterator[Step]:
         dialect, chance, going, deed = self.dialect, self.chance, row["going"], row["deed"]
         command = dialect.by_name[deed.name]
+        frame = chance.choice(self._asides)
         if going:
             kind, way = going
-            kinds = (MotionKind.RUN,) if kind == "run" else MOVES
-            begun = chance.choice([c for c in dialect.motions(*kinds) if declared.of(c).speed])
-            yield self._begun(begun, way)
-            yield self._look(_GOING_LOOKS)
-        yield from self._deed(deed, leave=bool(going))
+            kinds = MOVES if kind == "move" else (MotionKind.RUN,)
+            every = [c for c in dialect.motions(*kinds) if declared.of(c).speed]
+            # Half of them are followed by another one of their kind.
+            begun = command if command in every and chance.random() < _ALIKE else chance.choice(every)
+            yield self._begun(begun, way, rising=kind == "rise")
+            if kind != "rise":
+                yield self._look(_GOING_LOOKS)
+        if frame and command.motion is not None:
+            yield Step(ASIDE, {ASIDE: frame})
+        for step in self._deed(deed, leave=bool(going)):
+            sent_so = self._by({WAY: row.get(WAY, Way.OWN)}) if step.name == deed.name else {}
+            yield Step(step.name, {**step.values, **sent_so})
+        if dialect.by_name[deed.name].motion is None and Risk.SETTING in command.all_risks and not going:
+            yield from self._filler()
         yield self._look(_LOOKS)
         if self._selectors:
             own = [command.code] if command.code in self._selectors else []
-            for selector in (*own, chance.choice(self._selectors)):
+            own = self._selectors if command.verb is Verb.WRITE_PARAMETER else own
+            for selector in (*own, chance.choice(self._selectors), *self._unreadable()):
                 yield Step(dialect.by_verb[Verb.READ_PARAMETER].name, {"parameter": selector})
         if going or (command.motion is not None and command.motion.kind in (MotionKind.RUN, MotionKind.HOME)):
             yield from self._stopped()
@@ -216,26 +261,59 @@ class _Route:
             yield Step(*motion_on(dialect))
         if command.motion is None and (command.verb is Verb.RESTART or chance.random() < 0.2):
             # What the deed did to the motions that follow.
-            yield from self._trial()
+            yield from self._filler()
+            yield from self._filler()
 
-    def _trial(self) -> Iterator[Step]:
-        dialect, chance = self.dialect, self.chance
-        every = dialect.motions(MotionKind.RUN, *MOVES)
-        for command in chance.sample(every, 2):
-            yield self._motion(command, chance.choice((1, -1)))
-            yield self._look(2)
-            if declared.of(command).kind is MotionKind.RUN:
-                yield from self._stopped()
+    def _unreadable(self) -> list[int]:
+        """Return a code that cannot be read, of a command that does something: a read of it does not."""
+        codes = [c.code for c in self.dialect.commands if _done(c) and c.code not in self._selectors]
+        return [] if Verb.WRITE_PARAMETER in self.dialect.by_verb else [self.chance.choice(codes)]
 
     def _stopped(self) -> Iterator[Step]:
         stop = self.chance.choice([c for c in self.dialect.motions(MotionKind.STOP) if _done(c)])
-        yield Step(stop.name, self._stop_values(stop))
+        yield Step(stop.name, {**self._stop_values(stop), **self._by({WAY: self.chance.choice(self._ways)})})
         yield self._look(_LOOKS)
 
-    def _begun(self, command: Command, way: int) -> Step:
-        """Return a motion that goes on while the deed is done."""
+    def _by(self, how: Mapping[str, int]) -> dict[str, int]:
+        """Return how a step is sent, as its values; a package has it in any of its slots."""
+        found = {name: int(value) for name, value in how.items() if value}
+        if found.get(WAY) == Way.PACKAGE:
+            found[WAY] += self.chance.randrange(slots(self.dialect))
+        return found
+
+    def _filler(self) -> Iterator[Step]:
+        """Yield a short motion, in any way and with any frame on its way, for the time that the next setting has to wait."""
+        chance, dialect = self.chance, self.dialect
+        if self.state.get("on") == 0:
+            return
+        state = {name: str(self.state.get(name)) for name in _SETTINGS}
+        drawn: list[tuple[int, int, Command, dict[str, int], set[Any]]] = []
+        for _ in range(_DRAWN):
+            moves = chance.random() < _MOVES
+            command = chance.choice(dialect.motions(*MOVES) if moves else dialect.motions(MotionKind.RUN))
+            how: dict[str, int] = {
+                WAY: chance.choice(self._ways),
+                ASIDE: chance.choice(self._asides),
+                "turn": chance.choice((1, -1)),
+            }
+            met = set(combinations({"command": command.name, **how, **state}.items(), 3)) - self._met
+            drawn.append((len(met), len(drawn), command, how, met))
+        *_, command, how, met = max(drawn)
+        self._met |= met
+        turn = how.pop("turn")
+        motion = self._motion(command, turn)
+        yield Step(motion.name, {**motion.values, **self._by(how)})
+        yield self._look(1)
+        if command.name in self._runs:
+            again = self._motion(command, turn, over=self.dialect.ramp is not None)
+            yield Step(again.name, {**again.values})
+            yield from self._stopped()
+
+    def _begun(self, command: Command, way: int, *, rising: bool) -> Step:
+        """Return a motion that goes on while the deed is done. `rising`: that comes before it has its speed."""
         if declared.of(command).kind is MotionKind.RUN:
-            return self._motion(command, way)
+            run = self._motion(command, way)
+            return Step(run.name, {**run.values, LEAVE: 1}) if rising else run
         self._rpm = float(_LONG_RPM)
         values = {"degrees": way * _LONG, "rpm": _LONG_RPM, "acceleration": self.chance.choice(_ACCELERATIONS[2:]), LEAVE: 1}
         return Step(command.name, values)
@@ -245,10 +323,12 @@ class _Route:
         chance, runs = self.chance, declared.of(command).kind is MotionKind.RUN
         if self.dialect.ramp is None:
             rpm, turns = chance.choice(_FREE_PACES)
+            rpm = chance.choice((rpm, rpm, _FREE_FAST)) if runs and not over else rpm
             degrees = round(360 * turns)
             return Step(command.name, {"rpm": way * rpm} if runs else {"degrees": way * degrees, "rpm": rpm})
         while True:
-            rpm, acceleration = chance.choice(_RPM), chance.choice(_ACCELERATIONS)
+            rpm = chance.choice((chance.choice(_RPM), round(10 ** chance.uniform(0, _DECADES))))
+            acceleration = chance.choice(_ACCELERATIONS)
             real = min(float(rpm), self._fastest)
             if (acceleration == 0 and rpm > _AT_ONCE_MOST) or (over and (rpm < _LEAST_OVER or not self._ends(acceleration))):
                 continue
@@ -295,9 +375,15 @@ class _Route:
                 yield Step(command.name, samples.sample(dialect, command) | {LEAVE: 1})
         elif command.verb is Verb.BRAKE:
             # What a held shaft does with a motion no manual says.
-            for control in (0, 0x10, 1, 0x10):
+            for control in (0, 0x10, 0x10, 1, 0x10, 0x10):
                 yield Step(command.name, {"brake_control": control})
                 yield self._look(2)
+        elif command.verb is Verb.WRITE_PARAMETER:
+            # One after the other, so that all of them come: each may spoil another one.
+            forms = _forms(command)
+            for _ in range(_WRITTEN):
+                self._written += 1
+                yield Step(command.name, _parameter(forms[self._written % len(forms)], chance))
         else:
             for _ in range(_DRAWS):
                 values = setting_values(dialect, command, chance, self.leeway, stray=deed.stray)
@@ -332,16 +418,12 @@ def _into(dialect: Dialect, state: dict[str, Any], row: Mapping[str, Any]) -> It
     if state.get("on") != row["on"]:
         command, values = declared.switching(dialect, bool(row["on"]))
         yield Step(command.name, values)
-    state.update(row)
+    state.update({name: row[name] for name in _SETTINGS if name in row})
 
 
 def setting_values(dialect: Dialect, command: Command, chance: random.Random, leeway: Leeway, *, stray: bool) -> dict[str, int]:
     """Return values of a request, allowed ones or one of them outside its limits."""
     form: Form = chance.choice(_forms(command))
-    if command.verb is Verb.WRITE_PARAMETER:
-        which = chance.randrange(2)
-        moderate = lk_parameters.moderate(form, which)
-        return {name: _ROOMY[name][which] if name in _ROOMY else value for name, value in moderate.items()}
     plain = samples.sample(dialect, command, form)
     wrong = [name for name, field in form.layout.named.items() if limits.beyond(field)]
     beyond = chance.choice(wrong) if stray and wrong else ""
@@ -353,11 +435,19 @@ def setting_values(dialect: Dialect, command: Command, chance: random.Random, le
             values[name] = field.fixed
         elif name in _STRONG:
             values[name] = chance.choice(
-                [v for v in (plain[name] - 1, plain[name]) if name in _EITHER and field.allows(v)] or [plain[name]]
+                [v for v in (plain[name] - 1, plain[name] + _MORE.get(name, 0)) if name in _EITHER and field.allows(v)]
+                or [plain[name]]
             )
         else:
             values[name] = _value(field, chance, leeway)
     return values
+
+
+def _parameter(form: Form, chance: random.Random) -> dict[str, int]:
+    """Return values of a parameter with which a motor moves as it would without."""
+    which = chance.randrange(2)
+    moderate = lk_parameters.moderate(form, which)
+    return {name: _ROOMY[name][which] if name in _ROOMY else value for name, value in moderate.items()}
 
 
 def _forms(command: Command) -> list[Form]:
@@ -376,6 +466,8 @@ def _value(field: Field, chance: random.Random, leeway: Leeway) -> int:
         low, high = max(low, -_FAR), min(high, _FAR)
     if field.effect is Effect.HOME_SPEED:
         high = min(high, _HOME_RPM)
+    if field.effect is Effect.GROUP:
+        low = max(low, _GROUP_LEAST)
     return chance.choice((low, high, chance.randint(low, high), chance.randint(low, high)))
 
 

@@ -2,6 +2,7 @@
 
     Step("set_subdivision", {"subdivision": 8})
     Step("look", {"first": 3, "count": 4})          some of the reads
+    Step("aside", {"aside": 2})                     a frame that changes nothing
 
 A step is data, which can be repeated, shortened and stored.
 """
@@ -44,6 +45,8 @@ def parse_steps(text: str) -> list[Step]:
 
 #: A motion by its amounts: it is left to itself, so that the next step comes meanwhile.
 LEAVE = "leave"
+#: How the request reaches the drive (`asides.Way`), and what is sent while its motion is under way (`asides.Aside`).
+WAY, ASIDE = "way", "aside"
 LOOK = "look"
 
 

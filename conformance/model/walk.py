@@ -3,6 +3,7 @@
     walk = Walk(probe)                                  brings the drive into a known state, and makes the twin like it
     walk.do(Step("set_subdivision", {"subdivision": 8}))     raises Refuted where the two differ
     walk.do(Step("look", {"first": 3, "count": 4}))          some of the reads, compared
+    walk.do(Step("aside", {"aside": 2}))                     a frame that changes nothing
 
 Rules kept here:
 - What is discrete must be the same: whether there is a reply, its status, settings, flags. It is compared away from changes.
@@ -23,7 +24,8 @@ from analyzer.catalogue import Command, MotionKind, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Inconclusive, NotRun, Refuted
 from conformance.gate.gate import Refused as GateRefused
-from conformance.model.steps import LEAVE, LOOK, Step, beginning, selectors, steps_text
+from conformance.model.asides import Aside, addressed, aside
+from conformance.model.steps import ASIDE, LEAVE, LOOK, WAY, Step, beginning, selectors, steps_text
 from conformance.model.twin import Told, Twin
 from conformance.model.unasked import Unasked
 from conformance.motion import declared, motion, ramp
@@ -48,14 +50,16 @@ _SLOW, _LATE_NS = 1.07, 150 * MS
 _AGAIN_NS, _AT_ONCE_NS = (200 * MS, 1_200 * MS), (0, 20 * MS)
 #: How often a read is asked for at most, and another command that is not answered.
 _ASKED, _TOLD = 4, 2
-#: What is left of a move that is looked at on its way, at least.
-_WORTH_NS = 60 * MS
+#: What is left of a motion that is looked at on its way, at least; the time that a frame is given which nobody answers.
+_WORTH_NS, _APART_NS = 60 * MS, 6 * MS
+#: Reads that fit into the time which a setting has to wait, and the longest that one takes.
+_MEANWHILE, _READ_NS = 8, 12 * MS
 #: How late what is told unasked was seen to come.
 _BEHIND_NS = 800 * MS
 #: By then a run has its speed.
 _LONG_NS = 100_000 * MS
 #: How long a shaft may take to come to rest that its twin's has, and the speed of one that surely turns.
-_REST_NS, _TURNS_RPM = 15_000 * MS, 5.0
+_REST_NS, _TURNS_RPM = 15_000 * MS, 1.5
 #: What sets the shaft going.
 _TURNING = frozenset({MotionKind.RUN, MotionKind.HOME, *MOVES})
 #: A shaft that is let go or held may settle by so many degrees.
@@ -66,6 +70,10 @@ _SPREAD_NS = 18 * MS
 _LOOSENS = frozenset(
     {Verb.ENABLE, Verb.MOTOR_ON, Verb.MOTOR_OFF, Verb.BRAKE, Verb.SET_WORK_MODE, Verb.RESTART, Verb.RELEASE_PROTECTION}
 )
+#: What tells how a speed changes.
+_CHANGING = (Verb.READ_STATUS, Verb.READ_SPEED)
+#: The rule of bits that are always 0.
+_RESERVED = "reserved_bits"
 #: What gives the place of an LK shaft another name.
 _RENAMES = frozenset({"set_position", "clear_turns"})
 #: What tells the place of such a shaft within the turn and over all turns.
@@ -80,6 +88,18 @@ class Walk:
         self.steps: list[Step] = []
         self.reads = [c for c in self.dialect.commands if c.all_risks == {Risk.READ} and not c.request_forms[0].layout.named]
         self.running = self._loose = False
+        #: Whether a run under way has yet to reach its speed.
+        self._rising = False
+        #: Whether the line lost or damaged something.
+        self._lossy = False
+        #: Whether a move goes on that was left to itself.
+        self._left_going = False
+        #: Which read is next while a setting has to wait, with its values.
+        self._next = 0
+        self._all_reads: list[tuple[Command, dict[str, int]]] = [(c, {}) for c in self.reads]
+        parameters = self.dialect.by_verb.get(Verb.READ_PARAMETER)
+        if parameters is not None:
+            self._all_reads += [(parameters, {"parameter": number}) for number in selectors(self.dialect)]
         #: Whether the motion under way is a move that began at rest, of which the law tells each place.
         self._from_rest = False
         #: Fields that differed at the begin, and what is told of power-on: the drive's own.
@@ -154,6 +174,9 @@ class Walk:
             for number in range(count):
                 self.look(self.reads[(first + number) % len(self.reads)])
             return
+        if step.name == ASIDE:
+            self._send_aside(step.values[ASIDE])
+            return
         command = self.dialect.by_name[step.name]
         if command.verb in self._missing:
             self.steps.pop()
@@ -169,25 +192,34 @@ class Walk:
             self.steps.pop()
 
     def _do(self, command: Command, given: Mapping[str, int]) -> None:
-        probe, was_turning = self.probe, self.twin.turning
-        values = {name: value for name, value in given.items() if name != LEAVE}
+        probe = self.probe
+        self._let_end()
+        values = {name: value for name, value in given.items() if name not in (LEAVE, WAY, ASIDE)}
         if (
             command.motion is not None
             and command.motion.kind is not MotionKind.STOP
             and (command.motion.speed or command.motion.distance)
         ):
             values = self._values(command, given)
+        if values.get(self.twin.drive.group_setting) == probe.address:
+            raise NotRun("no manual says what a drive is that is in a group of its own address")
+        # What a line may lose that nobody answers is sent to the drive alone, which does.
+        way, group = 0 if self._lossy else given.get(WAY, 0), self._group
+        built = addressed(probe, command, values, way, group)
+        if not built.risks <= probe.rig.allowed | {Risk.READ}:
+            raise NotRun("not allowed")
+        if Risk.SETTING in built.risks:
+            self._look_meanwhile()
+            self._let_end()
+        was_turning = self.twin.turning
         if command.motion is not None:
             law = self.dialect.ramp is not None
             self._from_rest = law and not was_turning and command.motion.kind in MOVES
-        built = probe.build(command, values)
-        if not built.risks <= probe.rig.allowed | {Risk.READ}:
-            raise NotRun("not allowed")
         if command.motion is not None and command.motion.kind in _TURNING:
             if not was_turning:
                 self._begun_ns, self._pace = self._twin_ns(probe.gate.now_ns()), 0.0
             self._pace = max(self._pace, 6.0 * abs(given.get("rpm") or self._home_rpm))
-        silent = self.twin.drive.silenced(command)
+        silent = bool(way) or self.twin.drive.silenced(command)
         until, timeout_ns = (Until.TIMEOUT, probe.noise.silence_ns) if silent else (Until.REPLY, None)
         before, scale = dict(self.twin.drive.settings), 360 / (200 * getattr(self.twin.drive, "subdivision", 1))
         for _ in range(_TOLD):
@@ -195,6 +227,7 @@ class Walk:
             # A request that the line loses does nothing. The second one is the drive's word.
             if silent or not exchange.unanswered:
                 break
+            self._lossy = True
         told = self.twin.hear(built.item(), self._twin_ns(exchange.sent_ns))
         self._compare_reply(command, exchange, told)
         if not silent and not probe.refused(exchange):
@@ -207,6 +240,47 @@ class Walk:
             for verb in _ENCODER:
                 self.look(self.dialect.by_verb[verb])
             self._take_encoder()
+
+    @property
+    def _group(self) -> int | None:
+        """The group that both drives are in."""
+        return self.twin.drive.settings.get(self.twin.drive.group_setting)
+
+    def _send_aside(self, number: int) -> None:
+        """Send a frame that changes nothing; what the drive makes of it shows in what is read next."""
+        try:
+            item = aside(self.probe, number, self._group)
+            if number == Aside.UNKNOWN_CODE:
+                exchange = self.probe.send(item, until=Until.REPLY, timeout_ns=self.probe.noise.silence_ns)
+            else:
+                exchange = self.probe.send(item, timeout_ns=_APART_NS)
+        except (GateRefused, NotRun):
+            return
+        self._unasked.expect(self.twin.hear(item, self._twin_ns(exchange.sent_ns)))
+
+    def _look_meanwhile(self) -> None:
+        """Look at some of all reads in the time for which the next setting has to wait."""
+        probe = self.probe
+        for _ in range(_MEANWHILE):
+            before_ns = probe.gate.line.setting_ns
+            if before_ns is None or before_ns + probe.rig.write_gap_ns - probe.gate.now_ns() < _READ_NS:
+                break
+            command, values = self._all_reads[self._next % len(self._all_reads)]
+            self._next += 1
+            if command.verb not in self._missing:
+                self.look(command, values)
+        before_ns = probe.gate.line.setting_ns
+        if before_ns is not None:
+            probe.wait(before_ns + probe.rig.write_gap_ns - probe.gate.now_ns())
+
+    def _let_end(self) -> None:
+        """Let a motion that was left to itself come to its end if that is near: what is sent while it is told may be lost."""
+        self._hear_nothing()
+        drive: Any = self.twin.drive
+        if self._left_going and (not self.twin.turning or drive.motor.settled - self.twin.now_ns < _WORTH_NS):
+            self._left_going = False
+            self._rest(watched=True, lawful=False)
+            self._place(anywhere=True)
 
     @property
     def _home_rpm(self) -> float:
@@ -253,7 +327,7 @@ class Walk:
         if verb is Verb.SET_ZERO:
             self._pulse_degrees = 0.0
         if kind in (MotionKind.RUN, MotionKind.HOME) and twin.turning:
-            self.running, self._loose = True, True
+            self.running, self._loose, self._left_going = True, True, False
             self._steady(given)
             return
         if verb is Verb.MOTOR_OFF:
@@ -264,12 +338,14 @@ class Walk:
             self.running = self.running and twin.turning and twin.drive.next_ns() is None
         if self.running or (given.get(LEAVE) and twin.turning):
             self._left = command.code if kind in _TURNING else self._left
+            self._left_going = self.dialect.ramp is not None and not self.running
             return
-        self._rpm = 0
-        if self._from_rest and twin.turning:
-            self._on_its_way()
+        self._left_going = False
+        self._rpm, self._rising = 0, False
+        if self.dialect.ramp is not None and twin.turning:
+            self._on_its_way(given.get(ASIDE, 0))
         if twin.turning or was_turning or kind in (MotionKind.STOP, *MOVES):
-            self._rest(watched=was_turning)
+            self._rest(watched=was_turning, lawful=kind in (MotionKind.STOP, *MOVES))
         if self._loose:
             self._place(anywhere=was_turning or verb in (Verb.RESTART, Verb.CLEAR_TURNS))
             if (verb is Verb.SET_WORK_MODE and self._open_enabling(before)) or verb is Verb.RESTART:
@@ -278,13 +354,26 @@ class Walk:
                 # Whether a zero is kept for power-on no read tells, and a motor that is off does not go back to it.
                 self._learn_own(self.dialect.by_verb[Verb.READ_ZERO_STATUS])
 
-    def _on_its_way(self) -> None:
-        """Look at a move before its end is told: how fast it goes no place at its end tells."""
+    def _on_its_way(self, frame: int) -> None:
+        """Look at a motion before its end is told: how it goes there no place at its end tells. `frame`: sent meanwhile."""
         drive: Any = self.twin.drive
         left_ns = int(drive.motor.settled) - self.twin.now_ns - 2 * self.probe.noise.latency_ns
-        if left_ns > _WORTH_NS:
-            self.probe.wait(left_ns // 2)
+        if left_ns <= _WORTH_NS:
+            return
+        half_ns = self.probe.gate.now_ns() + left_ns // 2
+        self.probe.wait(left_ns // 4)
+        self._look_changing()
+        if frame:
+            self._send_aside(frame)
+        if self._from_rest:
+            self.probe.wait(half_ns - self.probe.gate.now_ns())
             self.look(self.dialect.by_verb[Verb.READ_POSITION])
+
+    def _look_changing(self) -> None:
+        """Look at what tells how the speed changes."""
+        for verb in _CHANGING:
+            if verb in self.dialect.by_verb:
+                self.look(self.dialect.by_verb[verb])
 
     def _open_enabling(self, before: Mapping[str, int]) -> bool:
         now = self.twin.drive.settings
@@ -300,8 +389,19 @@ class Walk:
             # A mode or fine subdivisions may let the shaft turn slower than was asked.
             motor: Any = getattr(self.twin.drive, "motor", None)
             before, self._rpm = self._rpm, motor.speed(self.twin.now_ns + _LONG_NS) if "rpm" in given else 0
-            lasts_ns = abs(self._rpm - before) * ramp.step_ns(given.get("acceleration", QUICK)) * _SLOW
-            self.probe.wait(int(lasts_ns) + (_TREMBLES_NS if self.probe.noise.live else 2 * _SETTLES_NS))
+            most = max(abs(self._rpm - before), abs(self._rpm) * self._rising)
+            lasts_ns = most * ramp.step_ns(given.get("acceleration", QUICK)) * _SLOW
+            self._rising = bool(given.get(LEAVE))
+            if lasts_ns > _WORTH_NS:
+                self._rising = True
+                self.probe.wait(int(lasts_ns) // 3)
+                self._look_changing()
+                if given.get(ASIDE):
+                    self._send_aside(given[ASIDE])
+                lasts_ns *= 2 / 3
+                self._rising = bool(given.get(LEAVE))
+            if not self._rising:
+                self.probe.wait(int(lasts_ns) + (_TREMBLES_NS if self.probe.noise.live else 2 * _SETTLES_NS))
             return
         last = motion.speed(self.probe).value
         for _ in range(40):
@@ -314,8 +414,11 @@ class Walk:
 
     # --- rest -----------------------------------------------------------------------------------------------------
 
-    def _rest(self, *, watched: bool) -> None:
-        """Wait until both shafts stand, and compare what was said unasked meanwhile. `watched`: its end is not known."""
+    def _rest(self, *, watched: bool, lawful: bool) -> None:
+        """Wait until both shafts stand, and compare what was said unasked meanwhile.
+
+        `watched`: its end is not known. `lawful`: the manual says when it comes.
+        """
         probe, twin = self.probe, self.twin
         self._hear_nothing()
         left_ns = 0.0
@@ -331,7 +434,8 @@ class Walk:
             if missing <= 0 and heard.answers:
                 break
         if self.dialect.ramp is None or watched:
-            self._watch()
+            limit_ns = int(left_ns * (_SLOW - 1)) + 2 * _LATE_NS + 5 * probe.noise.latency_ns
+            self._watch(limit_ns if lawful and self.dialect.ramp is not None else _REST_NS)
         probe.wait(_TREMBLES_NS if probe.noise.live or probe.noise.lag else _SETTLES_NS)
         self._anchor()
         if self._unasked.missing() > 0:
@@ -339,9 +443,9 @@ class Walk:
         if (different := self._unasked.taken(self._left)) is not None:
             self._refute("what is said at the end of a motion", *different)
 
-    def _watch(self) -> None:
+    def _watch(self, limit_ns: int) -> None:
         try:
-            motion.wait_standing(self.probe, limit_ns=_REST_NS)
+            motion.wait_standing(self.probe, limit_ns=limit_ns)
         except Inconclusive:
             rpm = motion.speed(self.probe).value
             if abs(rpm) > _TURNS_RPM + self.probe.noise.rpm:
@@ -411,6 +515,7 @@ class Walk:
             # One reply may be lost; what the line damages tells nothing.
             if exchange.is_read or (asked > 1 and not exchange.damaged):
                 break
+            self._lossy = True
         assert exchange.sent is not None
         told = self.twin.hear(exchange.sent, self._twin_ns(exchange.sent_ns), reads=True)
         return exchange.reply if exchange.is_read else None, self._told(command, told)
@@ -430,7 +535,7 @@ class Walk:
         if not different:
             return
         # A shaft that turns is elsewhere later on, where its place may be the right one again.
-        at_once = self._from_rest and self.twin.turning and self._only_places(command, different)
+        at_once = self._changing and self._only_passing(command, different)
         for wait_ns in _AT_ONCE_NS if at_once else _AGAIN_NS:
             self.probe.wait(wait_ns)
             answer, told = self._asked(command, values)
@@ -439,13 +544,21 @@ class Walk:
                 return
         self._refute_read(command, answer, told, different)
 
-    @staticmethod
-    def _only_places(command: Command, different: Iterable[str]) -> bool:
+    @property
+    def _changing(self) -> bool:
+        """Whether the shaft turns, at a speed that changes, or to a place."""
+        return self.dialect.ramp is not None and self.twin.turning and (not self.running or self._rising)
+
+    def _only_passing(self, command: Command, different: Iterable[str]) -> bool:
         fields = command.reply_forms[0].layout.named
-        return all(name in fields and fields[name].unit in _PLACES for name in different)
+        units = _PLACES | _SPEEDS if self._from_rest else _SPEEDS
+        return all(name in fields and (fields[name].unit in units or name in _OF_MOTION) for name in different)
 
     def _compare_reply(self, command: Command, exchange: Exchange, told: list[Told]) -> None:
-        reply, wanted = exchange.reply if exchange.is_read else None, self._told(command, told)
+        first = exchange.reply
+        # A stop has the code of its motion: whose status it is the analyzer may leave open.
+        alike = first is not None and first.is_whole and first.command is not None and first.command.code == command.code
+        reply, wanted = first if exchange.is_read or alike else None, self._told(command, told)
         if (reply is None) != (wanted is None):
             if exchange.damaged:
                 # What the drive did shows in what is read next.
@@ -478,7 +591,8 @@ class Walk:
         # On its way a shaft is between those before it and behind it.
         others = [t.values for each in twin.between for t in each if t.command.name == command.name]
         every = [told.values, *(values for values in others if answer.values.keys() <= values.keys())]
-        return [
+        reserved = [_RESERVED] * any(v.rule == _RESERVED for v in answer.message.violations)
+        return reserved + [
             name
             for name, field in form.layout.named.items()
             if (command.name, name) not in self._own
@@ -501,7 +615,7 @@ class Walk:
         if any(got[name] == values[name] for values in every) and name != "carry":
             return True
         if field.unit in _SPEEDS:
-            steady = self.running and command.motion is None
+            steady = self.running and not self._rising and command.motion is None
             if turning and not steady and (not known or self.probe.noise.live):
                 return True
             wanted = [_rpm(field, values[name]) for values in every]

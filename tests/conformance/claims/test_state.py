@@ -46,6 +46,18 @@ FAULTS = (
         "set_work_mode work_mode=2; move_relative_axis degrees=40 rpm=60 acceleration=248; look first=0 count=6",
     ),
     ("mks-can", "subdivision-lost", "set_subdivision subdivision=64; restart; read_parameter parameter=132"),
+    (
+        "mks-rs485",
+        "package-fourth-slot-unsigned",
+        "move_relative_axis degrees=-40 rpm=60 acceleration=248 way=6; look first=1 count=1",
+    ),
+    ("mks-can", "ignores-group-stops", "set_group_address group_address=80; run_speed rpm=60; stop_speed acceleration=0 way=2"),
+    (
+        "mks-rs485",
+        "end-untold-behind-group",
+        "set_group_address group_address=80; move_relative_axis degrees=90 rpm=60 acceleration=248 aside=4",
+    ),
+    ("mks-modbus", "broadcast-one-way", "run_speed rpm=-60 way=1; look first=0 count=6"),
     ("lk-rs485", "lk-off-still-moves", "motor_off; run_speed rpm=60; look first=0 count=8"),
 )
 
