@@ -24,7 +24,7 @@ from analyzer.catalogue import Command, MotionKind, Risk, Verb
 from analyzer.layout import Field
 from conformance.claim import Inconclusive, NotRun, Refuted
 from conformance.gate.gate import Refused as GateRefused
-from conformance.model.asides import Aside, addressed, aside
+from conformance.model.asides import Aside, Way, addressed, aside
 from conformance.model.steps import ASIDE, LEAVE, LOOK, WAY, Step, beginning, selectors, steps_text
 from conformance.model.twin import Told, Twin
 from conformance.model.unasked import Unasked
@@ -203,9 +203,8 @@ class Walk:
             values = self._values(command, given)
         if values.get(self.twin.drive.group_setting) == probe.address:
             raise NotRun("no manual says what a drive is that is in a group of its own address")
-        # What a line may lose that nobody answers is sent to the drive alone, which does.
-        way, group = 0 if self._lossy else given.get(WAY, 0), self._group
-        built = addressed(probe, command, values, way, group)
+        way = self._way(given)
+        built = addressed(probe, command, values, way, self._group)
         if not built.risks <= probe.rig.allowed | {Risk.READ}:
             raise NotRun("not allowed")
         if Risk.SETTING in built.risks:
@@ -245,6 +244,12 @@ class Walk:
     def _group(self) -> int | None:
         """The group that both drives are in."""
         return self.twin.drive.settings.get(self.twin.drive.group_setting)
+
+    def _way(self, given: Mapping[str, int]) -> int:
+        """Return how a step is sent: to the drive alone where no other way is open, or the line loses what nobody answers."""
+        way = given.get(WAY, Way.OWN)
+        other = self.probe.gate.allowance.alone and not self._lossy and (way != Way.GROUP or self._group)
+        return way if other else Way.OWN
 
     def _send_aside(self, number: int) -> None:
         """Send a frame that changes nothing; what the drive makes of it shows in what is read next."""
@@ -435,7 +440,7 @@ class Walk:
                 break
         if self.dialect.ramp is None or watched:
             limit_ns = int(left_ns * (_SLOW - 1)) + 2 * _LATE_NS + 5 * probe.noise.latency_ns
-            self._watch(limit_ns if lawful and self.dialect.ramp is not None else _REST_NS)
+            self._watch(limit_ns if lawful and self.dialect.ramp is not None and not twin.turning else _REST_NS)
         probe.wait(_TREMBLES_NS if probe.noise.live or probe.noise.lag else _SETTLES_NS)
         self._anchor()
         if self._unasked.missing() > 0:
