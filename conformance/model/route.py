@@ -12,7 +12,6 @@ a short motion shows what the last one did: of those that are drawn the one in w
 Rules kept here:
 - Settings that motion depends on are sent only while the shaft stands: how they affect a motion no manual says.
 - Nothing of the link but the group, of the flash or of power-on, and nothing that searches or calibrates.
-- Values that a motor cannot move without stay strong; none depends on a switch.
 """
 
 from __future__ import annotations
@@ -24,12 +23,12 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Command, Dialect, Form, MotionKind, Risk, Verb
-from analyzer.layout import Effect, Field
+from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from conformance.gate.bounds import NO_BOUNDS, Leeway
-from conformance.model import covering, limits, lk_parameters
+from conformance.model import covering, limits
 from conformance.model.asides import Way, asides, slots, ways
 from conformance.model.steps import ASIDE, LEAVE, LOOK, WAY, Step, selectors
+from conformance.model.values import SUBDIVISIONS, forms_of, parameter, setting_values
 from conformance.motion import declared, ramp
 from conformance.motion.declared import MOVES, SUBDIVISION
 from conformance.talk import samples
@@ -53,13 +52,6 @@ _OF_STANDING = frozenset(
         Verb.SET_CURRENT,
     }
 )
-#: A motor needs these as they are, or a switch decides what they do.
-_STRONG = frozenset({"current", "home_current", "holding_current", "stall_tolerance", "end_limit"})
-_SUBDIVISIONS = (SUBDIVISION, 64, 7, 128, 0)
-#: Of these a little less is as good, so that what was not stored shows.
-_EITHER = _STRONG - {"end_limit"}
-#: More of this does not hurt, and needs its high byte.
-_MORE = {"stall_tolerance": 0x0123}
 #: How many parameters are written one after the other.
 _WRITTEN = 5
 #: How often values are drawn anew that are those of before.
@@ -79,21 +71,15 @@ _FREE_PACES = [(r, t) for r in (15, 40, 90, 160) for t in (0.025, 0.11, 0.25, 0.
 _FREE_FAST = 600
 #: How far a move goes that is not waited for, and how fast.
 _LONG, _LONG_RPM = 300, 140
-#: A homing search that no switch ends is this fast at most.
-_HOME_RPM = 600
 _GOING_LOOKS, _LOOKS = 2, 3
 #: The share of moves among the motions that fill a wait; the others are runs.
 _MOVES, _ALIKE = 0.7, 0.5
 #: How many motions are drawn, of which the one with most that is new comes.
 _DRAWN = 6
-#: The group that the drive is in at first; others are behind the addresses that drives often have.
-_GROUP, _GROUP_LEAST = 0x50, 0x11
+#: The group that the drive is in at first.
+_GROUP = 0x50
 #: What changes between rows, and the share of rows that come in any case.
 _SETTINGS, _LEAPS = ("mode", "on", "subdivision", "direction", "replies"), 0.05
-#: The farthest name of a place, in hundredths of a degree.
-_FAR = 100_000_000
-#: Limits with which a motor moves as it would without.
-_ROOMY = {"torque_limit": (1500, 1900), "speed_limit": (0x02_2345, 0x02_0F23), "angle_limit": (0x2134_5678, 0x1134_5678)}
 
 
 class _Deed(NamedTuple):
@@ -138,7 +124,7 @@ def _factors(dialect: Dialect) -> dict[str, Sequence[Any]]:
         found["mode"] = (*(m for m in bus if "no_encoder" not in m), next(m for m in modes if m not in bus))
     found["on"] = (1, 0)
     if Verb.SET_SUBDIVISION in verbs:
-        found["subdivision"] = _SUBDIVISIONS
+        found["subdivision"] = SUBDIVISIONS
     if Verb.SET_DIRECTION in verbs:
         found["direction"] = (0, 1)
     if Verb.SET_RESPOND in verbs:
@@ -170,7 +156,7 @@ def _rows(dialect_name: str, model: str) -> tuple[dict[str, Any], ...]:
         # Only motion commands can be silenced.
         rules.append(lambda deed, replies: verbs[deed.name].motion is not None or replies in ((1, 1), (0, 0)))
     if "subdivision" in factors:
-        rules.append(lambda deed, subdivision: verbs[deed.name].motion is not None or subdivision == _SUBDIVISIONS[2])
+        rules.append(lambda deed, subdivision: verbs[deed.name].motion is not None or subdivision == SUBDIVISIONS[2])
     able = factors | {"on": (1,)} | ({"mode": tuple(m for m in factors["mode"] if m in bus)} if bus else {})
     found = covering.rows(able, *rules)
     # Where nothing moves each deed is refused, or done without a motion.
@@ -380,10 +366,10 @@ class _Route:
                 yield self._look(2)
         elif command.verb is Verb.WRITE_PARAMETER:
             # One after the other, so that all of them come: each may spoil another one.
-            forms = _forms(command)
+            forms = forms_of(command)
             for _ in range(_WRITTEN):
                 self._written += 1
-                yield Step(command.name, _parameter(forms[self._written % len(forms)], chance))
+                yield Step(command.name, parameter(forms[self._written % len(forms)], chance))
         else:
             for _ in range(_DRAWS):
                 values = setting_values(dialect, command, chance, self.leeway, stray=deed.stray)
@@ -419,56 +405,6 @@ def _into(dialect: Dialect, state: dict[str, Any], row: Mapping[str, Any]) -> It
         command, values = declared.switching(dialect, bool(row["on"]))
         yield Step(command.name, values)
     state.update({name: row[name] for name in _SETTINGS if name in row})
-
-
-def setting_values(dialect: Dialect, command: Command, chance: random.Random, leeway: Leeway, *, stray: bool) -> dict[str, int]:
-    """Return values of a request, allowed ones or one of them outside its limits."""
-    form: Form = chance.choice(_forms(command))
-    plain = samples.sample(dialect, command, form)
-    wrong = [name for name, field in form.layout.named.items() if limits.beyond(field)]
-    beyond = chance.choice(wrong) if stray and wrong else ""
-    values = {}
-    for name, field in form.layout.named.items():
-        if name == beyond:
-            values[name] = chance.choice(limits.beyond(field))
-        elif field.fixed is not None:
-            values[name] = field.fixed
-        elif name in _STRONG:
-            values[name] = chance.choice(
-                [v for v in (plain[name] - 1, plain[name] + _MORE.get(name, 0)) if name in _EITHER and field.allows(v)]
-                or [plain[name]]
-            )
-        else:
-            values[name] = _value(field, chance, leeway)
-    return values
-
-
-def _parameter(form: Form, chance: random.Random) -> dict[str, int]:
-    """Return values of a parameter with which a motor moves as it would without."""
-    which = chance.randrange(2)
-    moderate = lk_parameters.moderate(form, which)
-    return {name: _ROOMY[name][which] if name in _ROOMY else value for name, value in moderate.items()}
-
-
-def _forms(command: Command) -> list[Form]:
-    if command.verb is not Verb.WRITE_PARAMETER:
-        return [form for form in command.request_forms if form.layout.named] or list(command.request_forms)
-    return [f for f in command.request_forms if f.layout.named["parameter"].fixed]
-
-
-def _value(field: Field, chance: random.Random, leeway: Leeway) -> int:
-    if field.effect is Effect.SUBDIVISION:
-        return chance.choice([s for s in (*_SUBDIVISIONS, 1, 32, 255, 11) if field.allows(s)])
-    spans = limits.allowed(field, leeway)
-    low, high = chance.choice(spans)
-    if field.unit == "deg" and field.effect is None:
-        # Within what the drive's own limit of the angle leaves.
-        low, high = max(low, -_FAR), min(high, _FAR)
-    if field.effect is Effect.HOME_SPEED:
-        high = min(high, _HOME_RPM)
-    if field.effect is Effect.GROUP:
-        low = max(low, _GROUP_LEAST)
-    return chance.choice((low, high, chance.randint(low, high), chance.randint(low, high)))
 
 
 def _after(dialect: Dialect, deed: _Deed, state: dict[str, Any]) -> None:
