@@ -23,6 +23,7 @@ Not emulated: diagnostics and the other functions of the Modbus standard, which 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 from analyzer.catalogue import Command, Dialect, Form, Replies, Role, Trait
 from analyzer.codec import codec
@@ -86,7 +87,7 @@ class ModbusResponder(MksResponder):
             return len(frame.data) == _SHORT
         return True
 
-    @property
+    @cached_property
     def _functions(self) -> set[int | None]:
         return {c.function for c in self.dialect.commands}
 
