@@ -51,7 +51,7 @@ def ranked(suspicions: Iterable[Suspicion], troubles: Sequence[Trouble]) -> list
     likely: set[Trouble] = set()
     for each in weighed:
         own = set(each.suspicion.troubles)
-        new = own - (likely if each.suspicion.cause in _SYMPTOMS else explained)
+        new = own - (likely if each.suspicion.cause in _SYMPTOMS or each.suspicion.by_words else explained)
         if any(t.suspicion.cause == each.suspicion.cause for t in told):
             continue
         if told and total and len(new) < max(1, _LEAST_NEW * total):

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import ast
 import csv
+import itertools
 import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -40,8 +41,9 @@ _NAMES: dict[str, tuple[str, ...]] = {
              "zeit", "zeitstempel", "系统时间", "时间", "start", "starts", "starttime", "begin", "uhrzeit", "时间标识"),
     "mark": ("dir", "direction", "txrx", "rxtx", "topic", "传输方向", "方向", "sender", "type", "event", "richtung", "row",
              "line"),
-    "data": ("data", "databytes", "datahex", "bytes", "hex", "payload", "frame", "raw", "buffer", "message", "msg", "daten",
-             "value", "text", "uartrxtx", "uartrx", "uarttx", "数据", "数据hex"),
+    "data": ("data", "databytes", "datahex", "bytes", "byte", "databyte", "hex", "payload", "frame", "raw", "buffer", "message",
+             "msg", "daten",
+             "value", "text", "wert", "bytehex", "uartdata", "uartrxtx", "uartrx", "uarttx", "数据", "数据hex"),
     "id": ("id", "canid", "arbitrationid", "identifier", "idhex", "id号", "帧id", "frameid", "identifierhex"),
     "extended": ("extended", "isextended", "ext", "ide", "isextendedid", "帧格式"),
     "remote": ("remote", "rtr", "isremoteframe", "帧类型"),
@@ -107,7 +109,8 @@ class _Table:
                 names = [_key(cell) for cell in _cells(text, separator)]
                 if len(names) > 1 and _is_heading(names):
                     table = cls(names, separator)
-                    cells = [cell for each in lines for cell in (table.row(each) or {}).get("cells", ())]
+                    rows = [row for each in lines if (row := table.row(each)) is not None]
+                    cells = [cell for row in rows for cell in _single(row)]
                     table.decimal = bool(cells) and all(map(str.isdecimal, cells)) and any(len(cell) == 3 for cell in cells)
                     return table
         return None
@@ -121,8 +124,8 @@ class _Table:
         if len(cells) < 2 or [_key(cell) for cell in cells] == self.names or (self._separator == "|" and _RULE.fullmatch(text)):
             return None
         row = _named(zip(self.names, cells, strict=False))
-        if self.decimal and "cells" in row:
-            row["cells"] = [f"{int(cell):02X}" if cell.isdecimal() and int(cell) <= _LARGEST else cell for cell in row["cells"]]
+        if self.decimal and (singles := _single(row)):
+            row["cells"] = [f"{int(cell):02X}" if cell.isdecimal() and int(cell) <= _LARGEST else cell for cell in singles]
             if str(row.get("id", "")).isdecimal():
                 row["id"] = int(row["id"])
         beyond = [cell for cell in cells[len(self.names) :] if cell]
@@ -139,6 +142,11 @@ class _Table:
         """Return the names of columns that mean nothing here."""
         known = {name for names in _NAMES.values() for name in names}
         return [n for n in self.names or () if n and n not in known and not _SENT.fullmatch(n) and not _CELL.fullmatch(n)]
+
+
+def _single(row: Row) -> list[str]:
+    """Return the cells of a row that hold one byte each."""
+    return row.get("cells") or [str(row[name]) for name in ("data",) if name in row]
 
 
 def _key(name: str) -> str:
@@ -268,11 +276,17 @@ def read(source: Source) -> Iterator[Chunk | CanFrame | Comment]:
 
 def _is_can(rows: list[Row]) -> bool:
     """Say whether identifiers are those of CAN frames: not the numbers of rows, nor beside more bytes than a frame has."""
-    numbers = [_identifier(row["id"]) for row in rows if "id" in row]
-    if not numbers or len(numbers) < len(rows) or any(n is None or n > CAN_ID_MASK for n in numbers):
+    texts = [row["id"] for row in rows if "id" in row]
+    numbers = [n for text in texts if (n := _identifier(text)) is not None and n <= CAN_ID_MASK]
+    if not numbers or len(numbers) < len(rows) or _counts(numbers) or _counts([int(t) for t in texts if str(t).isdecimal()]):
         return False
-    counting = len(numbers) > 2 and all(isinstance(n, int) and n == (numbers[0] or 0) + i for i, n in enumerate(numbers))
-    return not counting and all(len(data) <= _CAN_BYTES for row in rows for data, _ in _bytes_in(row))
+    return all(len(data) <= _CAN_BYTES for row in rows for data, _ in _bytes_in(row))
+
+
+def _counts(numbers: list[int]) -> bool:
+    """Say whether a column counts the rows: each number is above the last, by one but for rows without bytes."""
+    rises = all(after > before for before, after in itertools.pairwise(numbers))
+    return rises and len(numbers) > 2 and numbers[-1] - numbers[0] < 2 * len(numbers)
 
 
 class _Times:

@@ -267,3 +267,8 @@ def test_a_number_that_is_sent_without_its_scale(words, cause, causes_of):
     frames = [f"3E A2 01 04 E5 {body.hex(' ')} {sum(body) & 0xFF:02X}" for body in bodies]
     log = "".join(f"{words.format(speed=speed)}\n> {frame}\n" for speed, frame in zip((360, 90), frames, strict=True))
     assert causes_of(log + "it answers")[:1] == ([cause] if cause else [])
+
+
+def test_words_add_nothing_to_what_the_bytes_show(causes_of):
+    log = "[01][03][01][00][00][01][85][F6]\nWaiting for a confirmation...\n<00><01><03><02><6D><60><94><FC>\n"
+    assert causes_of(log + "ERROR CRC received 94FC != CRC calculated B0E7\n") == ["leading_glitch"]

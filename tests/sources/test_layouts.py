@@ -161,3 +161,19 @@ def test_an_address_that_counts_up_is_a_byte(tmp_path: Path) -> None:
 def test_digits_without_gaps_that_have_a_check_are_a_frame(tmp_path: Path) -> None:
     text = f"[10:00:00] tell {ASKED.replace(' ', '').lower()}\n[10:00:01] hear deadbeef01 and 110300c00001\n"
     assert [data for _, data in read(tmp_path, text)] == [ASKED]
+
+
+@pytest.mark.parametrize(
+    ("heading", "row"),
+    [
+        ("Id,Time[ns],0:UART: RX/TX", "{n},{n}310000.00,{byte:02X}"),
+        ("Id,Time,TX", "{n},0.{n:02},0x{byte:02X}"),
+        ("Index,Time (s),UART data", "{n},0.{n:02},0x{byte:02X}"),
+        ("Nr;Zeit;Wert", "{n};0,{n:02};{byte:02X}"),
+        ("Id,Time,Value", "{n},0.{n:02},{byte}"),
+    ],
+)
+def test_a_number_of_a_row_is_no_identifier(heading: str, row: str, tmp_path: Path) -> None:
+    sent = bytes.fromhex("FA 01 31 2C FB 01 31 00 00 00 00 02 BC EB")
+    rows = [row.format(n=n, byte=byte) for n, byte in enumerate(sent)]
+    assert "".join(data for _, data in read(tmp_path, "\n".join((heading, *rows)) + "\n")) == sent.hex().upper()
