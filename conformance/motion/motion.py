@@ -282,7 +282,7 @@ def ask(
         return probe.ask(command, values, **replies)
     except Refused:
         distance = declared.of(command).distance
-        if not distance or more:
+        if not distance or distance in (more or {}):
             raise
         # Where the shaft stands, the bytes of a target may read as a frame of another dialect: beside it they do not.
         beside = values[distance] + (-BESIDE if values[distance] > 0 else BESIDE)
