@@ -14,7 +14,7 @@ from conformance.claim import Aspect, Theme
 from conformance.claims.declare import Case, claim
 from conformance.drives.make import KINDS
 from conformance.gate.bounds import Leeway
-from conformance.model import route, story
+from conformance.model import conditions, route, story
 from conformance.model.lk_parameters import need_room
 from conformance.motion import declared
 from conformance.talk.acceptance import need_plain_replies
@@ -27,7 +27,7 @@ LEGS = 3
 def _legs(dialect: Dialect) -> Iterator[Case]:
     if dialect.name not in KINDS:
         return
-    about = [dialect.by_name[name] for name in dict.fromkeys(deed.name for deed in route.deeds(dialect))]
+    about = [dialect.by_name[name] for name in dict.fromkeys(deed.name for deed in conditions.deeds(dialect))]
     risks = frozenset[Risk]().union(*(command.all_risks for command in about)) - {Risk.UNKNOWN, Risk.READ}
     for leg in range(LEGS):
         facts = {

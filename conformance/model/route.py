@@ -1,57 +1,33 @@
-"""The route of a walk (`model.walk`): in which states which deeds are done, so that any two conditions meet.
+"""The route of a walk (`model.walk`): the steps of rows in which any two conditions meet (`model.conditions`).
 
-    work mode x on or off x subdivision x direction x replies       the state of the drive
-    standing, rising, running or moving, either way                 what the shaft does meanwhile
-    to the drive, to all, to its group, in a slot of a package      how the deed reaches it
-    each command that is no read, inside and outside its limits     the deed
+    another state, as far as the row has one      a short motion after each setting
+    a run or a move, left to itself               if something is done meanwhile
+    the deed
+    looks at some of the reads, others each time  before some of them a frame that is not for the drive
+    a stop
 
-The rows are a covering array (`model.covering`), in an order and with values drawn by the seed. After each deed some of the
-reads are looked at, others each time; before some comes a frame that is not for the drive. While the next setting has to wait,
-a short motion shows what the last one did: of those that are drawn the one in which most meets that has not met yet.
-
-Rules kept here:
-- Settings that motion depends on are sent only while the shaft stands: how they affect a motion no manual says.
-- Nothing of the link but the group, of the flash or of power-on, and nothing that searches or calibrates.
+Rows come in an order and with values drawn by the seed. While the next setting has to wait, a short motion shows what the last
+one did: of those that are drawn the one in which most meets that has not met yet.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
+from collections.abc import Iterator, Mapping
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
-from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from conformance.gate.bounds import NO_BOUNDS, Leeway
-from conformance.model import covering, limits
 from conformance.model.asides import Way, asides, slots, ways
+from conformance.model.conditions import Deed, is_done, rows_of
 from conformance.model.steps import ASIDE, LEAVE, LOOK, WAY, Step, selectors
-from conformance.model.values import SUBDIVISIONS, forms_of, parameter, setting_values
+from conformance.model.values import forms_of, parameter, setting_values
 from conformance.motion import declared, ramp
 from conformance.motion.declared import MOVES, SUBDIVISION
 from conformance.talk import samples
 from conformance.talk.probe import MS
 
-#: What cannot be put back by a setting, or that other hands are needed for.
-_NOT_DONE = frozenset({Risk.LINK, Risk.DESTRUCTIVE, Risk.WEAR})
-_NOT_MOVED = frozenset({MotionKind.CALIBRATE, MotionKind.TORQUE})
-#: Settings that motion depends on, and what gives a place another name.
-_OF_STANDING = frozenset(
-    {
-        Verb.SET_SUBDIVISION,
-        Verb.SET_DIRECTION,
-        Verb.SET_RESPOND,
-        Verb.SET_WORK_MODE,
-        Verb.SET_ZERO,
-        Verb.RESTART,
-        Verb.WRITE_PARAMETER,
-        Verb.BRAKE,
-        Verb.CLEAR_TURNS,
-        Verb.SET_CURRENT,
-    }
-)
 #: How many parameters are written one after the other.
 _WRITTEN = 5
 #: How often values are drawn anew that are those of before.
@@ -82,93 +58,6 @@ _GROUP = 0x50
 _SETTINGS, _LEAPS = ("mode", "on", "subdivision", "direction", "replies"), 0.05
 
 
-class _Deed(NamedTuple):
-    """A command, and whether it is sent as it may be (`way`: of a motion), or outside its limits."""
-
-    name: str
-    way: int = 0
-    stray: bool = False
-
-
-def _done(command: Command) -> bool:
-    risks = command.all_risks
-    if command.verb is Verb.SET_GROUP_ADDRESS:
-        return True
-    if command.slots is not None or risks == {Risk.READ} or risks & _NOT_DONE:
-        return False
-    if command.motion is not None and command.motion.kind in _NOT_MOVED:
-        return False
-    return Risk.POWER_ON not in risks or command.verb is Verb.RESTART or command.verb is Verb.SET_NO_LIMIT_HOME
-
-
-def deeds(dialect: Dialect) -> tuple[_Deed, ...]:
-    """Return all that is done."""
-    found = []
-    for command in (c for c in dialect.commands if _done(c)):
-        kind = command.motion.kind if command.motion is not None else None
-        if kind in (MotionKind.RUN, *MOVES):
-            found += [_Deed(command.name, 1), _Deed(command.name, -1)]
-            continue
-        found.append(_Deed(command.name))
-        if kind is None and any(limits.beyond(f) for form in command.request_forms for f in form.layout.named.values()):
-            found.append(_Deed(command.name, 0, True))
-    return tuple(found)
-
-
-def _factors(dialect: Dialect) -> dict[str, Sequence[Any]]:
-    verbs = dialect.by_verb
-    found: dict[str, Sequence[Any]] = {}
-    if Verb.SET_WORK_MODE in verbs:
-        modes = declared.field_of(verbs[Verb.SET_WORK_MODE], "work_mode").choice_names.values()
-        bus = declared.bus_modes(dialect)
-        found["mode"] = (*(m for m in bus if "no_encoder" not in m), next(m for m in modes if m not in bus))
-    found["on"] = (1, 0)
-    if Verb.SET_SUBDIVISION in verbs:
-        found["subdivision"] = SUBDIVISIONS
-    if Verb.SET_DIRECTION in verbs:
-        found["direction"] = (0, 1)
-    if Verb.SET_RESPOND in verbs:
-        found["replies"] = ((1, 1), (1, 0), (0, 1), (0, 0))
-    kinds = ("run", "move") if dialect.ramp is None else ("run", "move", "rise")
-    found["going"] = (0, *((kind, way) for kind in kinds for way in (1, -1)))
-    found["way"] = ways(dialect)
-    found["deed"] = deeds(dialect)
-    return found
-
-
-@cache
-def _rows(dialect_name: str, model: str) -> tuple[dict[str, Any], ...]:
-    dialect = registry.get(dialect_name)
-    dialect = dialect.for_model(model) if model else dialect
-    factors = _factors(dialect)
-    verbs = {command.name: command for command in dialect.commands}
-    bus = declared.bus_modes(dialect) if "mode" in factors else ()
-    # Motions over motions one by one, all else over a run one way and a move the other way.
-    rules: list[covering.Rule] = [
-        lambda going, deed: not going or not (verbs[deed.name].verb in _OF_STANDING or deed.name == "set_position"),
-        lambda going, deed: verbs[deed.name].motion is not None or going in (0, ("run", 1), ("move", -1)),
-        lambda way, deed: way == Way.OWN or not (deed.stray or verbs[deed.name].verb is Verb.SET_GROUP_ADDRESS),
-        # A stop has something to stop, a homing begins at rest.
-        lambda going, deed: going or not verbs[deed.name].motion or declared.of(verbs[deed.name]).kind is not MotionKind.STOP,
-        lambda going, deed: not going or verbs[deed.name].verb is not Verb.HOME,
-    ]
-    if "replies" in factors:
-        # Only motion commands can be silenced.
-        rules.append(lambda deed, replies: verbs[deed.name].motion is not None or replies in ((1, 1), (0, 0)))
-    if "subdivision" in factors:
-        rules.append(lambda deed, subdivision: verbs[deed.name].motion is not None or subdivision == SUBDIVISIONS[2])
-    able = factors | {"on": (1,)} | ({"mode": tuple(m for m in factors["mode"] if m in bus)} if bus else {})
-    found = covering.rows(able, *rules)
-    # Where nothing moves each deed is refused, or done without a motion.
-    unable = {name: levels for name, levels in factors.items() if name in ("mode", "on", "deed")} | {"going": (0,)}
-    unable["deed"] = tuple(d for d in unable["deed"] if verbs[d.name].verb is not Verb.HOME and not d.stray)
-    still = [lambda on, mode: (on and mode not in bus) or (not on and mode in bus)] if bus else [lambda on: not on]
-    return found + covering.rows(unable, *still)
-
-
-# --- steps ------------------------------------------------------------------------------------------------------------
-
-
 def steps(dialect: Dialect, *, seed: int = 0, leeway: Leeway = NO_BOUNDS, leg: int = 1, legs: int = 1) -> Iterator[Step]:
     """Yield the steps of a walk, or of one of its legs."""
     return _Route(dialect, seed, leeway).steps(leg, legs)
@@ -192,7 +81,7 @@ class _Route:
         return Step(LOOK, {"first": self._next - count, "count": count})
 
     def steps(self, leg: int, legs: int) -> Iterator[Step]:
-        rows = list(_rows(self.dialect.name, self.dialect.model))
+        rows = list(rows_of(self.dialect.name, self.dialect.model))
         self.chance.shuffle(rows)
         group = self.dialect.by_verb.get(Verb.SET_GROUP_ADDRESS)
         if group is not None:
@@ -252,11 +141,11 @@ class _Route:
 
     def _unreadable(self) -> list[int]:
         """Return a code that cannot be read, of a command that does something: a read of it does not."""
-        codes = [c.code for c in self.dialect.commands if _done(c) and c.code not in self._selectors]
+        codes = [c.code for c in self.dialect.commands if is_done(c) and c.code not in self._selectors]
         return [] if Verb.WRITE_PARAMETER in self.dialect.by_verb else [self.chance.choice(codes)]
 
     def _stopped(self) -> Iterator[Step]:
-        stop = self.chance.choice([c for c in self.dialect.motions(MotionKind.STOP) if _done(c)])
+        stop = self.chance.choice([c for c in self.dialect.motions(MotionKind.STOP) if is_done(c)])
         yield Step(stop.name, {**self._stop_values(stop), **self._by({WAY: self.chance.choice(self._ways)})})
         yield self._look(_LOOKS)
 
@@ -344,7 +233,7 @@ class _Route:
         """Say whether the shaft comes soon to rest by an acceleration."""
         return ramp.ramp_ns(0, self._rpm, acceleration) <= _RAMP_NS if acceleration else self._rpm <= _AT_ONCE_MOST
 
-    def _deed(self, deed: _Deed, *, leave: bool) -> Iterator[Step]:
+    def _deed(self, deed: Deed, *, leave: bool) -> Iterator[Step]:
         dialect, chance = self.dialect, self.chance
         command = dialect.by_name[deed.name]
         kind = command.motion.kind if command.motion is not None else None
@@ -407,7 +296,7 @@ def _into(dialect: Dialect, state: dict[str, Any], row: Mapping[str, Any]) -> It
     state.update({name: row[name] for name in _SETTINGS if name in row})
 
 
-def _after(dialect: Dialect, deed: _Deed, state: dict[str, Any]) -> None:
+def _after(dialect: Dialect, deed: Deed, state: dict[str, Any]) -> None:
     """Forget what a deed may have changed of the state."""
     verb = dialect.by_name[deed.name].verb
     changed = {
