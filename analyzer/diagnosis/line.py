@@ -18,7 +18,15 @@ from analyzer.diagnosis.bits import Line, unread
 from analyzer.diagnosis.exchanges import Awaited, replies_to
 from analyzer.diagnosis.no_frame import no_reply_at_all, same_line_noise, unknown
 from analyzer.diagnosis.reader import Reader
-from analyzer.diagnosis.rendered import RATES, at_other_speeds, of_inverted, of_replies, of_what_was_sent, read_otherwise
+from analyzer.diagnosis.rendered import (
+    RATES,
+    at_other_speeds,
+    of_exchanges,
+    of_inverted,
+    of_replies,
+    of_what_was_sent,
+    read_otherwise,
+)
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, shown
 from analyzer.diagnosis.seven_bits import all_of_seven, of_seven
 from analyzer.diagnosis.ways import ALMOST_ALL, FEWEST, LEAST, LINES, MOST_READ, MOST_STRETCHES, Fit, Garbled, Way
@@ -35,6 +43,8 @@ _MOST_STARTS = 3
 _STARTS_AFTER, _AT_ONCE = 10, 20
 #: Different bytes of what a stream says again and again.
 _DISTINCT = 3
+#: Stretches that may be streams without pauses.
+_STREAMS = 2
 #: The share of a sender's damaged bytes that a way has to explain.
 _ENOUGH = 0.4
 #: Different bytes of which all have one parity by no chance.
@@ -176,7 +186,11 @@ def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Susp
     best = max(ways, key=lambda way: way.taken)
     if best.taken < _ENOUGH * sum(len(each.data) for each in garbled):
         best = max((best, *at_other_speeds(garbled), *of_replies(garbled)), key=lambda way: (_is_told(way), way.taken))
-    if best.fits and _is_told(best) and (side is Role.UNKNOWN or _is_met(scene, best, garbled)):
+    told = bool(best.fits) and _is_told(best)
+    if side is Role.UNKNOWN and not told and len(garbled) <= _STREAMS:
+        said = list(of_exchanges(max(garbled, key=lambda each: len(each.data))))
+        best, told = max(said, key=lambda way: way.taken, default=best), bool(said)
+    if told and (side is Role.UNKNOWN or _is_met(scene, best, garbled)):
         yield _said(best, all_garbled)
     elif _heard(scene, side) and not _sound(scene, side) and all(each.trouble in scene.damaged for each in garbled):
         repeats = len({each.data for each in all_garbled}) < len(all_garbled)

@@ -12,7 +12,7 @@ from functools import cache, lru_cache
 from itertools import takewhile
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Command, Dialect, Role
 from analyzer.codec import codec
 from analyzer.diagnosis.bits import BEGUN, Line, Rows, levels, read
 from analyzer.diagnosis.scene import Scene
@@ -113,6 +113,19 @@ def _of_dialect(dialect: Dialect, addresses: range) -> Iterator[bytes]:
                     for value in (0, 1, 2):
                         if codec(form.layout).matches(data := bytes((value,))):
                             yield link.build(command, form, address, data, Role.REPLY)
+
+
+@cache
+def _asked() -> dict[bytes, tuple[Dialect, Command, int]]:
+    """Return the likely frames that are requests which a drive answers, each with its command and address."""
+    found = {}
+    for dialect in registry.every():
+        for command in dialect.commands if dialect.bus == "serial" else ():
+            for form in command.request_forms if command.reply_forms else ():
+                if not form.layout.byte_length and not form.layout.open_ended:
+                    for address in ADDRESSES:
+                        found[dialect.link.build(command, form, address, b"", Role.REQUEST)] = dialect, command, address
+    return found
 
 
 @cache
@@ -219,6 +232,59 @@ def of_replies(garbled: Sequence[Garbled]) -> Iterator[Way]:
         enough = len(fits) >= max(least, ALMOST_ALL * len(asked)) and len(different) >= _DISTINCT
         if enough or (sure and len(fits) >= ALMOST_ALL * len(asked)):
             yield Way(cause, line.ratio, fits)
+
+
+def of_exchanges(garbled: Garbled) -> Iterator[Way]:
+    """Yield the speeds at which a stream says requests, each with its reply behind it, again and again.
+
+    A slow receiver reads so little of a request that it tells nothing without the beginning of the reply.
+    """
+    frames, (seen, rows) = likely(), _levels()
+    data = garbled.data
+    counts = Counter(data[at : at + size] for at in range(len(data)) for size in range(1, BEGUN + 1))
+    begins = {value for value, count in counts.items() if count >= FEWEST}
+    heads = bytes({value[0] for value in begins})
+    for ratio, late in ((r, late) for r in _ratios() if r >= _SKIPS for late in _lates(r)):
+        line, found, said = Line(ratio), {}, 0
+        for row in rows.beginning(line, late, heads) if heads else ():
+            frame, came = frames[row], read(seen[row], line, late, begins)
+            if len(came) < ALIKE or frame not in _asked():
+                continue
+            for value, mask in _replies(frame, line, late):
+                whole, known = came + value, b"\xff" * len(came) + mask
+                places = [at for at in range(len(data)) if data.startswith(came, at) and _has(data[at:], whole, known)]
+                told = sum(map(int.bit_count, known)) >= _TOLD and len(set(whole)) >= DIFFERENT
+                if told and len(places) >= FEWEST and whole not in found:
+                    found[whole] = Fit(garbled.trouble, data, frame, len(whole), whole)
+                    said += len(whole) * len(places)
+        if said >= _MUCH * len(data):
+            yield Way("wrong_baud", ratio, list(found.values()))
+
+
+def _replies(request: bytes, line: Line, late: tuple[float, float]) -> Iterator[tuple[bytes, bytes]]:
+    """Yield how replies to a likely request are read: bytes, and those of their bits that are known.
+
+    A reply of one value is known whole; of a longer one two bytes of a number near zero.
+    """
+    dialect, command, address = _asked()[request]
+    for form in command.reply_forms:
+        size = form.layout.byte_length
+        for value in range(_VALUES) if size == 1 else (0x00, 0xFF):
+            whole = dialect.link.build(command, form, address, bytes((value,)) * size, Role.REPLY)
+            known = whole if size == 1 else whole[: dialect.link.parse(whole).start + ALIKE]
+            rest = len(whole) - len(known)
+            ways = [read(levels(known + tail * rest), line, late) for tail in (b"\0", b"\xff", b"\x55")]
+            same = bytes(0xFF & ~((a ^ b) | (a ^ c)) for a, b, c in zip(*ways, strict=False))
+            size_known = max((n for n, mask in enumerate(same, 1) if mask), default=0)
+            yield bytes(a & m for a, m in zip(ways[0], same, strict=False))[:size_known], same[:size_known]
+
+
+#: A sender's speed over the receiver's from which on whole bits are skipped.
+_SKIPS = 1.5
+#: Bits that an exchange must have in common with a stream, and the share of the stream that has to be such exchanges.
+_TOLD, _MUCH = 28, 0.4
+#: Values of one byte that replies have.
+_VALUES = 8
 
 
 @cache

@@ -387,6 +387,11 @@ def test_one_request_again_and_again(name, how, cause):
     assert len(found.troubles) >= len(rows) // 2
 
 
+@pytest.mark.parametrize("ratio", [1.992, 2.0, 2.008])
+def test_an_exchange_of_which_a_slow_receiver_skips_bits(ratio):
+    assert unbroken(polled("native"), ratio=ratio) == ["wrong_baud"]
+
+
 @pytest.mark.parametrize("name", LONG)
 def test_an_unbroken_recording_of_a_right_line(name):
     assert unbroken(LONG[name]) == unbroken(polled(name)) == []
