@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect
 from analyzer.columns.block import ByteBlock
+from analyzer.diagnosis.repeats import SOON_NS, told_apart
 from analyzer.diagnosis.scene import SILENT, Piece, Read, Scene
 from analyzer.entries import Entry
 from analyzer.pipeline import Item
@@ -27,6 +28,8 @@ _AT_ONCE = 64
 #: Frames with what stands near them, and findings, of which more would show nothing new.
 _MOST_KEPT = 20_000
 _MOST_FINDINGS = 5_000
+#: Frames near late replies that are kept.
+_MOST_LATE = 2_000
 #: Bytes of junk that are kept of what came first, and again each time as much has come as before.
 _MUCH_JUNK = 32_768
 #: Comments that are kept, and how much of each.
@@ -83,7 +86,7 @@ class Watch:
         self._junk_kept: Counter[str] = Counter()
         #: Frames and findings that came by, kept or not.
         self.frames = self.found = 0
-        self.timed = self._words = self._asks = False
+        self.timed = self._words = self._asks = self._late = False
 
     def take(self, item: Item, offset: int | None = None) -> None:
         """Take an item of the source. `offset`: its first byte on its bus; None: it follows the item before."""
@@ -137,6 +140,8 @@ class Watch:
         """Take a frame that is in order."""
         self._near.append((lane, frame, sequence, request_sequence))
         self.frames += 1
+        if latency_ns is not None and latency_ns > SOON_NS:
+            self._look_back()
 
     def begin(self, plain: Plain) -> None:
         """Take the next block of frames."""
@@ -147,6 +152,14 @@ class Watch:
         """Take plain exchanges: the last of them may stand near trouble."""
         self._near.append(_Rows(range(max(start, stop - _NEAR), stop), sequence - start))
         self.frames += stop - start
+        if self._plain.latencies[start:stop].max() > SOON_NS:
+            self._look_back()
+
+    def _look_back(self) -> None:
+        """Keep what stands near a late reply, as far as there is room: it may be a request that is sent again."""
+        self._late = True
+        if len(self._kept) < _MOST_LATE:
+            self._keep()
 
     def _spread(self) -> None:
         """Put frames in the place of the rows that are near."""
@@ -199,7 +212,8 @@ class Watch:
     def quiet(self) -> bool:
         """Whether all came in order, what came last frame by frame, and no words: then there is nothing to explain."""
         self._spread()
-        return not self.found and not self._words and not any(isinstance(each, Entry) or each[0] is None for each in self._near)
+        heard = self.found or self._words or self._late
+        return not heard and not any(isinstance(each, Entry) or each[0] is None for each in self._near)
 
     def forget(self) -> None:
         """Make room for what comes."""
@@ -259,7 +273,7 @@ class Watch:
         # The reply to what was asked before may be among what is missing.
         asked = {max((p.sequence for p in kept if p.is_request and p.stop <= start), default=-1) for start, _ in torn}
         lost = {p.sequence for p in pieces} - {p.sequence for p in kept} | asked
-        findings = [f for f in self._findings if f.port == bus]
+        kept, findings = told_apart(kept, [f for f in self._findings if f.port == bus])
         told = [f for f in findings if f.sequence not in lost or (f.sequence in asked and f.rule not in SILENT)]
         return Scene(
             bus, dialects, kept,

@@ -198,3 +198,22 @@ def test_a_word_on_a_controller_takes_no_bytes_from_a_capture_of_another_format(
     path.write_text(path.read_text() + "// can0: bus-off\n")
     with open_source(path) as source:
         assert [(each.t_ns, each.data) for each in source if not isinstance(each, Comment)] == alone
+
+
+OTHER = "(5.1000) can0 001#3031\n(5.1005) can0 001#30000000001E61B0\n(6.1000) can0 001#F1F2\n(6.1005) can0 001#F101F3\n"
+
+
+@pytest.mark.parametrize(
+    ("log", "cause"),
+    [
+        # A setting that nobody takes, sent again: it looks like its own reply.
+        ("".join(f"({n}.1000) can0 002#F301F6\n" for n in range(1, 5)) + OTHER, "wrong_address"),
+        ("".join(f"({n}.1000) can0 002#F300F5\n" for n in range(1, 5)) + OTHER, "wrong_address"),
+        # A drive answers so, once soon; all of a slow bus answer so; seconds do not tell.
+        ("(1.1) can0 002#F301F6\n(1.1005) can0 002#F301F6\n(2.1) can0 002#F301F6\n(3.1) can0 002#F301F6\n" + OTHER, None),
+        ("(1.1) can0 002#F301F6\n(1.4) can0 002#F301F6\n(2.1) can0 001#F1F2\n(2.35) can0 001#F101F3\n", None),
+        ("(1.0) can0 002#F301F6\n(2.0) can0 002#F301F6\n(3.0) can0 001#F1F2\n(3.0) can0 001#F101F3\n", None),
+    ],
+)
+def test_a_request_that_is_sent_again_is_no_reply_to_itself(log, cause, causes_of):
+    assert causes_of(log)[:1] == ([cause] if cause else [])
