@@ -212,6 +212,41 @@ def _is_quoted(lines: Sequence[str]) -> bool:
     return any(p.shape is Shape.COMMENT or p.marked or p.stamp.kind for p in inner)
 
 
+def _wrapped(traffic: Sequence[HexLine]) -> int:
+    """Return how many bytes each line of a dump has but the last; 0 where lines can be frames: those begin alike."""
+    sizes = {len(p.data) for p in traffic[:-1]}
+    bare = not any(p.marked or p.stamp.kind or p.number is not None for p in traffic)
+    size = sizes.pop() if len(sizes) == 1 and len(traffic) > _DUMP_LINES else 0
+    heads = Counter(p.data[0] for p in traffic)
+    full = bare and size >= _DUMP_WIDTH and size >= len(traffic[-1].data)
+    return size if full and 2 * max(heads.values()) <= len(traffic) else 0
+
+
+def _answer(lines: Sequence[str], parts: Sequence[HexLine]) -> str:
+    """Return the word for bytes that stands before what came back, where only what was sent has a mark."""
+    sent = [p for p in parts if p.shape is Shape.TRAFFIC]
+    if len(sent) < _ANSWERS or {p.role for p in sent} != {Role.REQUEST}:
+        return ""
+    said = b" ".join(p.data for p in sent)
+    words = Counter(
+        came["name"].lower()
+        for line, part in zip(lines, parts, strict=True)
+        if part.shape is not Shape.TRAFFIC and (came := _NAMED.search(line)) is not None
+        and (data := bytes_of(came["bytes"])) and data not in said
+    )  # fmt: skip
+    return next((word for word, count in words.most_common(1) if count >= _ANSWERS), "")
+
+
+#: Lines of a dump and bytes of each, at least; and lines of what came back.
+_DUMP_LINES, _DUMP_WIDTH, _ANSWERS = 3, 16, 2
+#: A word that says what follows is bytes, and not who sent them.
+_NAMED = re.compile(
+    r"\b(?P<name>processing|data|bytes|buffer|buf|raw|chunk|packet|hex)\b\s*[:=]?\s+"
+    r"(?P<bytes>(?:0x[0-9a-f]{1,2}[ ,]*){3,}$|(?:[0-9a-f]{2} ?){3,}$)",
+    re.IGNORECASE,
+)
+
+
 class Manner(NamedTuple):
     """How a text is written, as far as one line alone cannot tell."""
 
@@ -255,6 +290,10 @@ class Manner(NamedTuple):
     lettered: bool = False
     #: Bytes stand without gaps and without their zeros: where one ends cannot be told.
     unpadded: bool = False
+    #: So many bytes stand on each line of a dump: a line ends where it is full, and not where a read does.
+    wrapped: int = 0
+    #: The word before what came back, where no word says so and only what was sent has a mark.
+    answer: str = ""
 
     @classmethod
     def of(cls, lines: Sequence[str]) -> Manner:
@@ -282,6 +321,8 @@ class Manner(NamedTuple):
             deaf=_is_deaf(traffic, roles),
             turned=_is_turned(traffic),
             asker=_asker(traffic),
+            wrapped=_wrapped(traffic),
+            answer=_answer(lines, parts),
             prose=prose,
             fields=prose and has_fields(lines),
             cells=prose and has_cells(lines),
@@ -295,6 +336,8 @@ class Manner(NamedTuple):
         """Take a line apart as this text is written."""
         if self.padded and (listed := _SHORT_LIST.search(text)) is not None:
             text = text[: listed.start()] + _DIGIT_ALONE.sub(r"0\g<0>", listed[0]) + text[listed.end() :]
+        if self.answer and (came := _NAMED.search(text)) is not None and came["name"].lower() == self.answer:
+            text = f"{text[: came.start()]}received: {came['bytes']}"
         line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal, self.led)
         if self.lone and _is_digit(line):
             found = _DIGIT.fullmatch(line.text)

@@ -421,7 +421,7 @@ class _Reader:
         if exported is not None:
             name = exported[1]
         self._known.add(data, line.role)
-        firm = not self._manner.lone and (len(data) > 1 or line.number is None)
+        firm = not (self._manner.lone or self._manner.wrapped) and (len(data) > 1 or line.number is None)
         return Chunk(t_ns, self._source.port(name), data, line.role, firm)
 
     def _end_header(self) -> Iterator[Chunk | Comment]:

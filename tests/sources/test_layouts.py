@@ -177,3 +177,12 @@ def test_a_number_of_a_row_is_no_identifier(heading: str, row: str, tmp_path: Pa
     sent = bytes.fromhex("FA 01 31 2C FB 01 31 00 00 00 00 02 BC EB")
     rows = [row.format(n=n, byte=byte) for n, byte in enumerate(sent)]
     assert "".join(data for _, data in read(tmp_path, "\n".join((heading, *rows)) + "\n")) == sent.hex().upper()
+
+
+@pytest.mark.parametrize(("size", "ends"), [(16, False), (24, False), (9, True)])
+def test_a_line_of_a_dump_ends_where_it_is_full(size: int, ends: bool, tmp_path: Path) -> None:
+    data = bytes.fromhex("FA 01 31 2C FB 01 31 00 00 00 00 02 BC EB FA 01 F1 EC FB 01 F1 01 EE") * 6
+    path = tmp_path / "dump.txt"
+    path.write_text("\n".join(data[at : at + size].hex(" ") for at in range(0, len(data), size)) + "\n")
+    with open_source(path) as source:
+        assert {each.burst for each in source if isinstance(each, Chunk)} == {ends}

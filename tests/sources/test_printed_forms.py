@@ -117,6 +117,12 @@ TIMED = {
     "count alone": "14:01:05.250 COM3 TX 04 FA 01 3A 35\n14:01:05.254 COM3 RX 5 FB 01 3A 01 37",
     "USB": "1\t65.250000\thost\t1.5.1\tUSB\t4\tfa013a35\n2\t65.254200\t1.5.1\thost\tUSB\t5\tfb013a0137",
     "a byte a cell": "Nr;Zeit;Richtung;Daten\n1;14:01:05.250;TX;FA;01;3A;35\n2;14:01:05.254;RX;FB;01;3A;01;37",
+    "answers without a mark": "".join(
+        f"14:01:0{n}.250 write fa013a35\n14:01:0{n}.254 data  fb013a0137\n14:01:0{n}.254 parse: done\n" for n in range(3)
+    ),
+    "answers that a library goes on with": "".join(
+        f"14:01:0{n}.250 send: 0xfa 0x1 0x3a 0x35\n14:01:0{n}.254 Processing: 0xfb 0x1 0x3a 0x1 0x37\n" for n in range(3)
+    ),
     "powers of ten": "Time,TX,RX\n6.525e+01,FA 01 3A 35,\n6.526e+01,,FB 01 3A 01 37",
 }  # fmt: skip
 CAN = {
