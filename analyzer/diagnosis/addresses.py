@@ -108,13 +108,13 @@ def _waited_on(scene: Scene) -> Iterator[Suspicion]:
 _TWICE = 2
 #: Words of a program that waits for a reply in vain.
 _WAITED = re.compile(
-    r"time[ds]?[ -]?out\b(?!\s*(?:[:=(]|of|is|ms|in\b))|\bretr(?:y|ies)\b"
+    r"time[ds]?[ -]?out(?:error|exception)?\b(?!\s*(?:[:=(]|of|is|ms|in\b))|\bretr(?:y|ies)\b"
     r"|\bno (?:response|answer|reply)\b(?! (?:is )?(?:expected|needed|wanted|due))"
     r"|\b(?:never|n't|not) (?:answer|repl|respond|confirm)\w*"
     # What a console of Python has read.
     r"|^(?:b(?:''|\"\")|\[\])$"
-    # `rx nothing`, `recv: b''`, `<- []`.
-    r"|(?:\b(?:rxd?|rd|re?c(?:v|ei?ved?)|read|got|reply|response|answer|returned)\b|<[-=]*)[\s:=>-]*"
+    # `rx nothing`, `recv: b''`, `<- []`, `recv(timeout=1.0) -> None`.
+    r"|(?:\b(?:rxd?|rd|re?c(?:v|ei?ved?)|read|got|reply|response|answer|returned)\b(?:\([^()]*\))?|<[-=]*)[\s:=>-]*"
     r"(?:[(<]?(?:nothing|none|empty)\b(?! (?:else|special|wrong|needed|expected))|b?(?:''|\"\")|\[\]|<Buffer ?>|-{1,3}$)",
     re.IGNORECASE,
 )

@@ -181,10 +181,14 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
 def _across(scene: Scene) -> Iterator[Suspicion]:
     """Suspect reads of one size that begin and end within frames of that size, as those of a stream of equal requests do."""
     inside: list[tuple[Read, int]] = []
-    bursts = [read for read in scene.reads if read.firm and read.stop - read.offset > _SHORTEST]
+    # What a host has sent is whole.
+    sent = {(piece.offset, piece.stop) for piece in scene.requests}
+    bursts = [r for r in scene.reads if r.firm and r.stop - r.offset > _SHORTEST and (r.offset, r.stop) not in sent]
     if len({read.stop - read.offset for read in bursts}) > 1 or len({read.direction for read in bursts}) > 1:
         return
-    frames = {piece.offset: piece for piece in scene.pieces if piece.sound and piece.can is None}
+    whole = {(read.offset, read.stop) for read in scene.reads} & sent
+    sound = (piece for piece in scene.pieces if piece.sound and piece.can is None)
+    frames = {piece.offset: piece for piece in sound if (piece.offset, piece.stop) not in whole}
     # Rows of a dump cut frames of any size.
     if {len(piece.data) for piece in frames.values()} != {read.stop - read.offset for read in bursts}:
         return

@@ -272,3 +272,23 @@ def test_a_number_that_is_sent_without_its_scale(words, cause, causes_of):
 def test_words_add_nothing_to_what_the_bytes_show(causes_of):
     log = "[01][03][01][00][00][01][85][F6]\nWaiting for a confirmation...\n<00><01><03><02><6D><60><94><FC>\n"
     assert causes_of(log + "ERROR CRC received 94FC != CRC calculated B0E7\n") == ["leading_glitch"]
+
+
+GROUP = "cfg FA 01 8D 50 D8 => FB 01 8D 01 8A\n" + "".join(
+    f"group FA 50 {rest} => TimeoutError\n" for rest in ("F3 01 3E", "F7 41", "F3 00 3D")
+)
+SENT = ("F301F4", "F601400239", "F7F7")
+CAN_GROUP = "".join(f"({n}.1) can0 000#{data}\nrecv(timeout=1.0) -> None\n" for n, data in enumerate(SENT))
+CAN_GROUP += "(4.4) can0 001#F1F2\n(4.401) can0 001#F101F3\n"
+
+
+@pytest.mark.parametrize("log", [GROUP, CAN_GROUP])
+def test_the_name_of_an_error_or_none_says_that_a_host_waits(log, causes_of):
+    assert causes_of(log)[:1] == ["broadcast_no_reply"]
+
+
+def test_reads_out_of_step_below_the_program_that_asks(causes_of):
+    rows = "".join(f"{n:02X} {n + 0x64:02X} {(0x2D + 2 * n + 0x64) & 0xFF:02X} FB 01 31 00 00 00 00\n" for n in range(12))
+    assert causes_of('while True: ser.write(bytes.fromhex("FA01312C")); print(ser.read(10).hex(" "))\n\n' + rows) == [
+        "read_misaligned"
+    ]
