@@ -104,7 +104,7 @@ def attempt(what: str, call: Callable[[], T]) -> T | None:
 def is_failure(error: BaseException) -> bool:
     """Say whether an error is that of another package. An interrupt of this program is none; what ends the program is."""
     own = type(error).__module__.partition(".")[0] in OWN
-    return isinstance(error, (Exception, SystemExit)) or not (own or isinstance(error, (KeyboardInterrupt, GeneratorExit)))
+    return isinstance(error, (Exception, SystemExit)) or not (own or isinstance(error, KeyboardInterrupt))
 
 
 def leave_out(what: str, error: BaseException) -> str:
