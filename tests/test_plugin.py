@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 
 import pytest
 
@@ -164,3 +165,10 @@ def test_an_interrupt_is_none_of_a_package_and_names_what_was_waited_for(capsys)
     with pytest.raises(KeyboardInterrupt):
         attempt("a toy", call)
     assert capsys.readouterr().err == "servotap: interrupted in a toy\n"
+    # A process that ignores Ctrl-C gets none.
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        assert attempt("a toy", call) is None
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == "servotap: a toy failed and is left out: KeyboardInterrupt: \n"
