@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -102,9 +103,13 @@ def attempt(what: str, call: Callable[[], T]) -> T | None:
 
 
 def is_failure(error: BaseException) -> bool:
-    """Say whether an error is that of another package. An interrupt of this program is none; what ends the program is."""
-    own = type(error).__module__.partition(".")[0] in OWN
-    return isinstance(error, (Exception, SystemExit)) or not (own or isinstance(error, (KeyboardInterrupt, GeneratorExit)))
+    """Say whether an error is that of another package. An interrupt of this program is none; what ends the program is.
+
+    Where the process ignores Ctrl-C, as workers do, an interrupt is one that the package has raised.
+    """
+    if isinstance(error, KeyboardInterrupt):
+        return signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    return isinstance(error, (Exception, SystemExit)) or type(error).__module__.partition(".")[0] not in OWN
 
 
 def leave_out(what: str, error: BaseException) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 
 import pytest
 
@@ -131,6 +132,14 @@ def test_a_dialect_that_fails_while_it_is_read_is_named_once(tmp_path):
     assert "14 bytes: 10 in 2 frames, 4 junk" in decoded.stdout
 
 
+def test_a_package_that_fails_as_python_exits_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("SERVOTAP_FAULTS", str(tmp_path))
+    late = "import atexit\n\n\ndef late():\n    raise RuntimeError('\\x1b[31mgone')\n\n\natexit.register(late)\n"
+    site = make_site(tmp_path, "toy_drive", late + MODULE, "toy-rs485")
+    said = servotap(site, "explain", "AA 01 21 8A").stderr
+    assert said.startswith("servotap: a fault of the package toy-drive 1.0 (toy_drive): RuntimeError: \\x1b[31mgone; please")
+
+
 class Panic(BaseException):
     """What a package in Rust raises, and pytest where it skips."""
 
@@ -138,7 +147,7 @@ class Panic(BaseException):
         raise ValueError
 
 
-@pytest.mark.parametrize("error", [Panic(), SystemExit(3), RecursionError("deep"), ValueError("\x1b[2J")])
+@pytest.mark.parametrize("error", [Panic(), GeneratorExit(), SystemExit(3), RecursionError("deep"), ValueError("\x1b[2J")])
 def test_whatever_a_package_raises_is_named_and_left_out(error, capsys):
     def call():
         raise error
@@ -156,3 +165,10 @@ def test_an_interrupt_is_none_of_a_package_and_names_what_was_waited_for(capsys)
     with pytest.raises(KeyboardInterrupt):
         attempt("a toy", call)
     assert capsys.readouterr().err == "servotap: interrupted in a toy\n"
+    # A process that ignores Ctrl-C gets none.
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        assert attempt("a toy", call) is None
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == "servotap: a toy failed and is left out: KeyboardInterrupt: \n"

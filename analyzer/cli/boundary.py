@@ -6,6 +6,8 @@
 - **Faults.** An unforeseen error is a fault of servotap, or of a package that adds to it: it becomes one line and exit status
   70, and all about it stands in a file. An error in another thread is one too. What the system refuses (a full disk, a missing
   folder) is no fault.
+
+In a process of our own both hold to its end, also for what packages do as Python exits.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from types import CodeType, FrameType
 from typing import Any, TextIO, cast
 
 from analyzer.cli.signals import begin, ended_status
+from analyzer.system import own_process
 from analyzer.values import escaped, printable
 
 #: Exit status of a fault of servotap, as `EX_SOFTWARE` of sysexits.h.
@@ -96,7 +99,8 @@ def _clean_streams() -> Iterator[None]:
     try:
         yield
     finally:
-        sys.stdout, sys.stderr = before
+        if not own_process.is_own:
+            sys.stdout, sys.stderr = before
 
 
 def _reserve_descriptors() -> None:
@@ -127,7 +131,8 @@ class _Faults:
 
     def __exit__(self, *exception: object) -> None:
         _entered.remove(self)
-        threading.excepthook, sys.unraisablehook = self._before
+        if not own_process.is_own:
+            threading.excepthook, sys.unraisablehook = self._before
 
     def _in_thread(self, arguments: threading.ExceptHookArgs) -> None:
         if arguments.exc_value is not None and not isinstance(arguments.exc_value, SystemExit):
@@ -237,9 +242,10 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
     except KeyboardInterrupt:
         print("servotap: interrupted; nothing more was written", file=sys.stderr)
         return ended_status()
+    except SystemExit:
+        raise
+    # Other packages raise what derives from BaseException alone.
     except BaseException as error:
-        if not isinstance(error, Exception) and type(error).__name__ != _PANIC:
-            raise
         why = refused(error)
         if why:
             try:

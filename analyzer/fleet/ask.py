@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.fleet import counts
 from analyzer.fleet.lake import CAPTURES, LOG, Lake
 from analyzer.fleet.place import again
 from analyzer.table.extras import needed
@@ -141,6 +142,8 @@ class Question:
         if name not in self.tables.values():
             raise self._no_table(table)
         self._check_log(name)
+        # That `captures` has lost rows is told by what others count: few tables, into which most batches come.
+        counts.check(self.lake, [name] if name != CAPTURES else [each for each in self.tables.values() if "/" not in each])
         found = self.lake.dataset(name)
         if self._pending:
             compute = needed("pyarrow.compute")

@@ -25,12 +25,13 @@ import os
 import re
 import time
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from analyzer.errors import UnreadableError, UsageError
+from analyzer.fleet import counts
 from analyzer.fleet.files import PARTITIONS, Added, Destination, only
 from analyzer.fleet.place import Place
 from analyzer.fleet.rows import TAKEN, UNSEEN, Taken, captures_schema
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     import deltalake
     import pyarrow.dataset
 
-CAPTURES = "captures"
+CAPTURES = counts.CAPTURES
 JOURNAL = "journal"
 #: The folder in each table that says which files it has.
 LOG = "_delta_log"
@@ -115,12 +116,14 @@ class Lake:
         #: Versions of tables that came up because a column changed its meaning, in words.
         self.notes: list[str] = []
         self._known: dict[str, str] = {}
+        #: Tables whose logs were found to be whole.
+        self.checked: set[str] = {CAPTURES}
         self._seen = -1
         self._open: dict[str, deltalake.DeltaTable] = {}
         if make:
             with self._writing():
                 self._create(CAPTURES, captures_schema(), (), _SETTINGS | {_PARTITIONS: ",".join(partitions)})
-        elif not self._exists(CAPTURES):
+        elif not self.exists(CAPTURES):
             raise UnreadableError(f"{place.url} is no lake: make one with servotap ingest CAPTURES --to {place.url}")
         captures = self.open(CAPTURES)
         with self.reading(CAPTURES):
@@ -144,11 +147,12 @@ class Lake:
         try:
             yield
         except self._errors as error:
-            raise UnreadableError(f"{self._uri(table)} cannot be read: {_told(error)}") from None
+            raise UnreadableError(f"{self.uri(table)} cannot be read: {_told(error)}") from None
 
     # --- tables ---------------------------------------------------------------------------------------------------
 
-    def _uri(self, table: str) -> str:
+    def uri(self, table: str) -> str:
+        """Return where a table is, as Delta Lake names it."""
         return f"{self._base}/{table}"
 
     def _check_files(self, folder: str) -> None:
@@ -156,9 +160,10 @@ class Lake:
         if self.place.local and os.path.isdir(path := self.place.path(folder)):
             self.place.check_files(f"{folder}/{name}" for name in os.listdir(path))
 
-    def _exists(self, table: str) -> bool:
+    def exists(self, table: str) -> bool:
+        """Say whether there is a table of a name."""
         with self.reading(table):
-            return bool(self._delta.DeltaTable.is_deltatable(self._uri(table), storage_options=self._options))
+            return bool(self._delta.DeltaTable.is_deltatable(self.uri(table), storage_options=self._options))
 
     def open(self, table: str) -> deltalake.DeltaTable:
         """Return a table as it is now."""
@@ -166,7 +171,7 @@ class Lake:
         with self.reading(table):
             self._check_files(f"{table}/{LOG}")
             if opened is None:
-                opened = self._open[table] = self._delta.DeltaTable(self._uri(table), storage_options=self._options)
+                opened = self._open[table] = self._delta.DeltaTable(self.uri(table), storage_options=self._options)
             else:
                 opened.update_incremental()
         return opened
@@ -178,7 +183,7 @@ class Lake:
             # The store of Delta Lake is one of Python. Arrow waits for ever where one of its threads meets an error of Python
             # while another begins to read.
             arrow = needed("pyarrow.fs")
-            files = arrow.SubTreeFileSystem(self._uri(table), arrow.LocalFileSystem())
+            files = arrow.SubTreeFileSystem(self.uri(table), arrow.LocalFileSystem())
         with self.reading(table):
             found: pyarrow.dataset.Dataset = opened.to_pyarrow_dataset(filesystem=files)
             self.place.check_files(f"{table}/{path}" for path in getattr(found, "files", ()))
@@ -194,12 +199,12 @@ class Lake:
 
     def _create(self, name: str, schema: pyarrow.Schema, partitions: Sequence[str], settings: dict[str, str | None]) -> None:
         pa = needed("pyarrow")
-        if name not in self._open and not self._exists(name):
+        if name not in self._open and not self.exists(name):
             kinds = {"date": pa.date32(), "machine": pa.string()}
             whole = pa.schema([*schema, *(pa.field(each, kinds[each]) for each in partitions)])
             try:
                 self._delta.DeltaTable.create(
-                    self._uri(name),
+                    self.uri(name),
                     schema=self._delta.Schema.from_arrow(whole),
                     partition_by=list(partitions) or None,
                     mode="ignore",
@@ -210,7 +215,7 @@ class Lake:
                 )
             except self._delta.exceptions.CommitFailedError:
                 # Another client made it at the same time.
-                if not self._exists(name):
+                if not self.exists(name):
                     raise
 
     def tables(self) -> list[str]:
@@ -222,7 +227,7 @@ class Lake:
             for path in paths:
                 found.append(path[len(self.place.root) :].strip("/").removesuffix(f"/{LOG}"))
         # A client that died while it made a table, or found no room for it, leaves a log without a commit.
-        found = [name for name in found if name in self._open or self._exists(name)]
+        found = [name for name in found if name in self._open or self.exists(name)]
         return sorted(found, key=lambda name: (name != CAPTURES, name.startswith("messages/"), name))
 
     def fitting(self, name: str, schema: pyarrow.Schema) -> str:
@@ -234,12 +239,12 @@ class Lake:
             # Another client that adds columns at the same time may have come first.
             with contextlib.suppress(self._delta.exceptions.CommitFailedError):
                 return self._fitting(name, schema)
-        raise _lost(self._uri(name))
+        raise _lost(self.uri(name))
 
     def _fitting(self, name: str, schema: pyarrow.Schema) -> str:
         for number in range(1, 1000):
             table = name if number == 1 else f"{name}{_VERSION}{number}"
-            is_new = table not in self._open and not self._exists(table)
+            is_new = table not in self._open and not self.exists(table)
             opened = self.table(table, schema)
             if is_new and number > 1:
                 self.notes.append(f"{name}: a column has another unit or type than before; its rows go to {table}")
@@ -275,6 +280,7 @@ class Lake:
         Content that others have committed since, or that comes twice, is left out. Raises UsageError where nothing can be
         written.
         """
+        counts.check(self, {each.table for task in tasks for each in task.added})
         with self._writing():
             return self._commit(tasks)
 
@@ -291,7 +297,7 @@ class Lake:
                 return 0
             entries = self._entries(files)
             self.place.write(f"{JOURNAL}/{batch}.json", msgspec.json.encode(Journal(self._seen, entries)))
-            if self._commit_captures(batch, list(fresh.values()), known):
+            if self._commit_captures(batch, list(fresh.values()), known, entries):
                 self._settle(batch, entries)
                 return sum(row["status"] in TAKEN for row in fresh.values())
             self.place.remove(f"{JOURNAL}/{batch}.json")
@@ -311,11 +317,11 @@ class Lake:
             entries.setdefault(table, []).append(told)
         return entries
 
-    def _commit_captures(self, batch: str, rows: list[dict[str, Any]], known: Mapping[str, str]) -> bool:
+    def _commit_captures(self, batch: str, rows: list[dict[str, Any]], known: Mapping[str, str], tables: Iterable[str]) -> bool:
         pa, delta = needed("pyarrow"), self._delta
         table = pa.Table.from_pylist([row | {"batch": batch} for row in rows], schema=captures_schema())
-        properties = self._once(batch)
         opened = self._open[CAPTURES]
+        properties = self._once(batch, opened, map(counts.of_table, tables))
         try:
             if any(status not in TAKEN for status in known.values()):
                 merge = opened.merge(table, _SAME, source_alias="new", target_alias="old", commit_properties=properties)
@@ -326,10 +332,11 @@ class Lake:
             return False
         return True
 
-    def _once(self, batch: str) -> Any:
-        """Return the properties of a commit that succeeds only if none came between, and names its batch."""
+    def _once(self, batch: str, opened: deltalake.DeltaTable, counters: Iterable[str]) -> Any:
+        """Return the properties of a commit that succeeds only if none came between, names its batch, and counts it."""
         delta = self._delta
-        return delta.CommitProperties(max_commit_retries=0, app_transactions=[delta.Transaction(batch, 1)])
+        further = [delta.Transaction(each, counts.count(opened, each) + 1) for each in counters]
+        return delta.CommitProperties(max_commit_retries=0, app_transactions=[delta.Transaction(batch, 1), *further])
 
     def _settle(self, batch: str, entries: Mapping[str, list[dict[str, Any]]]) -> None:
         """Commit the files of a batch to all tables that do not have them, and remove its journal."""
@@ -350,10 +357,14 @@ class Lake:
                 return
             with contextlib.suppress(self._delta.exceptions.CommitFailedError):
                 opened.create_write_transaction(
-                    actions, "append", opened.schema(), list(self.destination.partitions), commit_properties=self._once(batch)
+                    actions,
+                    "append",
+                    opened.schema(),
+                    list(self.destination.partitions),
+                    commit_properties=self._once(batch, opened, [counts.BATCHES]),
                 )
                 return
-        raise _lost(self._uri(table))
+        raise _lost(self.uri(table))
 
     # --- batches that are under way ---------------------------------------------------------------------------------
 

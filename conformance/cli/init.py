@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from analyzer.cli.output import free_target, write_whole
 from analyzer.cli.signals import ended_status
 from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
@@ -60,9 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Look for drives, and write what was found; return 0, or 1 where none was."""
     if not arguments.endpoints:
         raise UsageError("where? expected an endpoint, as in arm=serial:/dev/ttyUSB0 (servotap ports lists what there is)")
-    target = Path(arguments.output)
-    if target.exists() and not arguments.force:
-        raise UsageError(f"{target} exists; --force replaces it, -o writes another one")
+    target = free_target(Path(arguments.output), arguments.force)
     if not target.resolve().parent.is_dir():
         raise UsageError(f"{target.parent} is no folder")
     seen = []
@@ -81,10 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
         print("nothing written: no drive answered", file=sys.stderr)
         return ended or 1
     text, names, drive = _profile(seen)
-    try:
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"cannot write {target}: {error.strerror or error}") from None
+    write_whole(target, text.encode(), replace=arguments.force)
     print(f"wrote {target}: {', '.join(names)}")
     print(f"to go on:\n  servotap record {names[0]} --view -o week.mcap\n  servotap test {drive} --short")
     return ended

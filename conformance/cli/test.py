@@ -194,7 +194,7 @@ def _test(plan: Plan, arguments: argparse.Namespace, known: list[Deviation] | No
             stopped = isinstance(error.__context__, (KeyboardInterrupt, BrokenPipeError))
     done = _run_record(plan, began, time.monotonic() - started, stopped, trouble)
     status = _status(records, arguments, trouble)
-    refused = write_reports(records, done, vars(arguments))
+    refused = write_reports(records, done, vars(arguments), replace_log=arguments.force)
     try:
         if arguments.json:
             _print_json(done)

@@ -22,14 +22,20 @@ WRITERS = {
 }
 
 
-def write_reports(records: Sequence[VerdictRecord], run: RunRecord, places: Mapping[str, str | None]) -> dict[str, str]:
-    """Write each report that has a place, by its option; return why some could not be written. One costs no other."""
+def write_reports(
+    records: Sequence[VerdictRecord], run: RunRecord, places: Mapping[str, str | None], *, replace_log: bool = True
+) -> dict[str, str]:
+    """Write each report that has a place, by its option; return why some could not be written. One costs no other.
+
+    `replace_log`: whether a log may be replaced that another program has written since the run began.
+    """
     refused = {}
     for option, (module, name) in WRITERS.items():
         place = places.get(option)
         if place:
+            more = {"replace": replace_log} if option == "log" else {}
             try:
-                getattr(import_module(f"conformance.report.{module}"), name)(Path(place), records, run)
+                getattr(import_module(f"conformance.report.{module}"), name)(Path(place), records, run, **more)
             except UsageError as error:
                 refused[option] = str(error)
     return refused

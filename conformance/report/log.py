@@ -116,14 +116,16 @@ def _begun_ns(run: RunRecord) -> int:
     return checked_utc(calendar.timegm(time.strptime(run.started_at, "%Y-%m-%dT%H:%M:%SZ")) * 1_000_000_000)
 
 
-def write_log(path: Path, records: Sequence[VerdictRecord], run: RunRecord) -> None:
+def write_log(path: Path, records: Sequence[VerdictRecord], run: RunRecord, *, replace: bool = True) -> None:
     """Write the log of a run, under its name only when it is whole. Raises UsageError where it cannot be written."""
     ran = [r for r in records if r.outcome != Outcome.NOT_RUN]
-    _write(path, ran, run, None)
+    _write(path, ran, run, None, replace)
 
 
-def _write(path: Path, records: Iterable[VerdictRecord], run: RunRecord, claim: dict[str, str] | None) -> None:
-    with whole(path) as stream:
+def _write(
+    path: Path, records: Iterable[VerdictRecord], run: RunRecord, claim: dict[str, str] | None, replace: bool = True
+) -> None:
+    with whole(path, replace=replace) as stream:
         log = RunLog(McapFile(stream, profile=PROFILE, library=LIBRARY), _begun_ns(run))
         for record in records:
             log.add(record)

@@ -204,7 +204,8 @@ def test_a_panic_of_a_library_is_a_fault_or_what_the_system_refuses(faults, caps
     assert "the system has no more for this process: Too many open files" in capsys.readouterr().err
     assert bounded(fails(PanicException("index out of bounds")), []) == 70
     assert "a fault of servotap: PanicException: index out of bounds" in capsys.readouterr().err
-    assert len(faults()) == 1
+    assert bounded(fails(GeneratorExit("x")), []) == 70
+    assert len(faults()) == 2
 
 
 def test_an_error_of_the_system_without_a_place_is_a_fault(faults):

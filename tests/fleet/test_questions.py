@@ -16,7 +16,7 @@ from analyzer.fleet import ask
 from analyzer.fleet.ask import Question
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Place
-from tests.fleet.lakes import ingest, lake
+from tests.fleet.lakes import hall, ingest, lake
 
 
 @pytest.mark.parametrize(
@@ -186,6 +186,25 @@ def test_a_commit_that_was_emptied_is_told(captures, tmp_path, capsys):
     for words in (["select count(*) from captures"], ["captures"], []):
         assert main(["ask", str(tmp_path / "lake"), *words]) == 2
         assert f"{commits[-1].name} is empty" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("table", ["captures", "states"])
+def test_a_log_that_has_lost_its_newest_commit_is_told(table, captures, tmp_path, capsys):
+    at = tmp_path / "lake"
+    made = lake(at)
+    ingest(made, captures)
+    assert main(["ask", str(at), f"select count(*) from {table}"]) == 0
+    newest = max((at / table / "_delta_log").glob("*.json"))
+    kept = newest.rename(tmp_path / newest.name)
+    told = f"{at}/{table}: its log has lost its newest commits, and with them rows: restore it"
+    assert main(["ask", str(at), f"select count(*) from {table}"]) == 2
+    assert told in capsys.readouterr().err
+    # Nothing is taken twice, and nothing beside what is gone.
+    more = captures if table == "captures" else hall(tmp_path / "more", 1, 77)
+    with pytest.raises(UnreadableError, match=re.escape(told)):
+        ingest(Lake(Place(str(at))), more)
+    kept.rename(newest)
+    assert main(["ask", str(at), f"select count(*) from {table}"]) == 0
 
 
 _DOCS = Path(__file__).parents[2] / "docs" / "fleet.md"

@@ -7,6 +7,7 @@ bounds time and memory. Some targets state more:
     pipeline  the same, for any capture, behind its source
     columns   by blocks comes out what frame by frame does; of a serial line, what chunk by chunk does
     decode    the same, in the log as the library `mcap` reads it
+    device-tables   a table of a kind that is written has the rows of all other kinds
     recover   the result can be read by the library; each record that is whole in the spools stands in it (where bytes alone
               were changed, and no checksum made to fit)
 """
@@ -21,7 +22,6 @@ import pickle
 import random
 import re
 import shutil
-import signal
 import traceback
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -32,9 +32,6 @@ from unittest import mock
 from analyzer import dialects
 from analyzer.context import Context
 from analyzer.decoder import Decoder
-from analyzer.devices import dbc, dbc_child
-from analyzer.devices.dbc_child import MessageFacts
-from analyzer.devices.text import Text
 from analyzer.errors import ServotapError
 from analyzer.framer import Framer
 from analyzer.live import spool
@@ -48,11 +45,10 @@ from tests.bytestreams import SERIAL
 from tests.collect import Collect
 from tests.columns.both_ways import same_capture, same_line, short_runs
 from tests.columns.serial_traffic import chunks_of
-from tests.fuzz import fleet, pages
+from tests.fuzz import devices, fleet, pages
 from tests.fuzz.corpus import INPUT, Input, lay_out
 from tests.fuzz.running import Fault, Place, Run, Target, check_log, command, fed, heard_words, messages, run_words
 from tests.fuzz.seeds import (
-    DEVICES,
     FILES,
     LOG,
     bytes_of_recording_changed,
@@ -337,39 +333,6 @@ def _view(given: Input, place: Place) -> None:
         viewed(place.folder / INPUT, given["keys"])
 
 
-#: Files of devices, each with the option that takes it and a capture of such devices.
-_MAP, _DBC = ("in.csv", "--modbus-map", "meter.log"), ("in.dbc", "--dbc", "battery.log")
-
-
-def _parsed_here(path: str, data: bytes, format: str) -> list[MessageFacts]:
-    """Parse a file of messages in this process, which has bounds, too: a process for each takes thirty times as long."""
-
-    def late(number: int, frame: object) -> None:
-        raise MemoryError("too late")
-
-    text, before = Text(path, data), signal.signal(signal.SIGVTALRM, late)
-    signal.setitimer(signal.ITIMER_VIRTUAL, 4.0)
-    try:
-        return dbc_child.parsed(text, format)
-    except (MemoryError, dbc_child.TooMuchError):
-        raise text.error("reading it takes more memory or time than a device file may") from None
-    finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
-        signal.signal(signal.SIGVTALRM, before)
-
-
-def _device_files(given: Input, place: Place) -> None:
-    data = given[INPUT]
-    name, option, capture = _MAP if b"unit" in data[:300] else ("in.kcd", *_DBC[1:]) if data[:1] == b"<" else _DBC
-    lay_out({name: data, INPUT: (DEVICES / capture).read_bytes()}, place.folder)
-    with mock.patch.object(dbc, "_parsed", _parsed_here):
-        status = run_words(("decode", INPUT, option, name, "-o", "out.mcap"), place)
-    if status == 0:
-        check_log(place.folder / "out.mcap", fed(place.folder / INPUT))
-    elif (place.folder / "out.mcap").exists():
-        raise Fault("a log was written, and its device file was refused")
-
-
 TARGETS: dict[str, Target] = {
     "framer": Target(_framer, bytes_seeds, frames_changed, 10.0, 5.0),
     "pipeline": Target(_pipeline, file_seeds("decode"), file_changed, 10.0),
@@ -407,7 +370,8 @@ TARGETS: dict[str, Target] = {
     "tap": Target(_tap, bytes_seeds, frames_changed, 0.5, 30.0),
     "replay-bus": Target(_replay, captures_with("far", "replay-bus"), file_changed, 0.5, 30.0),
     "view": Target(_view, captures_with("keys", "view"), file_changed, 0.5, 30.0),
-    "device-files": Target(_device_files, device_seeds, rows_changed, 1.0, 30.0),
+    "device-files": Target(devices.decoded, device_seeds, rows_changed, 1.0, 30.0),
+    "device-tables": Target(devices.tabled, device_seeds, rows_changed, 0.5, 30.0, forks=False),
     "mf4": Target(command("show", INPUT), mf4_seeds, file_changed, 0.3, forks=False),
     "cut": _on_files("cut", run=_copied("cut", INPUT, "--since", "+1ms"), kinds=_LOGS),
     "merge": Target(_copied("merge", INPUT, "other"), two_logs, file_changed),

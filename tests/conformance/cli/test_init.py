@@ -53,6 +53,20 @@ def test_a_profile_is_written_of_what_answers(port, tmp_path, capsys):
     assert profile.look_up("arm").drives[0].target == "mks-rs485@2"
 
 
+def test_a_profile_that_another_program_writes_during_the_search_is_kept(port, tmp_path, capsys, monkeypatch):
+    path, _ = port
+    look = init.look
+
+    def and_write(*arguments):
+        (tmp_path / "servotap.toml").write_text("# mine")
+        return look(*arguments)
+
+    monkeypatch.setattr(init, "look", and_write)
+    assert run(init, f"left=serial:{path},baud=38400", "--addresses", "1", "--dialects", "mks-rs485") == 2
+    assert "servotap.toml was created by another program meanwhile; --force replaces it" in capsys.readouterr().err
+    assert (tmp_path / "servotap.toml").read_text() == "# mine"
+
+
 def test_a_signal_ends_the_search_on_all_buses_and_what_was_found_is_written(port, tmp_path, capsys, monkeypatch):
     path, _ = port
     look = scan.scan

@@ -16,6 +16,7 @@ import pytest
 from analyzer.cli import main
 from analyzer.cli.output import Output, write_whole
 from analyzer.errors import UsageError
+from conformance.cli import test as test_command
 from conformance.report.html import matrix
 from conformance.report.log import METADATA
 from conformance.suite import target
@@ -139,6 +140,19 @@ def test_a_log_of_a_run_is_a_log_like_any_other(tmp_path, cli):
     log = tmp_path / "run.mcap"
     assert main(["test", "mks-rs485@1", *FEW, "--log", str(log)]) == 0
     assert "read_speed" in cli("decode", log, "-o", tmp_path / "again.mcap").out
+
+
+def test_a_log_that_another_program_writes_during_the_run_is_kept(tmp_path, monkeypatch, capsys):
+    log, of_run = tmp_path / "run.mcap", test_command._run_record
+
+    def and_write(*arguments):
+        log.write_bytes(b"mine")
+        return of_run(*arguments)
+
+    monkeypatch.setattr(test_command, "_run_record", and_write)
+    assert main(["test", "mks-rs485@1", "--claim", "*/shape/read_speed/checksum", "--jobs", "1", "--log", str(log)]) == 2
+    assert "run.mcap was created by another program meanwhile; --force replaces it" in capsys.readouterr().err
+    assert log.read_bytes() == b"mine"
 
 
 def test_a_stored_failure_is_run_again(tmp_path, cli):
