@@ -565,6 +565,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "3.2.14/silent",
         "A drive does not answer what is sent to its group.",
         "addressing/group/silent",
+        "addressing/group/ends-by-itself/*",
         "addressing/group/read",
     ),
     *_tables("3.3", "write_io", "36 with a byte of masks and levels", "a status of one byte"),

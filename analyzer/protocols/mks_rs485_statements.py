@@ -182,6 +182,7 @@ _SETTINGS = (
             "5.2.16/silent",
             "What a group is sent is not answered.",
             "addressing/group/silent",
+            "addressing/group/ends-by-itself/*",
             "addressing/group/read",
             "addressing/group/set_*",
             "addressing/group/outcomes",
@@ -260,7 +261,7 @@ _SETTINGS = (
     ),
     said("5.7/checksum", "A package ends in its checksum.", "addressing/package/checksum", "addressing/package/damaged"),
     said("5.7/first", "Of two commands for one drive only the first is executed.", "addressing/package/first_of_two"),
-    said("5.7/silent", "A package is not answered.", "addressing/package/silent"),
+    said("5.7/silent", "A package is not answered.", "addressing/package/silent", "addressing/package/ends-by-itself/*"),
     said("5.7/others", "Slots of other drives are not executed.", "addressing/package/others"),
     said("5.7/example", "The printed package moves five motors in five ways.", "examples/long_package/1"),
 )
@@ -287,6 +288,7 @@ _FRAMES = (
         "What address 0 is sent is not answered.",
         "addressing/broadcast/read",
         "addressing/broadcast/silent",
+        "addressing/broadcast/ends-by-itself/*",
     ),
     said(
         "4/code",

@@ -48,6 +48,7 @@ from conformance.motion.declared import CALM, MOVES, QUICK
 from conformance.motion.effects import STEP_NS, Observable
 from conformance.talk import restarts
 from conformance.talk.exchange import Exchange, hex_of
+from conformance.talk.noise import TOLD_LATE_NS
 from conformance.talk.probe import Probe, Until
 from conformance.talk.settings import changes_link
 
@@ -273,7 +274,12 @@ def _as_sent(probe: Probe, many: Many, chosen: tuple[Command, ...]) -> None:
             probe.wait(STEP_NS)
             stop = probe.dialect.stops_of(command)[0]
             ended = many.frame(probe, stop, {"acceleration": _RAMP}, to)
-            _expect_on_ramp(probe, ended, CALM, f"{stop.name} by {many.what}")
+            sent = _expect_on_ramp(probe, ended, CALM, f"{stop.name} by {many.what}")
+            if declared.of(stop).tells_end:
+                over_ns = sent.sent_ns + CALM * ramp.step_ns(_RAMP) + TOLD_LATE_NS
+                heard = probe.listen(max(0, round(over_ns) - probe.gate.now_ns()))
+                text = f"{stop.name} by {many.what} is answered when the shaft stands"
+                probe.expect(received_text(heard), holds=heard.silent, expected="silence", refutes=text, exchange=heard)
         motion.stand_still(probe)
 
 
@@ -283,13 +289,14 @@ _RAMP, _WAY, _ON_RAMP_NS = 156, 144, 110_000_000
 _BESIDE = 15
 
 
-def _expect_on_ramp(probe: Probe, item: Item | bytes, first: int, what: str) -> None:
+def _expect_on_ramp(probe: Probe, item: Item | bytes, first: int, what: str) -> Exchange:
     sent = probe.send(item, timeout_ns=_ON_RAMP_NS)
     seen = motion.speed(probe)
     gone = min(CALM, (seen.t_ns - sent.sent_ns) / ramp.step_ns(_RAMP))
     text = f"{what} does not keep to the acceleration that was sent"
     within = _BESIDE + seen.spread_ns / ramp.step_ns(_RAMP)
     probe.expect(abs(seen.value), near=abs(first - gone), within=within, unit="rpm", refutes=text, exchange=sent)
+    return sent
 
 
 def _group_changes(dialect: Dialect) -> Iterator[Case]:

@@ -4,6 +4,7 @@ And what others are asked leaves a motion of the drive itself, and what tells it
 
     a run at 60 rpm, then each motion and homing to address 0, or to the group, at 120 rpm the other way
     then the emergency stop, or disabling, to the same address
+    what ends by itself (homing, a move at a limit or with a locked rotor, a calibration) to any of them: no end is told
 
 Rules kept here:
 - Of what comes the speed alone is looked at, and of a run the way: of moves and homing that is other claims' matter.
@@ -12,12 +13,14 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive
+from conformance.claims import bench
 from conformance.claims.addressing.package import others_of
-from conformance.claims.addressing.ways import Many, addresses, addressing
+from conformance.claims.addressing.ways import BROADCAST, Many, addresses, addressing, ways
 from conformance.claims.control_reads import expect_silence, plain_read
 from conformance.claims.declare import Case
 from conformance.claims.motion import homing
@@ -25,9 +28,10 @@ from conformance.claims.motion.stops import expect_ended
 from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import undamaged
 from conformance.motion.declared import CALM, MOVES, QUICK, RUNS_AND_MOVES, SUBDIVISION
+from conformance.talk import samples
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
-from conformance.talk.probe import MS, Probe, Until
+from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 
 #: How fast what comes turns the shaft (rpm), and how far a move is to go (degrees).
 _RPM, _FAR = 2 * CALM, 720
@@ -59,7 +63,8 @@ def _cases(dialect: Dialect) -> Iterator[Case]:
 def _while_turning(probe: Probe, many: Many, chosen: list[Ended]) -> None:
     """By {what} each motion and homing takes over from a run, emergency stop and disabling end it; none is answered."""
     motion.ready_to_move(probe, declared.bus_modes(probe.dialect)[-1], subdivision=SUBDIVISION)
-    homing.set_home(probe, home_speed=_RPM)
+    # Its own claims end homing of either kind: here each address has one.
+    homing.set_home(probe, home_speed=_RPM, home_mode=int(many is BROADCAST), return_angle=0)
     to = many.join(probe)
     run = probe.command(Verb.RUN_SPEED)
     going = declared.values_of(probe.dialect, run)
@@ -149,3 +154,96 @@ def _is_end_told(probe: Probe, row: _Told, read: Command, others: list[int]) -> 
         probe.listen(left_ns, Until.REPLY)
     motion.wait_standing(probe)
     return bool(found), exchange
+
+
+# --- an end that no stop brings ---------------------------------------------------------------------------------------
+
+#: How long a move that cannot arrive, and a calibration, are listened to; how far such a move is to go (degrees).
+_FAILS_NS, _CALIBRATES_NS, _BLOCKED = 4 * SECOND_NS, 60 * SECOND_NS, 720
+#: Where homing finds its end limit, in counts below the shaft.
+_LIMIT_COUNTS = 3000
+#: What is sent, for how long it is listened to, and in words how it ends.
+_Ending = tuple[Command, dict[str, int], int, str]
+
+
+@dataclass(frozen=True)
+class _Ends:
+    """A motion that ends by itself. `make`: yields it where it will end so, and clears up. `verbs`: what is sent for it."""
+
+    name: str
+    make: Callable[[Probe], Iterator[_Ending]]
+    verbs: tuple[Verb, ...]
+    by_name: bool = False
+
+
+def _finds_home(probe: Probe) -> Iterator[_Ending]:
+    home = probe.command(Verb.HOME)
+    for row in homing.places(probe.dialect):
+        shown = homing.mounted(probe, **row, home_speed=300)
+        yield home, _values(probe, home), homing.FOUND_NS, f"at home, {shown}"
+        text = "homing by several addresses does not end where it should"
+        seen, exchange = probe.read(Verb.READ_POSITION, "position"), probe.traffic[-1]
+        probe.expect(seen, near=0, unit="counts", expected=f"0: {shown}", refutes=text, exchange=exchange)
+
+
+def _blocked_move(probe: Probe, ends: str) -> _Ending:
+    move = probe.command(Verb.MOVE_RELATIVE_AXIS)
+    values = declared.values_of(probe.dialect, move, -_BLOCKED, rpm=_RPM, start=motion.place(probe, move))
+    return move, values, _FAILS_NS, ends
+
+
+def _meets_limit(probe: Probe) -> Iterator[_Ending]:
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    homing.set_home(probe, end_limit=1)
+    bench.left_switch(probe, -_LIMIT_COUNTS)
+    homing.find_home(probe)
+    # Homing may have let the shaft go.
+    motion.switch(probe, True)
+    yield _blocked_move(probe, "at a closed end limit")
+
+
+def _is_held(probe: Probe) -> Iterator[_Ending]:
+    motion.ready_to_move(probe, subdivision=SUBDIVISION)
+    probe.do(Verb.SET_PROTECTION, {"protection": 1})
+    bench.hold(probe)
+    yield _blocked_move(probe, "with a locked rotor")
+    bench.hold(probe, False)
+    probe.do(Verb.RELEASE_PROTECTION)
+
+
+def _calibrates(probe: Probe) -> Iterator[_Ending]:
+    motion.ready_to_move(probe)
+    command = probe.command(Verb.CALIBRATE)
+    yield command, samples.sample(probe.dialect, command), _CALIBRATES_NS, "when it is done"
+
+
+_ENDINGS = (
+    _Ends("home", _finds_home, (Verb.HOME, *homing.SETS_HOME)),
+    _Ends("limit", _meets_limit, (Verb.HOME, *homing.SETS_HOME, Verb.ENABLE)),
+    _Ends("locked-rotor", _is_held, (Verb.SET_PROTECTION, Verb.RELEASE_PROTECTION)),
+    _Ends("calibration", _calibrates, (Verb.CALIBRATE,), by_name=True),
+)
+
+
+def _ending_alone(dialect: Dialect) -> Iterator[Case]:
+    for many in ways(dialect) if arriving.tells_end(dialect) and declared.can_move(dialect) else ():
+        for ends in _ENDINGS:
+            if not all(verb in dialect.by_verb for verb in ends.verbs):
+                continue
+            sent = (Verb.MOVE_RELATIVE_AXIS, *ends.verbs)
+            risks = frozenset[Risk]().union(*(dialect.by_verb[verb].all_risks for verb in sent)) - {Risk.UNKNOWN}
+            facts = {
+                "risks": declared.risks(dialect, *risks, *many.risks(dialect), Risk.UNBOUNDED, Risk.TORQUE),
+                "settings": (*declared.settings(dialect, "protection", *homing.fields(dialect)), *many.settings),
+                "by_name": ends.by_name,
+            }
+            yield Case(dialect, given={"many": many, "what": many.what, "kind": ends.name, "ends": ends}, facts=facts)
+
+
+@addressing("an answer", _ending_alone, name="{many}/ends-by-itself/{kind}", emulated=True, at_best=Certainty.LIKELY)
+def _ends_alone(probe: Probe, many: Many, ends: _Ends) -> None:
+    """What was begun by {what} and ends by itself is not answered then: {kind}."""
+    to = many.join(probe)
+    for command, values, lasts_ns, when in ends.make(probe):
+        sent = probe.send(many.frame(probe, command, values, to), timeout_ns=lasts_ns)
+        expect_silence(probe, sent, f"{command.name} by {many.what} is answered {when}", key=f"{command.name} answered")

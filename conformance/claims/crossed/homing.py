@@ -2,7 +2,7 @@
 
     motion under way x way                                    homing takes over from it
     mode x direction x switch x subdivision                   any two: homing has its way and its speed
-    emergency stop, disabling x direction                     homing ends
+    emergency stop, disabling x direction x switch            homing ends
     the motor's direction                                     homing keeps its own
 
 Rules kept here:
@@ -117,7 +117,7 @@ def _home_turns(probe: Probe, command: Command) -> None:
     factors = {
         "mode": tuple(reversed(declared.bus_modes(probe.dialect))),
         "direction": (0, 1),
-        "home_mode": (0, 1),
+        "home_mode": homing.modes(probe.dialect),
         "subdivision": (SUBDIVISION, 8),
         "home_speed": (_HOME_RPM, _FAST_RPM),
     }
@@ -126,7 +126,7 @@ def _home_turns(probe: Probe, command: Command) -> None:
         homing.set_home(
             probe, home_speed=row["home_speed"], home_direction=row["direction"], home_mode=row["home_mode"], return_angle=0
         )
-        begun, (rpm, spread, _) = undamaged(probe, _homed, command)
+        begun, (rpm, spread, status) = undamaged(probe, _homed, command)
         shown = ", ".join(f"{name} {value}" for name, value in row.items())
         text = "homing turns another way or at another speed in one condition"
         real = row["home_speed"] * (1 if row["subdivision"] in law.plain else law.counted_at / row["subdivision"])
@@ -143,6 +143,9 @@ def _home_turns(probe: Probe, command: Command) -> None:
             refutes=text,
             exchange=begun,
         )
+        text, wanted_status = "the status does not tell of homing in one condition", f"status {homing.HOMING}: {shown}"
+        told = f"status {status}"
+        probe.expect(told, holds=status == homing.HOMING, expected=wanted_status, refutes=text, exchange=begun)
     homing.set_home(probe)
 
 
@@ -203,10 +206,10 @@ def _ends_of_homing(dialect: Dialect) -> Iterator[Case]:
 
 @of_motion(each=_ends_of_homing, name="{command}/ends-{home}", refuted_by="a shaft that goes on", at_best=Certainty.LIKELY)
 def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str, int]) -> None:
-    """{command} ends homing in both directions: the shaft stands, and no success is told."""
+    """{command} ends homing in both directions, with and without a switch: the shaft stands, and no success is told."""
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
-    for direction in (0, 1):
-        homing.set_home(probe, home_speed=_HOME_RPM, home_direction=direction)
+    for row in covering.rows({"home_direction": (0, 1), "home_mode": homing.modes(probe.dialect)}):
+        homing.set_home(probe, home_speed=_HOME_RPM, return_angle=0, **row)
         first, since = motion.position(probe), len(probe.traffic)
         begun = probe.ask(home, quiet_ns=0)
         probe.wait(begun.sent_ns + _RUNS_NS - probe.gate.now_ns())
@@ -221,7 +224,7 @@ def _ends_homing(probe: Probe, command: Command, home: Command, values: dict[str
         if not turning:
             raise Inconclusive("homing does not turn the shaft")
         most = motion.same(probe) + probe.noise.swing
-        text = f"{command.name} does not end homing"
+        text = f"{command.name} does not end homing with {', '.join(f'{name} {value}' for name, value in row.items())}"
         probe.expect(abs(went), at_most=most, unit="degrees", refutes=text, exchange=exchange)
         told = arriving.statuses(probe.traffic[since:], home) if arriving.tells_end(probe.dialect) else []
         text = f"homing that {command.name} ended is told as success"

@@ -31,6 +31,8 @@ _CW, _CCW = 0, 1
 _SWITCH = 3000
 HOMING, HOMED = 5, 2
 _LIMIT_NS = 20 * SECOND_NS
+#: How long homing from where `mounted` leaves the shaft takes at most, at 300 rpm.
+FOUND_NS = 4 * SECOND_NS
 #: How far a move goes from where homing ended, in degrees.
 _BESIDE = 45
 #: How near the place is known where the shaft turns round (counts): at 60 rpm it goes so far between two looks at it.
@@ -48,6 +50,11 @@ def fields(dialect: Dialect) -> tuple[str, ...]:
     """Return the settings of homing."""
     found = [c for v in SETS_HOME if (c := dialect.by_verb.get(v)) is not None]
     return tuple(dict.fromkeys(n for c in found for f in c.request_forms for n in f.layout.named))
+
+
+def modes(dialect: Dialect) -> tuple[int, ...]:
+    """Return the modes of homing: by a switch, and by an obstacle where the dialect has that."""
+    return (0, 1) if "home_mode" in fields(dialect) else (0,)
 
 
 def _of_homing(
@@ -119,7 +126,12 @@ def _founds(dialect: Dialect) -> tuple[str, ...]:
     return ("open", "closed", "wall") if _can_meet_a_wall(dialect) else ("open", "closed")
 
 
-def _mounted(probe: Probe, direction: int, found: str, **values: int) -> str:
+def places(dialect: Dialect) -> tuple[dict[str, Any], ...]:
+    """Return rows of `mounted` in which each way is tried with all that home is found by."""
+    return covering.rows({"direction": (_CW, _CCW), "found": _founds(dialect)})
+
+
+def mounted(probe: Probe, direction: int, found: str, **values: int) -> str:
     """Mount what home is to be found by, and make the drive ready; return it for people."""
     way = _WAYS[direction]
     bench.wall(probe, None)
@@ -233,8 +245,8 @@ def _backs_off(probe: Probe, command: Command, way: str) -> None:
 @_of_homing("another number")
 def _zero(probe: Probe) -> None:
     """Where homing ends is zero: of the encoder, of the pulses, and for moves to a place; both ways, by a switch or a wall."""
-    for row in covering.rows({"direction": (_CW, _CCW), "found": _founds(probe.dialect)}):
-        shown, way = _mounted(probe, **row), _WAYS[row["direction"]]
+    for row in places(probe.dialect):
+        shown, way = mounted(probe, **row), _WAYS[row["direction"]]
         exchange = find_home(probe)
         probe.wait(500 * MS)
         for verb, name in ((Verb.READ_POSITION, "position"), (Verb.READ_PULSES, "pulses")):
@@ -258,7 +270,7 @@ def _without_switch(dialect: Dialect) -> Iterator[Case]:
 
 def _can_meet_a_wall(dialect: Dialect) -> bool:
     """Say whether a drive can home without a switch."""
-    return "home_mode" in fields(dialect)
+    return len(modes(dialect)) > 1
 
 
 @_of_homing("another place", each=_without_switch, name="{command}/without-switch-{way}-{angle:x}")
@@ -419,7 +431,7 @@ def _replies(probe: Probe, command: Command) -> None:
 
 def _homed(probe: Probe, command: Command, row: Mapping[str, Any]) -> tuple[str, Exchange, list[int]]:
     """Find home as a row says; return the row for people, the exchange, and all that homing was answered."""
-    shown, since = _mounted(probe, **row), len(probe.traffic)
+    shown, since = mounted(probe, **row), len(probe.traffic)
     exchange = find_home(probe)
     probe.wait(2 * SECOND_NS)
     return shown, exchange, _statuses(probe, since, command)

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
 from conformance.claim import Inconclusive
-from conformance.claims import bench
 from conformance.claims.control_reads import plain_reads
 from conformance.claims.declare import Case, Cases, commands, needing
 from conformance.claims.motion import homing
@@ -336,17 +335,37 @@ def _inactive_stop(probe: Probe, run: Command, stop: Command) -> None:
     settings=lambda case: (*_OF_REPLIES, *homing.fields(case.dialect)),
 )
 def _inactive_home(probe: Probe) -> None:
-    """With active 0 homing is answered when it begins and not when it is done."""
-    motion.ready_to_move(probe, subdivision=SUBDIVISION)
-    homing.set_home(probe)
+    """With active 0 homing is answered when it begins, and not when it is done, by a switch or a wall."""
+    for row in homing.places(probe.dialect):
+        told, exchange = _home_answered(probe, row, 1, 0)
+        text = "homing with active 0 is not answered at its begin alone"
+        probe.expect(told, equal=[1], refutes=text, exchange=exchange)
+
+
+@_of_respond(
+    "another answer",
+    each=needing(Verb.HOME, _settings),
+    name="{command}/0-leaves-home",
+    emulated=True,
+    risks=risks_by(Verb.HOME, *homing.SETS_HOME),
+    settings=lambda case: (*_OF_REPLIES, *homing.fields(case.dialect)),
+)
+def _loud_home(probe: Probe) -> None:
+    """With respond 0, which is about runs and moves, homing is answered when it begins and when it is done."""
+    told, exchange = _home_answered(probe, next(iter(homing.places(probe.dialect))), 0, 1)
+    probe.expect(told, equal=[1, 2], refutes="homing is not answered with respond 0", exchange=exchange)
+
+
+def _home_answered(probe: Probe, row: dict[str, Any], respond: int, active: int) -> tuple[list[int], Exchange]:
+    """Find home with these settings; return all that homing was answered, and its exchange."""
     home = probe.command(Verb.HOME)
-    _set(probe, 1, 0)
-    bench.left_switch(probe, -2000)
+    homing.mounted(probe, **row, home_speed=300)
+    _set(probe, respond, active)
     since = len(probe.traffic)
-    exchange = probe.ask(home, until=Until.TIMEOUT, timeout_ns=3 * SECOND_NS)
+    exchange = probe.ask(home, until=Until.TIMEOUT, timeout_ns=homing.FOUND_NS)
     motion.wait_standing(probe)
-    text = "homing with active 0 is not answered at its begin alone"
-    probe.expect(arriving.statuses(probe.traffic[since:], home), equal=[1], refutes=text, exchange=exchange)
+    _set(probe, 1, 1)
+    return arriving.statuses(probe.traffic[since:], home), exchange
 
 
 @_of_respond("other replies", each=_settings, name="{command}/1-answers-again")

@@ -36,6 +36,7 @@ from conformance.motion import arriving, declared, motion
 from conformance.motion.declared import MOVES, QUICK, SUBDIVISION
 from conformance.talk import samples
 from conformance.talk.probe import MS, Probe
+from conformance.talk.restarts import restart
 from conformance.talk.settings import LINK_EFFECTS
 
 
@@ -181,14 +182,15 @@ def _pulse_mode(dialect: Dialect) -> int:
     return next((v for v, n in names.items() if "clos" in n), next(iter(names)))
 
 
-def _with_work_mode(verb: Verb) -> Any:
-    """Return the case of a setting that shows when the work mode changes."""
+def _with_work_mode(verb: Verb, *more: Verb) -> Any:
+    """Return the case of a setting that shows when the work mode changes. `more`: what else is sent."""
 
     def cases(dialect: Dialect) -> Iterator[Case]:
         command = dialect.by_verb.get(verb)
         if command is not None:
             (name,) = command.request_forms[0].layout.named
-            risks = command.all_risks | dialect.by_verb[Verb.SET_WORK_MODE].all_risks
+            sent = (Verb.SET_WORK_MODE, *more)
+            risks = command.all_risks.union(*(dialect.by_verb[each].all_risks for each in sent))
             facts = {"fields": (name,), "settings": (name, "work_mode"), "risks": risks}
             yield Case(dialect, command, {}, facts)
 
@@ -240,20 +242,25 @@ def _enable_pin(probe: Probe, command: Command) -> None:
 
 
 @of_read_back(
-    each=_with_work_mode(Verb.SET_AXIS_LOCK),
+    each=_with_work_mode(Verb.SET_AXIS_LOCK, Verb.ENABLE, Verb.RESTART),
     name="{command}/effect",
     refuted_by="a shaft that is held with 0, or free with 1",
     at_best=Certainty.LIKELY,
 )
 def _axis_lock(probe: Probe, command: Command) -> None:
-    """A bus mode begins with the shaft held or free as axis_lock says."""
+    """A bus mode begins with the shaft held or free as axis_lock says: when it is set, and after a restart."""
     for value in (0, 1):
         exchange = probe.do(command, {"axis_lock": value})
         probe.do(Verb.SET_WORK_MODE, {"work_mode": _pulse_mode(probe.dialect)})
         motion.set_mode(probe, declared.bus_modes(probe.dialect)[-1])
-        seen = probe.read(Verb.READ_ENABLED)
-        text = f"with axis_lock {value} a bus mode begins with enabled {seen}"
-        probe.expect(seen, equal=value, refutes=text, exchange=exchange, key="axis_lock effect")
+        for begin_again, when in ((None, "when it is set"), (restart, "after a restart")):
+            if begin_again is not None:
+                # A motor that is as before has not begun anew.
+                motion.switch(probe, not value)
+                begin_again(probe)
+            seen = probe.read(Verb.READ_ENABLED)
+            text = f"with axis_lock {value} a bus mode begins with enabled {seen} {when}"
+            probe.expect(seen, equal=value, refutes=text, exchange=exchange, key="axis_lock effect")
 
 
 # --- ports ------------------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
     NAME/power                            a setting that is not the default is there after the power was cut
     restart/motion-as-before              each motion is what it was
     restart/ends-motion                   one that is under way ends
-    set_axis_lock/at-power-on             the shaft is held or free when power comes on (CAN)
+    set_axis_lock/at-power-on             the shaft is held or free when the drive begins in each bus mode (CAN)
     parameter/NAME/power                  a control parameter (LK) is as before when power comes on
 
 Rules kept here:
@@ -301,17 +301,17 @@ def _locks(dialect: Dialect) -> Iterator[Case]:
 
 
 @of_motion(
-    each=_locks, name="{command}/at-power-on-{value}", refuted_by="the other state", emulated=True, settings=("axis_lock",)
+    each=_locks,
+    name="{command}/at-power-on-{value}",
+    refuted_by="the other state",
+    emulated=True,
+    risks=risks_by(Verb.SET_AXIS_LOCK, Verb.ENABLE, Verb.RESTART),
+    settings=("axis_lock",),
 )
 def _locked(probe: Probe, command: Command, value: int) -> None:
-    """With axis_lock {value} the motor is {word} when power comes on in a bus mode, and when a bus mode is set."""
+    """With axis_lock {value} the motor is {word} when a bus mode is set, after a restart and when power comes on in it."""
     motion.ready_to_move(probe)
     probe.do(command, {"axis_lock": value})
-    bench.power_cycle(probe)
-    probe.wait(_START_NS)
-    text = f"with axis_lock {value} the motor is in the other state at power-on"
-    probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text)
-    bench.expect_hold(probe, bool(value), f"with axis_lock {value} at power-on")
     modes = probe.command(Verb.SET_WORK_MODE)
     for mode in declared.bus_modes(probe.dialect):
         motion.set_mode(probe, declared.pulse_modes(probe.dialect)[0])
@@ -319,6 +319,14 @@ def _locked(probe: Probe, command: Command, value: int) -> None:
         probe.wait(_START_NS)
         text = f"with axis_lock {value} the motor is in the other state when {mode} is set"
         probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text, exchange=exchange)
+        for _, how, begin_again in ENDS:
+            # A motor that is as before has not begun anew.
+            motion.switch(probe, not value)
+            begin_again(probe)
+            probe.wait(_START_NS)
+            text = f"with axis_lock {value} the motor is in the other state in {mode} after {how}"
+            probe.expect(probe.read(Verb.READ_ENABLED, "enabled"), equal=value, refutes=text)
+            bench.expect_hold(probe, bool(value), f"with axis_lock {value} in {mode} after {how}")
 
 
 def _restarts(dialect: Dialect) -> Iterator[Case]:

@@ -1068,6 +1068,53 @@ def _homes_back(drive: MksCore) -> bool:
     return drive.doing(Activity.HOME) and _rpm(drive) * way_of(drive.settings["home_direction"]) < 0
 
 
+def _homes_by_wall(drive: MksCore) -> bool:
+    return drive.doing(Activity.HOME) and drive.settings["home_mode"] == mks_shared.HomeMode.NO_LIMIT
+
+
+def _told_to_all(of: Callable[[Request, Values], bool]) -> Change:
+    """Tell the ends of some motions also where several drives were asked."""
+
+    def change(drive: MksCore) -> None:
+        complete = drive.complete
+
+        def tell(request: Request, values: Values) -> None:
+            request.answered = request.answered or of(request, values)
+            complete(request, values)
+
+        drive.complete = tell  # type: ignore[method-assign]
+
+    return tuned(change, TELLING)
+
+
+def _home_silenced(drive: MksCore) -> None:
+    """Take the replies of homing for those of a motion, which 8C silences."""
+    silenced = drive.silenced
+
+    def silences(command: Command) -> bool:
+        return silenced(command) or (command.verb is Verb.HOME and not drive.settings["respond"])
+
+    drive.silenced = silences  # type: ignore[method-assign]
+
+
+def _locked_by_restart(drive: MksCore) -> None:
+    """Hold the shaft after a restart; when power comes on, as is set."""
+    again, power_on, restarted = drive.behaviours[Verb.RESTART], drive.power_on, False
+
+    def act(core: MksCore, request: Request) -> Values | None:
+        nonlocal restarted
+        restarted = True
+        return again(core, request)
+
+    def started(core: MksCore) -> None:
+        nonlocal restarted
+        power_on(core)
+        core.memory.enabled, restarted = core.memory.enabled or restarted, False
+        core.grip()
+
+    drive.behaviours[Verb.RESTART], drive.power_on = act, started
+
+
 def _let_go_ccw(drive: MksCore) -> None:
     if drive.settings["home_direction"] == mks_shared.ConfigDirection.CCW:
         drive.memory.enabled = False
@@ -1676,6 +1723,38 @@ DOING: Rows = {
             TELLING,
         ),
         Row("homing-ccw-lets-go", "homing counter-clockwise lets the shaft go at its end", when_home(_let_go_ccw)),
+        Row(
+            "home-by-wall-unstopped",
+            "F7 says success and does not end homing without a switch",
+            Change(undone_when(_homes_by_wall, Verb.EMERGENCY_STOP).install, TELLING),
+        ),
+        Row(
+            "home-by-wall-as-stopped",
+            "F1 says stopped while homing without a switch",
+            Change(told_when(_homes_by_wall, Verb.READ_STATUS, status=1).install, TELLING),
+        ),
+        Row("respond-silences-home", "91 is not answered with respond 0", tuned(_home_silenced, TELLING)),
+        Row("lock-by-restart", "41 holds the shaft, whatever 8F says", tuned(_locked_by_restart, CAN)),
+        Row(
+            "home-told-by-all",
+            "the end of homing is told though all drives or a group were asked",
+            _told_to_all(lambda request, values: request.command.verb is Verb.HOME),
+        ),
+        Row(
+            "failure-told-by-all",
+            "a move that fails says 0 though all drives or a group were asked",
+            _told_to_all(lambda request, values: request.command.verb in MOTIONS and not values["status"]),
+        ),
+        Row(
+            "limit-told-by-all",
+            "a move that a limit ends says 3 though all drives or a group were asked",
+            _told_to_all(lambda request, values: values["status"] == mks_shared.RunStatus.LIMIT_STOP),
+        ),
+        Row(
+            "ramp-told-by-all",
+            "a stop by a ramp tells its end though all drives or a group were asked",
+            _told_to_all(lambda request, values: request.command.verb in STOPS and bool(request.values["acceleration"])),
+        ),
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
     ),
 }
