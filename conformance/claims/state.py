@@ -59,4 +59,5 @@ def _walk(probe: Probe, leg: int) -> None:
     """In any state and after any requests, a drive answers and moves as the manual says (leg {leg})."""
     allowance = probe.gate.allowance
     leeway = Leeway(allowance.bounds, allowance.subdivision, dialect=probe.dialect)
-    story.check(probe, route.steps(probe.dialect, seed=probe.rig.seed, leeway=leeway, leg=leg, legs=LEGS))
+    waits = probe.rig.write_gap_ns > 0
+    story.check(probe, route.steps(probe.dialect, seed=probe.rig.seed, leeway=leeway, leg=leg, legs=LEGS, waits=waits))

@@ -50,6 +50,8 @@ _LONG, _LONG_RPM = 300, 140
 _GOING_LOOKS, _LOOKS = 2, 3
 #: The share of moves among the motions that fill a wait; the others are runs.
 _MOVES, _ALIKE = 0.7, 0.5
+#: The share of short motions between settings that need not wait.
+_FILLED = 0.3
 #: How many motions are drawn, of which the one with most that is new comes.
 _DRAWN = 6
 #: The group that the drive is in at first.
@@ -58,14 +60,16 @@ _GROUP = 0x50
 _SETTINGS, _LEAPS = ("mode", "on", "subdivision", "direction", "replies"), 0.05
 
 
-def steps(dialect: Dialect, *, seed: int = 0, leeway: Leeway = NO_BOUNDS, leg: int = 1, legs: int = 1) -> Iterator[Step]:
-    """Yield the steps of a walk, or of one of its legs."""
-    return _Route(dialect, seed, leeway).steps(leg, legs)
+def steps(
+    dialect: Dialect, *, seed: int = 0, leeway: Leeway = NO_BOUNDS, leg: int = 1, legs: int = 1, waits: bool = True
+) -> Iterator[Step]:
+    """Yield the steps of a walk, or of one of its legs. `waits`: settings wait, and short motions meanwhile cost nothing."""
+    return _Route(dialect, seed, leeway, 1.0 if waits else _FILLED).steps(leg, legs)
 
 
 class _Route:
-    def __init__(self, dialect: Dialect, seed: int, leeway: Leeway) -> None:
-        self.dialect, self.leeway = dialect, leeway
+    def __init__(self, dialect: Dialect, seed: int, leeway: Leeway, filled: float) -> None:
+        self.dialect, self.leeway, self.filled = dialect, leeway, filled
         self.chance = random.Random(f"{seed} {dialect.name} route")
         self.state: dict[str, Any] = {}
         self._next, self._written, self._rpm = 0, seed, float(_LONG_RPM)
@@ -159,7 +163,7 @@ class _Route:
     def _filler(self) -> Iterator[Step]:
         """Yield a short motion, in any way and with any frame on its way, for the time that the next setting has to wait."""
         chance, dialect = self.chance, self.dialect
-        if self.state.get("on") == 0:
+        if self.state.get("on") == 0 or (self.filled < 1 and chance.random() >= self.filled):
             return
         state = {name: str(self.state.get(name)) for name in _SETTINGS}
         drawn: list[tuple[int, int, Command, dict[str, int], set[Any]]] = []
