@@ -43,3 +43,11 @@ def test_the_number_of_a_cell_belongs_to_no_frame(causes_of):
     sent = {16: native(1, 0x84, 16), 32: native(1, 0x84, 32), 64: native(1, 0x84, 64)}
     rows = "".join(f"step {n};{each.hex(' ')};{reply(1, 0x84, 1).hex(' ')};ok\n" for n, each in sent.items())
     assert causes_of(f"Parameter;Sent;Received;Result\n{rows}") == []
+
+
+@pytest.mark.parametrize(("status", "speed", "causes"), [(3, 0, ["firmware_quirk"]), (3, 9, []), (1, 0, [])])
+def test_a_status_that_stays_when_the_shaft_stands(status, speed, causes, causes_of):
+    rows = [(native(1, 0xF1), reply(1, 0xF1, status)), (native(1, 0x32), reply(1, 0x32, 0, speed))]
+    one, other = ("".join(f"tx {asked.hex(' ')}\nrx {came.hex(' ')}\n" for asked, came in rows[at:]) for at in (0, 1))
+    assert causes_of(one * 4) == causes
+    assert causes_of(one + other * 3) == []
