@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
 from analyzer.catalogue import Risk, Role
+from analyzer.diagnosis.reports import NOTHING_CAME
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown, whole
 from analyzer.encoder import build
 from analyzer.layout import Effect
@@ -70,7 +70,7 @@ def _waited_on(scene: Scene) -> Iterator[Suspicion]:
 
     So it is where words miss a reply as often as none came.
     """
-    missed = sum(_WAITED.search(words) is not None for words in scene.words)
+    missed = sum(NOTHING_CAME.search(words) is not None for words in scene.words)
     if not missed:
         return
     silent = sum(piece.sequence not in scene.replies for piece in scene.requests)
@@ -106,18 +106,6 @@ def _waited_on(scene: Scene) -> Iterator[Suspicion]:
 
 #: One word of waiting may speak of anything.
 _TWICE = 2
-#: Words of a program that waits for a reply in vain.
-_WAITED = re.compile(
-    r"time[ds]?[ -]?out(?:error|exception)?\b(?!\s*(?:[:=(]|of|is|ms|in\b))|\bretr(?:y|ies)\b"
-    r"|\bno (?:response|answer|reply)\b(?! (?:is )?(?:expected|needed|wanted|due))"
-    r"|\b(?:never|n't|not) (?:answer|repl|respond|confirm)\w*"
-    # What a console of Python has read.
-    r"|^(?:b(?:''|\"\")|\[\])$"
-    # `rx nothing`, `recv: b''`, `<- []`, `recv(timeout=1.0) -> None`.
-    r"|(?:\b(?:rxd?|rd|re?c(?:v|ei?ved?)|read|got|reply|response|answer|returned)\b(?:\([^()]*\))?|<[-=]*)[\s:=>-]*"
-    r"(?:[(<]?(?:nothing|none|empty)\b(?! (?:else|special|wrong|needed|expected))|b?(?:''|\"\")|\[\]|<Buffer ?>|-{1,3}$)",
-    re.IGNORECASE,
-)
 
 
 def _groups(scene: Scene) -> dict[tuple[str, int], int]:

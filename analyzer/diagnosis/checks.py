@@ -274,11 +274,14 @@ def _named(wrong: list[Failing], some_right: bool) -> dict[Rule, list[Failing]]:
         for rule in failing.rules:
             fitting[rule].append(failing)
     named: dict[Rule, list[Failing]] = {}
+    kept = Counter(_kept(f) for f in {f.right: f for f in wrong}.values())
     left = {id(f) for f in wrong}
     for rule in sorted(fitting, key=lambda r: (-len(fitting[r]), ORDER[r])):
         own = [f for f in fitting[rule] if id(f) in left]
         different = len({f.right for f in own})
-        if different > 1 or (own and (rule.strong or not some_right or len(own) > 2)):
+        # A check that other frames have as well was not computed.
+        stale = different == 1 and not rule.strong and kept[_kept(own[0])] > 1
+        if different > 1 or (own and not stale and (rule.strong or not some_right or len(own) > 2)):
             named[rule] = own
             left -= {id(f) for f in own}
     return named

@@ -25,7 +25,7 @@ _EXCEPTION = 5
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the firmware."""
-    for part in (_second_reply, _other_code, _byte_count, _no_check, _no_end, _never_answered):
+    for part in (_second_reply, _other_code, _byte_count, _no_check, _no_end, _slowing_still, _never_answered):
         yield from part(scene)
 
 
@@ -193,6 +193,36 @@ def _stands(scene: Scene, motion: Piece) -> bool:
     return standing >= _HABIT
 
 
+def _slowing_still(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a status that says "slowing down" of a shaft whose speed reads 0, one time after the other."""
+    slowing: dict[tuple[str, int], Piece] = {}
+    still: dict[tuple[str, int], list[Piece]] = {}
+    for piece in scene.pieces:
+        message = piece.message
+        if message is None or message.command is None or not (piece.is_reply and piece.sound):
+            continue
+        drive, verb = (message.frame.dialect.name, message.address), message.command.verb
+        if verb is Verb.READ_STATUS and message.values.get("status") == MotorStatus.SLOWING_DOWN:
+            slowing[drive] = piece
+        elif verb is Verb.READ_SPEED and message.values.get("speed") == 0:
+            still.setdefault(drive, []).extend([slowing.pop(drive)] if drive in slowing else [])
+        elif verb in (Verb.READ_STATUS, Verb.READ_SPEED):
+            # It goes on: who has slowed down for long is told by what came until here.
+            slowing.pop(drive, None)
+            if len(still.get(drive, ())) < _STILL:
+                still.pop(drive, None)
+    own = next((pieces for pieces in still.values() if len(pieces) >= _STILL), [])
+    if own:
+        yield _said(
+            Confidence.LIKELY, [Trouble("no_end", piece.offset, None, piece) for piece in own],
+            "The status says that the motor slows down, and its speed reads 0: some firmware stays so after a move.",
+            " comes where the speed reads 0",
+            "Wait for the speed or the position to stand, for a limited time, and not for this status; look for other firmware",
+        )  # fmt: skip
+
+
+#: Times in a row that are no last moment of a ramp.
+_STILL = 3
 #: How people write that the report of an end is missing.
 _NO_END = re.compile(
     r"\b(?:not|n't|never|no)\b[^.\n]{0,30}\b(?:run[ _-]complete|complet\w+|finish\w*|arriv\w+|done)\b[^.\n]{0,12}"

@@ -121,6 +121,18 @@ REPORTS = (
         "numbers is an integer of 32 bits",
     ),
 )  # fmt: skip
+#: Words of a program that waits for a reply in vain, in sentences and in the lines of a log.
+NOTHING_CAME = re.compile(
+    r"time[ds]?[ -]?out(?:error|exception|expired|occurred)?\b(?!\s*(?:[:=(]|of|is|ms|in\b))|\bretr(?:y|ies)\b"
+    r"|\bno (?:response|answer|reply)\b(?! (?:is )?(?:expected|needed|wanted|due))"
+    r"|\b(?:never|n't|not) (?:answer|repl|respond|confirm)\w*"
+    # What a console of Python has read.
+    r"|^(?:b(?:''|\"\")|\[\])$"
+    # `rx nothing`, `recv: b''`, `<- []`, `recv(timeout=1.0) -> None`, `=> None`.
+    r"|(?:\b(?:rxd?|rd|re?c(?:v|ei?ved?)|read|got|reply|response|answer|returned)\b(?:\([^()]{0,40}\))?|<[-=]*|[-=]>)[\s:=>-]*"
+    r"(?:[(<]?(?:nothing|none|empty)\b(?! (?:else|special|wrong|needed|expected))|b?(?:''|\"\")|\[\]|<Buffer ?>|-{1,3}$)",
+    re.IGNORECASE,
+)
 #: A check that was expected and one that was got, in any of the usual words.
 _CHECKS = (
     (
@@ -239,3 +251,19 @@ def speaks(line: str) -> bool:
         or any(_compiled(report.pattern).search(line) for report in REPORTS)
         or _compiled(_FAILED_CHECK).search(line) is not None
     )
+
+
+def last_bytes(words: str) -> bytes:
+    """Return the last bytes in a line of words; none where no letter shows that their numbers are hexadecimal."""
+    text = next((found[0] for found in reversed(list(_SAID.finditer(words)))), "")
+    if _LETTER.search(text) is None:
+        return b""
+    numbers = _NUMBER.findall(text)
+    return bytes(int(each, 16) for each in numbers) if len(numbers) > 1 else bytes.fromhex(text)
+
+
+#: Bytes in words, with gaps and without.
+_SAID = re.compile(
+    r"(?<![\w.:-])(?:(?:(?:0x)?[0-9a-f]{1,2}[ ,:-]{1,2}){3,}(?:0x)?[0-9a-f]{1,2}|(?:[0-9a-f]{2}){4,})(?![\w.:-])", re.IGNORECASE
+)
+_LETTER, _NUMBER = re.compile(r"[a-fx]", re.IGNORECASE), re.compile(r"\b(?:0x)?([0-9a-f]{1,2})\b", re.IGNORECASE)

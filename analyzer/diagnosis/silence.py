@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from analyzer.catalogue import Dialect, Risk, Role
 from analyzer.diagnosis.addresses import addressed
 from analyzer.diagnosis.exchanges import reported
+from analyzer.diagnosis.reports import NOTHING_CAME, last_bytes
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown, whole
 from analyzer.dialects import drive_name
 from analyzer.encoder import build
@@ -187,6 +188,9 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str], a
         )  # fmt: skip
         return
     again = len(asked.troubles) > 1 and not _is_quoted(scene)
+    if again and 2 * _unread(scene) >= len(asked.troubles):
+        # Who sent what stands there cannot be told: it may be the replies.
+        return
     if (again and not scene.listed) or (_is_one(scene) and _missed(scene)):
         yield Suspicion(
             "no_reply", Confidence.LIKELY if again else Confidence.POSSIBLE, asked.troubles,
@@ -195,6 +199,12 @@ def _unanswered_by_all(scene: Scene, asked: _Asked, answering: dict[int, str], a
             _order(dialect, ours=any(t.piece is not None and _is_listed(t.piece) for t in asked.troubles)),
             frames,
         )  # fmt: skip
+
+
+def _unread(scene: Scene) -> int:
+    """Return how many lines of words have bytes that are none of those which were read."""
+    known = b"".join(piece.data for piece in scene.pieces)
+    return sum(bool(data := last_bytes(words)) and data not in known for words in scene.words)
 
 
 def _searched(scene: Scene, every: list[_Asked]) -> Iterator[Suspicion]:
@@ -264,7 +274,7 @@ def _missed(scene: Scene) -> bool:
     A recording of the line may end there.
     """
     bare = not scene.words and (scene.shows_sent or not scene.timed)
-    return bare or any(_MISSED.search(_SUPPOSED.sub("", words)) for words in scene.words)
+    return bare or any(pattern.search(_SUPPOSED.sub("", words)) for words in scene.words for pattern in (_MISSED, NOTHING_CAME))
 
 
 def _falls_silent(scene: Scene, asked: _Asked, who: str) -> Iterator[Suspicion]:

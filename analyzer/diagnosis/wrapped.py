@@ -12,6 +12,7 @@ from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.pace import ASKS_OF_PARTS
 from analyzer.diagnosis.reader import Reader
+from analyzer.diagnosis.reports import NOTHING_CAME
 from analyzer.diagnosis.requests import EXCEPTIONS
 from analyzer.diagnosis.scene import SILENT, Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link import FUNCTIONS, READS, modbus_crc
@@ -430,15 +431,18 @@ def _refused(found: list[tuple[Trouble, bytes, bytes]]) -> Iterator[Suspicion]:
 
 #: Bytes of the number of a request and of the protocol behind it.
 _NUMBERED = 4
-#: The size of an exception with its CRC.
-_REFUSAL = 5
+#: The size of an exception with its CRC; of a request without one, and the last function of those.
+_REFUSAL, _REQUEST, _WRITES_ONE = 5, 6, 6
 
 
 def _all_answered(scene: Scene, dress: Dress) -> bool:
     """Say whether the wrapped requests have wrapped replies, all but one: then who answers takes the header."""
     if dress.undo is not _tcp:
         return False
-    if _SPEAKS_TCP.search("\n".join(scene.words)) is not None and not scene.shows_sent:
+    words = "\n".join(scene.words)
+    # A program that speaks it and gets nothing has a drive that does not take it.
+    silent = NOTHING_CAME.search(words) is not None and all(_is_request(header.body) for header in _headers(scene))
+    if _SPEAKS_TCP.search(words) is not None and not scene.shows_sent and not silent:
         return True
     sent, came = (
         {(header.number, header.body[0]) for header in _headers(scene) if header.burst.direction is role}
@@ -447,6 +451,11 @@ def _all_answered(scene: Scene, dress: Dress) -> bool:
     # A log that is cut may begin with a reply and end with a request.
     begun = bool(sent) and bool(came) and len(came) + 1 >= len(sent)
     return (bool(sent) and sent <= came) or begun or _numbers_return(scene) or _replies_alone(scene)
+
+
+def _is_request(body: bytes) -> bool:
+    """Say whether what stands behind a header is as long as a request to read, or to write one register."""
+    return len(body) == _REQUEST and body[1] <= _WRITES_ONE
 
 
 def _replies_alone(scene: Scene) -> bool:

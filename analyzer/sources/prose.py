@@ -55,7 +55,9 @@ _RUN = re.compile(
     rf"|(?P<list>[\[({{]\s*-?{_ITEM}(?:\s*,\s*-?{_ITEM})+\s*,?\s*[\])}}])"
     rf"|(?P<pairs>{_NOTHING_BEFORE}(?:{_MARKED}(?:(?:, ?|[ :-]){_MARKED})+"
     rf"|(?:0[xX])?{_PAIRS}(?: {{1,2}}{_PAIRS})+"
-    rf"|{_PAIR}(?:(?:[,;] ?{_PAIR})+|(?::{_PAIR})+|(?:-{_PAIR})+|(?:\.{_PAIR}){{5,}}|(?:\t{_PAIR})+|(?:\|{_PAIR})+))"
+    # A number of the cell before belongs to no bytes.
+    rf"|{_PAIR}(?:(?:(?:[,;] ?{_PAIR})++|(?:\t{_PAIR})++|(?:\|{_PAIR})++)(?! {_PAIR}\b)|(?::{_PAIR})+|(?:-{_PAIR})+"
+    rf"|(?:\.{_PAIR}){{5,}}))"
     r"(?![\w:]))"
     r"|(?P<quoted>(?<=[`'\"])(?:[0-9A-Fa-f]{2}){3,}(?=[`'\"]))"
     rf"|(?P<digits>{_NOTHING_BEFORE}(?=[0-9A-Fa-f]*\d)(?=\d*[A-Fa-f])(?:[0-9A-Fa-f]{{2}}){{4,}}(?![\w/-]))"
