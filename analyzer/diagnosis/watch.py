@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect
-from analyzer.columns.block import ByteBlock
+from analyzer.columns.block import ByteBlock, CanBlock
 from analyzer.diagnosis.repeats import SOON_NS, told_apart
 from analyzer.diagnosis.scene import SILENT, Piece, Read, Scene
 from analyzer.entries import Entry
@@ -140,7 +140,7 @@ class Watch:
         """Take a frame that is in order."""
         self._near.append((lane, frame, sequence, request_sequence))
         self.frames += 1
-        if latency_ns is not None and latency_ns > SOON_NS:
+        if latency_ns is not None and latency_ns > SOON_NS and frame.can is not None:
             self._look_back()
 
     def begin(self, plain: Plain) -> None:
@@ -149,14 +149,19 @@ class Watch:
         self._plain = plain
 
     def run(self, start: int, stop: int, sequence: int) -> None:
-        """Take plain exchanges: the last of them may stand near trouble."""
-        self._near.append(_Rows(range(max(start, stop - _NEAR), stop), sequence - start))
+        """Take plain exchanges: the last of them may stand near trouble, as those before a late reply do."""
         self.frames += stop - start
-        if self._plain.latencies[start:stop].max() > SOON_NS:
-            self._look_back()
+        more = sequence - start
+        if isinstance(self._plain.block, CanBlock):
+            for late in (self._plain.latencies[start:stop] > SOON_NS).nonzero()[0][:_MOST_LATE].tolist():
+                after = sequence - more + late + 1
+                self._near.append(_Rows(range(max(start, after - _NEAR), after), more))
+                self._look_back()
+                start = after
+        self._near.append(_Rows(range(max(start, stop - _NEAR), stop), more))
 
     def _look_back(self) -> None:
-        """Keep what stands near a late reply, as far as there is room: it may be a request that is sent again."""
+        """Keep what stands near a late reply on CAN, as far as there is room: it may be a request that is sent again."""
         self._late = True
         if len(self._kept) < _MOST_LATE:
             self._keep()
@@ -179,6 +184,9 @@ class Watch:
         """Take a decoded frame."""
         self._near.append(entry)
         self.frames += 1
+        latency_ns = entry.latency_ns
+        if latency_ns is not None and latency_ns > SOON_NS and entry.message.frame.can is not None:
+            self._look_back()
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
         """Take bytes that are no frame."""

@@ -52,6 +52,15 @@ def test_exchanges_of_several_drives_interleave(dialect, odd, share, short_runs)
     assert pipeline.in_runs > (0.25 if odd else 0.8) * len(rows)
 
 
+@pytest.mark.parametrize("every", [3, 97])
+def test_what_stands_near_a_late_reply(every, short_runs):
+    late, after_ns = [], 0
+    for number, frame in enumerate(frames(MKS, random.Random(8), 1500, 0, 0, polls=("read_speed", "read_position"))):
+        after_ns += 200_000_000 * (number % 2 and number // 2 % every == 0)
+        late.append(replace(frame, t_ns=frame.t_ns + after_ns))
+    assert same(late, MKS, 300).in_runs > 1400
+
+
 def test_frames_of_other_nodes_within_exchanges(short_runs):
     polls = list(frames(MKS, random.Random(6), 2000, 0, 0, polls=("read_speed", "read_position", "read_pulses")))
     rows = [each for n, frame in enumerate(polls) for each in (frame, *[replace(frame, id=0x701, data=b"\5")] * (n % 97 == 0))]
