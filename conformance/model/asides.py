@@ -3,7 +3,7 @@
     addressed(probe, command, values, way, group)   the request, sent in one of the ways to it
     aside(probe, number, group)                     a frame that changes nothing: no motion, no setting, no reply that is due
 
-Whatever the way, a drive does the same; and what is not for it leaves all that it does as it is.
+A drive does the same in each of these ways. A frame that is not for it changes nothing.
 """
 
 from __future__ import annotations

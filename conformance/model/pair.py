@@ -34,7 +34,7 @@ _SPREAD_NS = 18 * MS
 _AGAIN_NS, _AT_ONCE_NS = (200 * MS, 1_200 * MS), (0, 20 * MS)
 #: How often a read is asked for at most.
 _ASKED = 4
-#: The time that a frame is given which nobody answers.
+#: How long nothing is sent behind a frame without a reply.
 _APART_NS = 6 * MS
 
 

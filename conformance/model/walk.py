@@ -141,7 +141,7 @@ class Walk:
             adopting.encoder(pair)
 
     def _way(self, given: Mapping[str, int]) -> int:
-        """Return how a step is sent: to the drive alone where no other way is open, or the line loses what nobody answers."""
+        """Return how a step is sent: to the drive alone if no other way is open, or if the line loses frames."""
         way = given.get(WAY, Way.OWN)
         other = self._probe.gate.allowance.alone and not self.pair.lossy and (way != Way.GROUP or self.pair.group)
         return way if other else Way.OWN

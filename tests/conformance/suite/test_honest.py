@@ -347,7 +347,7 @@ ONCE_ACCUSED = [
     ("mks-can@6,model=57E,encoder-noise=1,loop-error=20,tremble=3,settle=80ms", 61009, "set_zero/carry"),
     ("mks-rs485@26,model=57D,encoder-noise=4,speed-lag=20ms,hysteresis=8,settle=300ms", 61003, "settings/leave-motion"),
     ("mks-rs485@26,model=57D,encoder-noise=4,loop-error=20,overshoot=20,settle=300ms", 61003, "set_home/end-limit-off"),
-    # A slot of a package keeps a run that turns the way that a positive speed does, whichever that is.
+    # A run that a package keeps turns the same way as a run at a positive speed.
     ("mks-rs485@1,quirk=reversed-direction", 0, "save_speed/package"),
 ]
 
