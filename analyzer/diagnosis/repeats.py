@@ -17,9 +17,9 @@ from analyzer.findings import RULES
 from analyzer.records import Finding, Message
 from analyzer.values import SECOND_NS
 
-#: What comes sooner is a reply, whatever else comes.
+#: A frame that comes sooner is a reply.
 SOON_NS = 100_000_000
-#: How much later than others a reply is that is none; and when it is none where there are no others.
+#: A frame is no reply if it comes so many times later than the others; where there are no others, behind so long.
 _LATER, _ALONE_NS = 20, SECOND_NS // 2
 
 

@@ -160,7 +160,7 @@ def _emulate(specifications: Sequence[Specification], arguments: argparse.Namesp
 
     def ask_to_end(number: int, frame: object) -> None:
         if stop.asked:
-            # The driver of a bus may hang, and then nobody looks.
+            # A driver that hangs does not look at the first wish.
             raise KeyboardInterrupt
         stop.ask("a signal")
 
