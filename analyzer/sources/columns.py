@@ -129,11 +129,11 @@ class _Table:
             if str(row.get("id", "")).isdecimal():
                 row["id"] = int(row["id"])
         beyond = [cell for cell in cells[len(self.names) :] if cell]
-        if beyond and self.names[-1] in _NAMES["data"] and all(_PAIR.fullmatch(cell) for cell in (str(row["data"]), *beyond)):
+        if beyond and self.names[-1] in _NAMES["data"] and all(map(_PAIR.fullmatch, (row.get("data", ""), *beyond))):
             # Each byte has a cell of its own.
             row["data"] = " ".join((row["data"], *beyond))
         elif beyond and _CELL.fullmatch(self.names[-1]) and all(map(_PAIR.fullmatch, beyond)):
-            row["cells"] += beyond
+            row.setdefault("cells", []).extend(beyond)
         elif beyond:
             row["beyond"] = beyond
         return row

@@ -186,3 +186,14 @@ def test_a_line_of_a_dump_ends_where_it_is_full(size: int, ends: bool, tmp_path:
     path.write_text("\n".join(data[at : at + size].hex(" ") for at in range(0, len(data), size)) + "\n")
     with open_source(path) as source:
         assert {each.burst for each in source if isinstance(each, Chunk)} == {ends}
+
+
+@pytest.mark.parametrize("heading", ["Time,ID,Data", "Time,ID,Data length,D0,D1", "Time,ID,D0"])
+def test_an_empty_cell_before_cells_without_a_heading_loses_no_row(heading: str, tmp_path: Path) -> None:
+    rows = [f"0.00{n},0x001,{',' * (n % 2)}F3,01,F5" for n in range(1, 9)]
+    path = tmp_path / "table.csv"
+    path.write_text("\n".join((heading, *rows)) + "\n", "utf-8")
+    with open_source(path) as source:
+        read = list(source)
+        problems = source.problems
+    assert sum(isinstance(record, CanFrame | Chunk) for record in read) + len(problems) >= len(rows)
