@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from analyzer.cli import main
 from analyzer.cli.recover import _unbroken
 from analyzer.live.spool import HEAD, RecordKind, SpoolReader, SpoolWriter, pack, segments, stems
+from analyzer.sources.stream import ZSTD_MAGIC
 from tests.collect import sum8
 from tests.live.spooled import Spools, port, read
 
@@ -139,6 +140,19 @@ def test_any_prefix_of_a_log_recovers(tmp_path):
         assert len(found) >= before
         before = len(found)
     assert before > 60
+
+
+def test_a_frame_of_zstd_that_promises_a_check_at_its_end_keeps_its_messages(tmp_path):
+    """One bit says that a check follows the data: all data is there, and yet the library reads none of it."""
+    whole = tmp_path / "whole.mcap"
+    assert main(["decode", "captures/mks_rs485.log", "-o", str(whole)]) == 0
+    data = bytearray(whole.read_bytes())
+    begin = data.index(ZSTD_MAGIC)
+    data[begin + len(ZSTD_MAGIC)] ^= 0x04
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(data)
+    assert main(["recover", str(damaged)]) == 0
+    assert read(damaged) == read(whole)
 
 
 def test_a_stray_file_is_no_spool(tmp_path):

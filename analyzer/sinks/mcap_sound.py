@@ -165,6 +165,9 @@ def _check_chunk(chunk: scan.Packed) -> bytes:
     data = scan.unpack(chunk)
     if len(data) != chunk.size:
         raise ValueError(f"a chunk of {chunk.size} bytes, got {len(data)}")
+    # A reader by steps gives all data of such a frame; the library refuses it.
+    if chunk.compression == "zstd" and not _ends(chunk.data):
+        raise ValueError("the zstd frame of a chunk does not end")
     times = [
         int.from_bytes(data[at + 6 : at + 14], "little")
         for opcode, at, stop in scan.walk(data)
@@ -204,6 +207,16 @@ def chunk_data(body: bytes) -> bytes | None:
     check = zlib.crc32(data).to_bytes(4, "little")
     # That three bytes of the check fit by chance is as unlikely as that a damaged log looks sound.
     return data if sum(a != b for a, b in zip(check, body[_CHUNK_CRC], strict=False)) <= 1 else None
+
+
+def _ends(data: bytes) -> bool:
+    """Say whether a zstd frame, which can be unpacked, has its end."""
+    unpacker = zstandard.ZstdDecompressor().decompressobj()
+    for piece in _pieces(data):
+        unpacker.decompress(piece)
+        if unpacker.eof:
+            return True
+    return False
 
 
 def unpack_begin(data: bytes) -> bytes:
