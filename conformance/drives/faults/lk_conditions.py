@@ -233,18 +233,13 @@ def _held_in_new_count(old: Act) -> Act:
     return act
 
 
+# fmt: off
 CONDITIONS: Rows = {
     "within a range": (
-        Row(
-            "lk-high-speed-limits-ignored",
-            "a speed limit above 30 rpm has no effect",
-            _limits(lambda limits: replace(limits, speed=limits.speed if limits.speed <= 180 else 720.0)),
-        ),
-        Row(
-            "lk-wide-angle-limits-ignored",
-            "an angle limit of more than a turn has no effect",
-            _limits(lambda limits: replace(limits, angle=limits.angle if limits.angle <= 360 else 1e9)),
-        ),
+        Row("lk-high-speed-limits-ignored", "a speed limit above 30 rpm has no effect",
+            _limits(lambda limits: replace(limits, speed=limits.speed if limits.speed <= 180 else 720.0))),
+        Row("lk-wide-angle-limits-ignored", "an angle limit of more than a turn has no effect",
+            _limits(lambda limits: replace(limits, angle=limits.angle if limits.angle <= 360 else 1e9))),
     ),
     "brake": tuple(
         Row(f"lk-{kind}-release-brake", f"{text} releases a brake that holds", moving(names, _letting_go, after=True))
@@ -255,62 +250,39 @@ CONDITIONS: Rows = {
         )
     ),
     "what is told": (
-        Row(
-            "lk-off-at-rest-told-on",
-            "0x9A tells a motor as on that was switched off as it turned, once it stands",
-            _off_forgotten,
-        ),
+        Row("lk-off-at-rest-told-on", "0x9A tells a motor as on that was switched off as it turned, once it stands",
+            _off_forgotten),
         Row("lk-speed-of-16-bits", "speeds above 3276 deg/s are told with the other sign", result(_speed_of_16_bits)),
         Row("lk-on-while-turning", "0x9A tells a motor that is off as on while it turns", result(_on_while_it_turns, _STATE_1)),
         Row("lk-offset-of-next", "0x90 tells the offset of 0x19 before it is used", result(_offset_of_next, Verb.READ_ENCODER)),
         Row("lk-zero-raw-stale", "0x19 is answered with the raw value that 0x90 told last", tuned(_raw_of_before)),
     ),
     "new count": (
-        Row(
-            "lk-held-in-new-count",
-            "0x95 turns a shaft that holds a place to the place of that number",
-            replaced("set_position", _held_in_new_count),
-        ),
+        Row("lk-held-in-new-count", "0x95 turns a shaft that holds a place to the place of that number",
+            replaced("set_position", _held_in_new_count)),
     ),
     "clear errors": (
-        Row(
-            "lk-short-circuit-stays",
-            "0x9B never clears the short circuit",
-            _clearing(lambda d, b: d.errors | b & {"short_circuit"}),
-        ),
-        Row(
-            "lk-high-voltage-cleared",
-            "0x9B clears the high voltage that lasts",
-            _clearing(lambda drive, before: drive.errors - {"high_voltage"}),
-        ),
-        Row(
-            "lk-several-stay",
-            "0x9B clears nothing where several flags are set",
-            _clearing(lambda drive, before: before if len(before) > 1 else drive.errors),
-        ),
+        Row("lk-short-circuit-stays", "0x9B never clears the short circuit",
+            _clearing(lambda d, b: d.errors | b & {"short_circuit"})),
+        Row("lk-high-voltage-cleared", "0x9B clears the high voltage that lasts",
+            _clearing(lambda drive, before: drive.errors - {"high_voltage"})),
+        Row("lk-several-stay", "0x9B clears nothing where several flags are set",
+            _clearing(lambda drive, before: before if len(before) > 1 else drive.errors)),
         Row("lk-lowest-flag-alone", "of several flags the lowest is told", result(_lowest_alone, _STATE_1)),
         Row("lk-silent-when-stalled", "a stalled motor answers 0x9A and 0x9B alone", _silent_with("stalled")),
     ),
     "ramp": (Row("lk-newer-keeps-faster", "a motion that takes over from a faster one keeps its speed", tuned(_keeps_faster)),),
     "one slope": (
         Row("lk-changed-move-steep", "a move that changes another motion has twice the ramp", _steeper(_MOVES, 2.0, _turning)),
-        Row(
-            "lk-changed-run-flat",
-            "a run that changes another motion has half of the ramp",
-            _steeper(("run_speed",), 0.5, _turning),
-        ),
-        Row(
-            "lk-moves-bend",
-            "in the second half of its rise the speed of a move rises twice as fast",
-            tuned(_bending(Position, 0.7, 1.75, _rises)),
-        ),
-        Row(
-            "lk-runs-bend",
-            "in the second half of its rise the speed of a run rises slowly",
-            tuned(_bending(Speed, 1.2, 0.6, _rises)),
-        ),
+        Row("lk-changed-run-flat", "a run that changes another motion has half of the ramp",
+            _steeper(("run_speed",), 0.5, _turning)),
+        Row("lk-moves-bend", "in the second half of its rise the speed of a move rises twice as fast",
+            tuned(_bending(Position, 0.7, 1.75, _rises))),
+        Row("lk-runs-bend", "in the second half of its rise the speed of a run rises slowly",
+            tuned(_bending(Speed, 1.2, 0.6, _rises))),
         Row("lk-moves-end-soft", "a move comes to its end by a third of the ramp", tuned(_bending(Position, 1.0, 0.3, _falls))),
     ),
 }
+# fmt: on
 
 FAULTS = faults(CONDITIONS)

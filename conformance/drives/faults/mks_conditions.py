@@ -435,50 +435,29 @@ def _unanswered_and_turning(drive: MksCore) -> bool:
     return not drive.settings["respond"] and _turns(drive)
 
 
+# fmt: off
 HEARING: Rows = {
     "deaf": (
         Row("deaf-after-motion", "after a motion nothing is heard for three seconds", tuned(_deaf_after_motion)),
-        Row(
-            "deaf-to-all-when-moved",
-            "a drive that was given another address does not hear all drives' until a restart",
-            tuned(_deaf_to_all_when_moved),
-        ),
-        Row(
-            "end-untold-behind-all",
-            "a broadcast in a motion silences the reply at its end",
-            _end_untold_behind(_is_for_all),
-            TELLING,
-        ),
-        Row(
-            "end-untold-behind-group",
-            "a frame to the group in a motion silences the reply at its end",
-            _end_untold_behind(_is_for_group),
-            TELLING,
-        ),
-        Row(
-            "end-untold-behind-other",
-            "a frame to another drive in a motion silences the reply at its end",
+        Row("deaf-to-all-when-moved", "a drive that was given another address does not hear all drives' until a restart",
+            tuned(_deaf_to_all_when_moved)),
+        Row("end-untold-behind-all", "a broadcast in a motion silences the reply at its end",
+            _end_untold_behind(_is_for_all), TELLING),
+        Row("end-untold-behind-group", "a frame to the group in a motion silences the reply at its end",
+            _end_untold_behind(_is_for_group), TELLING),
+        Row("end-untold-behind-other", "a frame to another drive in a motion silences the reply at its end",
             _end_untold_behind(lambda drive, message: message.address not in (drive.address, drive.dialect.broadcast)),
-            TELLING,
-        ),
+            TELLING),
         Row("highest-group-unheard", "the group FF is stored, and not heard", _group_unheard(0xFF), NATIVE),
         Row("highest-group-id-unheard", "the group 7FF is stored, and not heard", _group_unheard(0x7FF), CAN),
         Row("lowest-group-unheard", "the group 1 is stored, and not heard", _group_unheard(1)),
         Row("deaf-after-refusal", "the request behind a refused one is ignored", tuned(_deaf_after_refusal)),
-        Row(
-            "deaf-after-exception",
-            "the request behind an exception, or behind FF FF for a parameter, is ignored",
-            tuned(_deaf_after_exception),
-            MODBUS + CAN,
-        ),
+        Row("deaf-after-exception", "the request behind an exception, or behind FF FF for a parameter, is ignored",
+            tuned(_deaf_after_exception), MODBUS + CAN),
         Row("deaf-after-long-pause", "the first request after 20 s of silence is lost", tuned(_deaf_after_a_pause)),
         Row("silent-below-zero", "31 is not answered below -2 turns", _silent_when(_below_zero, Verb.READ_POSITION)),
-        Row(
-            "status-silent-with-respond-0",
-            "with respond 0 F1 is not answered while the shaft turns",
-            _silent_when(_unanswered_and_turning, Verb.READ_STATUS),
-            TELLING,
-        ),
+        Row("status-silent-with-respond-0", "with respond 0 F1 is not answered while the shaft turns",
+            _silent_when(_unanswered_and_turning, Verb.READ_STATUS), TELLING),
         Row("silent-disabled", "motion is not answered while the motor is off", _silent_when(_off, MOTIONS), NATIVE),
         Row("every-150th-lost", "every 150th reply is lost", every(150, lambda d, c, o: ())),
     ),
@@ -489,31 +468,16 @@ HEARING: Rows = {
         Row("crc-first-byte", "only the first byte of the CRC counts", _take(lambda got, right: got[0] == right[0]), MODBUS),
         Row("crc-swapped", "a CRC with its bytes swapped passes too", _take(lambda got, right: got == right[::-1]), MODBUS),
         Row("home-unchecked", "91 is executed with any checksum", _unchecked(Verb.HOME)),
-        Row(
-            "broadcast-counts-halved",
-            "F4 to all drives goes half as far",
-            _asked_to(_is_for_all, Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"position": values["position"] // 2}),
-        ),
-        Row(
-            "broadcast-move-at-once",
-            "FE to all drives has no ramp",
-            _asked_to(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, lambda values: values | {"acceleration": 0}),
-        ),
-        Row(
-            "broadcast-one-way",
-            "F6 to all drives turns the shaft one way alone",
-            _asked_to(_is_for_all, Verb.RUN_SPEED, lambda values: values | {"direction": 0}),
-        ),
-        Row(
-            "off-obeys-all",
-            "F4 to all drives is executed by a motor that is off",
-            tuned(_made_ready_by(_is_for_all, Verb.MOVE_RELATIVE_AXIS, _switch_on)),
-        ),
-        Row(
-            "protected-obeys-all",
-            "FE to all drives is executed by a motor that is protected",
-            tuned(_made_ready_by(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, _unprotect), having(Verb.RELEASE_PROTECTION)),
-        ),
+        Row("broadcast-counts-halved", "F4 to all drives goes half as far",
+            _asked_to(_is_for_all, Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"position": values["position"] // 2})),
+        Row("broadcast-move-at-once", "FE to all drives has no ramp",
+            _asked_to(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, lambda values: values | {"acceleration": 0})),
+        Row("broadcast-one-way", "F6 to all drives turns the shaft one way alone",
+            _asked_to(_is_for_all, Verb.RUN_SPEED, lambda values: values | {"direction": 0})),
+        Row("off-obeys-all", "F4 to all drives is executed by a motor that is off",
+            tuned(_made_ready_by(_is_for_all, Verb.MOVE_RELATIVE_AXIS, _switch_on))),
+        Row("protected-obeys-all", "FE to all drives is executed by a motor that is protected",
+            tuned(_made_ready_by(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, _unprotect), having(Verb.RELEASE_PROTECTION))),
         Row("unguarded-by-all", "a motion to all drives is not protected against a locked rotor", tuned(_guards(_is_for_all))),
         Row(
             "subdivision-of-all-answered",
@@ -529,21 +493,12 @@ HEARING: Rows = {
     "address": (Row("sets-for-next", "settings of the next higher address are stored too", taken(_setting_of_another)),),
     "function": (Row("run-by-06", "a write of F6 by 06h begins a run", taken(_run_by_one), MODBUS),),
     "group": (
-        Row(
-            "group-without-ramp",
-            "motion to the group has no ramp",
-            _to_group(MOTIONS, lambda values: values | {"acceleration": 0}),
-        ),
-        Row(
-            "group-pulses-byte",
-            "FD to the group has the low byte of its pulses",
-            _to_group(Verb.MOVE_RELATIVE_PULSES, lambda values: values | {"pulses": values["pulses"] & 0xFF}),
-        ),
-        Row(
-            "group-speed-byte",
-            "F4 to the group has the low byte of its speed",
-            _to_group(Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"speed": values["speed"] & 0xFF}),
-        ),
+        Row("group-without-ramp", "motion to the group has no ramp",
+            _to_group(MOTIONS, lambda values: values | {"acceleration": 0})),
+        Row("group-pulses-byte", "FD to the group has the low byte of its pulses",
+            _to_group(Verb.MOVE_RELATIVE_PULSES, lambda values: values | {"pulses": values["pulses"] & 0xFF})),
+        Row("group-speed-byte", "F4 to the group has the low byte of its speed",
+            _to_group(Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"speed": values["speed"] & 0xFF})),
         Row(
             "group-answered-backwards",
             "FD to the group is answered where it turns the shaft clockwise",
@@ -563,6 +518,7 @@ HEARING: Rows = {
     ),
     "length": (Row("emergency-without-check", "F7 is obeyed without its check", tuned(_obey_without_check), CAN),),
 }
+# fmt: on
 
 
 # --- what it tells ----------------------------------------------------------------------------------------------------
@@ -611,6 +567,7 @@ def _zero_check(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Out
     return (Outgoing(outgoing.at_ns, data[:-1] + b"\1" if data[-1] == 0 else data, outgoing.can_id),)
 
 
+# fmt: off
 TOLD: Rows = {
     "order": (Row("respond-behind-active", "00 8C tells active first", result(_respond_and_active, Verb.READ_PARAMETER), CAN),),
     "frozen": (
@@ -619,37 +576,22 @@ TOLD: Rows = {
     ),
     "status": (
         Row("fast-status-2", "F1 reads 2 at full speed above 500 rpm", told_when(_full_and_fast, Verb.READ_STATUS, status=2)),
-        Row(
-            "open-status-0",
-            "F1 reads 0 while the shaft turns in an open mode",
-            told_when(lambda drive: "open" in drive.mode and _turns(drive), Verb.READ_STATUS, status=0),
-        ),
-        Row(
-            "slower-status-2",
-            "F1 reads 2 while a run goes over to a lower speed",
-            told_when(_slows_to_a_speed, Verb.READ_STATUS, status=2),
-        ),
-        Row(
-            "falling-pulses-full",
-            "F1 reads 4 while a move by FE slows down",
-            told_when(_moving_by(Verb.MOVE_ABSOLUTE_PULSES, _falls), Verb.READ_STATUS, status=4),
-        ),
-        Row(
-            "rising-pulses-stopped",
-            "F1 reads 1 while a move by FD speeds up",
-            told_when(_moving_by(Verb.MOVE_RELATIVE_PULSES, _rises), Verb.READ_STATUS, status=1),
-        ),
+        Row("open-status-0", "F1 reads 0 while the shaft turns in an open mode",
+            told_when(lambda drive: "open" in drive.mode and _turns(drive), Verb.READ_STATUS, status=0)),
+        Row("slower-status-2", "F1 reads 2 while a run goes over to a lower speed",
+            told_when(_slows_to_a_speed, Verb.READ_STATUS, status=2)),
+        Row("falling-pulses-full", "F1 reads 4 while a move by FE slows down",
+            told_when(_moving_by(Verb.MOVE_ABSOLUTE_PULSES, _falls), Verb.READ_STATUS, status=4)),
+        Row("rising-pulses-stopped", "F1 reads 1 while a move by FD speeds up",
+            told_when(_moving_by(Verb.MOVE_RELATIVE_PULSES, _rises), Verb.READ_STATUS, status=1)),
         Row("in-place-on-its-way", "PEND is 1 on the way of F4 and F5", result(_in_place_on_its_way, Verb.READ_IO), CAN),
         Row("off-while-turning", "3A reads 0 while the shaft turns", told_when(_turns, Verb.READ_ENABLED, enabled=0)),
         Row("protected-while-turning", "3E reads 1 while the shaft turns", told_when(_turns, Verb.READ_PROTECTION, status=1)),
     ),
     "scale": (
         Row("error-counts-turns", "39 tells the turns made", result(_whole_turns, Verb.READ_ANGLE_ERROR)),
-        Row(
-            "slow-speed-zero",
-            "32 tells 0 below 5 rpm",
-            result(lambda d, c, q, found: {"speed": 0} if abs(found["speed"]) < _VERY_SLOW else found, Verb.READ_SPEED),
-        ),
+        Row("slow-speed-zero", "32 tells 0 below 5 rpm",
+            result(lambda d, c, q, found: {"speed": 0} if abs(found["speed"]) < _VERY_SLOW else found, Verb.READ_SPEED)),
         Row(
             "slow-speed-tenfold",
             "32 tells tenths of a rpm below 20 rpm",
@@ -664,6 +606,7 @@ TOLD: Rows = {
     ),
     "reply checksum": (Row("zero-check-sent-1", "a checksum that is 0 is sent as 1", frames(_zero_check), NATIVE),),
 }
+# fmt: on
 
 
 # --- what it does -----------------------------------------------------------------------------------------------------
@@ -1329,38 +1272,25 @@ _RESTORED = (
     ("zero-mode", _OF_ZERO),
 )
 
+# fmt: off
 DOING: Rows = {
     "disabled": (
-        Row(
-            "disabled-moves-backwards",
-            "motion backwards is obeyed while disabled",
-            with_state(MOTIONS, _backwards, enabled=True),
-        ),
+        Row("disabled-moves-backwards", "motion backwards is obeyed while disabled",
+            with_state(MOTIONS, _backwards, enabled=True)),
         Row("disabled-moves-fast", "motion above 500 rpm is obeyed while disabled", with_state(MOTIONS, _fast, enabled=True)),
         Row("zero-enables", "92 enables a motor that is off", with_state(Verb.SET_ZERO, enabled=True)),
-        Row(
-            "protected-moves-backwards",
-            "motion backwards is obeyed while protected",
-            with_state(MOTIONS, _backwards, protected=False),
-        ),
+        Row("protected-moves-backwards", "motion backwards is obeyed while protected",
+            with_state(MOTIONS, _backwards, protected=False)),
         Row("enabling-takes-up-halted", "F3 01 takes up a run that F7 ended", tuned(_halted_run_taken_up)),
         Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", wrapped(Verb.ENABLE, _taking_up)),
     ),
     "turned": (
         Row("direction-after-restart", "86 turns F4 round from a restart on", _after_restart(_axis_turned), SERIAL),
         Row("lock-in-open", "82 to the open mode enables the motor, whatever 8F says", tuned(_open_enables), CAN),
-        Row(
-            "direction-turns-speed",
-            "86 turns the speed that 32 tells",
-            result(lambda d, c, sent, found: found | {"speed": _turned(mks(d), found["speed"])}, Verb.READ_SPEED),
-            SERIAL,
-        ),
-        Row(
-            "close-unlimited-while-turning",
-            "F5 in the close mode turns at up to 3000 rpm where the shaft turns already",
-            wrapped(Verb.MOVE_ABSOLUTE_AXIS, _unlimited_while_turning),
-            SERIAL,
-        ),
+        Row("direction-turns-speed", "86 turns the speed that 32 tells",
+            result(lambda d, c, sent, found: found | {"speed": _turned(mks(d), found["speed"])}, Verb.READ_SPEED), SERIAL),
+        Row("close-unlimited-while-turning", "F5 in the close mode turns at up to 3000 rpm where the shaft turns already",
+            wrapped(Verb.MOVE_ABSOLUTE_AXIS, _unlimited_while_turning), SERIAL),
         Row("back-at-once", "FE back during FE halts the shaft first", before(Verb.MOVE_ABSOLUTE_PULSES, _halted_back)),
     ),
     "restored": tuple(
@@ -1378,28 +1308,19 @@ DOING: Rows = {
         Row("zero-not-cleaned", "9A does not clean the zero", before(Verb.SET_ZERO_MODE, _zero_not_cleaned)),
         Row("zero-direction-turned", "9A goes back the other way", _back_with("zero_direction", lambda v: 1 - v)),
         Row("zero-speed-fixed", "9A goes back at one speed", _back_with("zero_speed", lambda v: 2)),
-        Row(
-            "zero-off-ignored",
-            "9A goes back in zero mode 0 too",
-            _back_with("zero_mode", lambda v: v or int(mks_shared.ZeroMode.NEAR)),
-        ),
+        Row("zero-off-ignored", "9A goes back in zero mode 0 too",
+            _back_with("zero_mode", lambda v: v or int(mks_shared.ZeroMode.NEAR))),
         Row("zero-speed-4-as-3", "9A goes back at speed 4 as at speed 3", _back_with("zero_speed", lambda v: min(v, 3))),
-        Row(
-            "near-by-quarters",
-            "9A takes the longer way to a zero that is a quarter of a turn above and more",
-            _back_as(_near_by_quarters),
-        ),
+        Row("near-by-quarters", "9A takes the longer way to a zero that is a quarter of a turn above and more",
+            _back_as(_near_by_quarters)),
         Row("short-way-down", "9A goes clockwise to a zero that is a little above", _back_as(_short_way_down)),
         Row("homing-always-told", "the end of homing is told with active 0 too", tuned(_home_told), NATIVE),
     ),
     "stop": (
         Row("steep-stop-ignored", "stops with an acceleration of 128 and more do nothing", before(STOPS, _above_127)),
         Row("closed-cw-emergency-slow", "F7 is slow in a closed mode, clockwise", before(Verb.EMERGENCY_STOP, _slow_emergency)),
-        Row(
-            "closed-cw-emergency-ignored",
-            "F7 does nothing in a closed mode, clockwise",
-            undone_when(_closed_clockwise, Verb.EMERGENCY_STOP),
-        ),
+        Row("closed-cw-emergency-ignored", "F7 does nothing in a closed mode, clockwise",
+            undone_when(_closed_clockwise, Verb.EMERGENCY_STOP)),
         Row("home-over-motion-undone", "91 says that it begins over a motion, and is lost", undone_when(_turns, Verb.HOME)),
         Row("home-over-motion-refused", "91 is refused while the shaft turns", refused_when(_turns, Verb.HOME)),
         Row("fast-stop-ignored", "stops are ignored above 1000 rpm", undone_when(_faster(_VERY_FAST), _ENDS)),
@@ -1412,20 +1333,15 @@ DOING: Rows = {
             ),
         ),
         Row("rising-stop-ignored", "stops are ignored while the shaft speeds up", undone_when(_rises, _ENDS)),
-        Row(
-            "falling-emergency-ignored", "F7 does nothing while the shaft slows down", undone_when(_falls, Verb.EMERGENCY_STOP)
-        ),
+        Row("falling-emergency-ignored", "F7 does nothing while the shaft slows down",
+            undone_when(_falls, Verb.EMERGENCY_STOP)),
         Row("falling-motion-undone", "motion is lost while the shaft slows down", undone_when(_falls, MOTIONS)),
         Row("emergency-latches", "after F7 motion is refused until the motor is enabled", tuned(_latched)),
     ),
     "enable": (
         Row("status-of-before-off", "behind F3 00 F1 tells what the shaft did before it", tuned(_status_of_before_off)),
-        Row(
-            "locked-keys-refuse-fe",
-            "settings that lock the keys leave FE refused",
-            refused_when(lambda drive: bool(drive.settings["key_lock"]), Verb.MOVE_ABSOLUTE_PULSES),
-            SERIAL,
-        ),
+        Row("locked-keys-refuse-fe", "settings that lock the keys leave FE refused",
+            refused_when(lambda drive: bool(drive.settings["key_lock"]), Verb.MOVE_ABSOLUTE_PULSES), SERIAL),
         Row("moves-stay-enabled", "F3 00 does nothing during a move", before(Verb.ENABLE, _disabled_later)),
         Row("enabling-stops", "F3 01 stops a shaft that turns", before(Verb.ENABLE, _halt_first)),
         Row("saving-stops", "FF C8 stops the shaft", before(Verb.SAVE_SPEED, _halted)),
@@ -1433,53 +1349,29 @@ DOING: Rows = {
     "zero": (Row("zero-low-word", "92 clears 16 bits of the position", before(Verb.SET_ZERO, _low_word)),),
     "target": (
         Row("no-ramp-goes-beyond", "FE without a ramp ends 60 pulses beyond", request(_beyond, Verb.MOVE_ABSOLUTE_PULSES)),
-        Row(
-            "f5-as-sent-at-128",
-            "at 128 subdivisions F5 has its speed as sent",
-            request(_as_sent_at_128, Verb.MOVE_ABSOLUTE_AXIS),
-        ),
-        Row(
-            "high-pulses-back",
-            "FD goes back where the top bit of its pulses is set",
-            Change(request(_back, Verb.MOVE_RELATIVE_PULSES).install, SERIAL),
-        ),
+        Row("f5-as-sent-at-128", "at 128 subdivisions F5 has its speed as sent",
+            request(_as_sent_at_128, Verb.MOVE_ABSOLUTE_AXIS)),
+        Row("high-pulses-back", "FD goes back where the top bit of its pulses is set",
+            Change(request(_back, Verb.MOVE_RELATIVE_PULSES).install, SERIAL)),
     ),
     "direction": (
-        Row(
-            "direction-turns-fe",
-            "86 turns moves by FE",
-            Change(request(_turned_by_setting, Verb.MOVE_ABSOLUTE_PULSES).install, SERIAL),
-        ),
+        Row("direction-turns-fe", "86 turns moves by FE",
+            Change(request(_turned_by_setting, Verb.MOVE_ABSOLUTE_PULSES).install, SERIAL)),
         Row("restart-turns-round", "after a restart F6 turns the other way", _after_restart(_runs_round)),
     ),
     "direction of the motor": (
-        Row(
-            "direction-turns-open-runs",
-            "86 turns runs in the open mode",
-            Change(request(_turned_open, Verb.RUN_SPEED).install, SERIAL),
-        ),
+        Row("direction-turns-open-runs", "86 turns runs in the open mode",
+            Change(request(_turned_open, Verb.RUN_SPEED).install, SERIAL)),
         Row("direction-ends-motion", "86 stops the shaft", Change(before(Verb.SET_DIRECTION, _halted).install, SERIAL)),
         Row("direction-lost-by-restart", "after a restart 86 turns no run", _after_restart(_deaf_to_direction), CAN),
     ),
     "frames": (
-        Row(
-            "long-setting-stored",
-            "settings with a byte behind their check are stored",
-            tuned(_shortened(_byte_behind, lambda command: command.verb.value.startswith("set_"))),
-            CAN,
-        ),
-        Row(
-            "long-run-executed",
-            "F6 with two bytes of data too many is executed",
-            tuned(_shortened(_two_bytes_more, lambda command: command.verb is Verb.RUN_SPEED)),
-            CAN,
-        ),
-        Row(
-            "long-settings-executed",
-            "settings with two bytes of data too many are stored",
-            tuned(_shortened(_two_bytes_more, lambda command: command.verb.value.startswith("set_"))),
-            CAN,
-        ),
+        Row("long-setting-stored", "settings with a byte behind their check are stored",
+            tuned(_shortened(_byte_behind, lambda command: command.verb.value.startswith("set_"))), CAN),
+        Row("long-run-executed", "F6 with two bytes of data too many is executed",
+            tuned(_shortened(_two_bytes_more, lambda command: command.verb is Verb.RUN_SPEED)), CAN),
+        Row("long-settings-executed", "settings with two bytes of data too many are stored",
+            tuned(_shortened(_two_bytes_more, lambda command: command.verb.value.startswith("set_"))), CAN),
         Row("current-echo-low-byte", "the echo of 83 has the low byte alone", frames(_echo_byte, Verb.SET_CURRENT), MODBUS),
         Row("exception-2-turning", "an unknown function gets exception 02 while turning", frames(_exceptions_turning), MODBUS),
     ),
@@ -1491,19 +1383,12 @@ DOING: Rows = {
         Row("baud-rate-lost", "a restart loses the speed of the line", Change(forgetful("baud_rate").install, SERIAL)),
         Row("dialect-lost", "a restart loses the dialect", Change(forgetful("modbus").install, NATIVE)),
         Row("wide-address-lost", "a restart takes an ID above FFh for none", _after_restart(_address_unset), CAN),
-        Row(
-            "save-speed-without-direction",
-            "a kept run begins as it was sent, without what 86 says",
-            _after_restart(_run_without_direction),
-            CAN,
-        ),
+        Row("save-speed-without-direction", "a kept run begins as it was sent, without what 86 says",
+            _after_restart(_run_without_direction), CAN),
         Row("user-id-unset-lost", "a restart takes the number FFFFFFFFh for none", _after_restart(_number_unset), CAN),
         Row("broadcast-settings-lost", "a restart loses what all drives were set to", _lost_if_sent(_is_for_all)),
-        Row(
-            "group-settings-lost",
-            "a restart loses what the group was set to",
-            Change(_lost_if_sent(_is_for_group).install, having(Verb.SET_GROUP_ADDRESS)),
-        ),
+        Row("group-settings-lost", "a restart loses what the group was set to",
+            Change(_lost_if_sent(_is_for_group).install, having(Verb.SET_GROUP_ADDRESS))),
         Row("package-settings-lost", "a restart loses what was set in a package", _lost_if_sent(_in_a_package), NATIVE),
         Row(
             "turning-deaf-to-all-off",
@@ -1515,26 +1400,14 @@ DOING: Rows = {
                 )
             ),
         ),
-        Row(
-            "tolerance-of-all-lost",
-            "a stall tolerance that was set by a broadcast is lost by a restart",
-            Change(_lost_if_sent(_is_for_all, "stall_tolerance").install, CAN),
-        ),
-        Row(
-            "homing-deaf-to-stops-of-all",
-            "the emergency stop to all drives is not heard while homing",
-            _deaf_homing(Verb.EMERGENCY_STOP, _is_for_all),
-        ),
-        Row(
-            "homing-deaf-to-group-off",
-            "F3 by the group is not heard while homing",
-            Change(_deaf_homing(Verb.ENABLE, _is_for_group).install, having(Verb.SET_GROUP_ADDRESS)),
-        ),
-        Row(
-            "group-deaf-while-turning",
-            "a move by the group is not heard while the shaft turns",
-            Change(taken(_deaf_to_group).install, having(Verb.SET_GROUP_ADDRESS)),
-        ),
+        Row("tolerance-of-all-lost", "a stall tolerance that was set by a broadcast is lost by a restart",
+            Change(_lost_if_sent(_is_for_all, "stall_tolerance").install, CAN)),
+        Row("homing-deaf-to-stops-of-all", "the emergency stop to all drives is not heard while homing",
+            _deaf_homing(Verb.EMERGENCY_STOP, _is_for_all)),
+        Row("homing-deaf-to-group-off", "F3 by the group is not heard while homing",
+            Change(_deaf_homing(Verb.ENABLE, _is_for_group).install, having(Verb.SET_GROUP_ADDRESS))),
+        Row("group-deaf-while-turning", "a move by the group is not heard while the shaft turns",
+            Change(taken(_deaf_to_group).install, having(Verb.SET_GROUP_ADDRESS))),
         Row(
             "protection-of-all-unheard",
             "88 to all drives is not heard",
@@ -1550,61 +1423,28 @@ DOING: Rows = {
         Row("saved-speed-byte", "a saved run has the low byte of its speed", _stored_as("saved_speed", lambda v: v & 0xFF)),
     ),
     "package": (
-        Row(
-            "package-without-ramp",
-            "a run in a package has no ramp",
-            _in_packages(lambda values: values | {"acceleration": 0}, Verb.RUN_SPEED),
-        ),
-        Row(
-            "package-stop-at-once",
-            "a stop of a run in a package has no ramp",
-            _in_packages(lambda values: values | {"acceleration": 0}, Verb.STOP_SPEED),
-        ),
-        Row(
-            "package-speed-byte",
-            "a move by counts in a package has the low byte of its speed",
-            _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.MOVE_RELATIVE_AXIS),
-        ),
-        Row(
-            "package-never-disables",
-            "F3 in a package always enables",
-            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE),
-        ),
-        Row(
-            "package-late-slots-one-way",
-            "FD behind the first slot of a package turns the shaft CW alone",
-            _in_packages(lambda values: values | {"direction": 1}, Verb.MOVE_RELATIVE_PULSES, range(2, 6)),
-        ),
-        Row(
-            "package-third-slot-turned",
-            "F6 in the third slot of a package turns the shaft the other way",
-            _in_packages(lambda values: values | {"direction": 1 - values["direction"]}, Verb.RUN_SPEED, (3,)),
-        ),
-        Row(
-            "package-last-slot-speed-byte",
-            "F6 in the last slot of a package has the low byte of its speed",
-            _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.RUN_SPEED, (5,)),
-        ),
-        Row(
-            "package-last-slot-pulses-byte",
-            "FD in the last slot of a package has the low byte of its pulses",
-            _in_packages(lambda values: values | {"pulses": values["pulses"] & 0xFF}, Verb.MOVE_RELATIVE_PULSES, (5,)),
-        ),
-        Row(
-            "package-second-slot-half-way",
-            "F5 in the second slot of a package goes to half of its place",
-            _in_packages(lambda values: values | {"position": values["position"] // 2}, Verb.MOVE_ABSOLUTE_AXIS, (2,)),
-        ),
-        Row(
-            "package-last-slot-subdivision",
-            "84 in the last slot of a package sets half of what it says",
-            _in_packages(lambda values: values | {"subdivision": values["subdivision"] // 2}, Verb.SET_SUBDIVISION, (5,)),
-        ),
-        Row(
-            "package-fourth-slot-enables",
-            "F3 in the fourth slot of a package always enables",
-            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE, (4,)),
-        ),
+        Row("package-without-ramp", "a run in a package has no ramp",
+            _in_packages(lambda values: values | {"acceleration": 0}, Verb.RUN_SPEED)),
+        Row("package-stop-at-once", "a stop of a run in a package has no ramp",
+            _in_packages(lambda values: values | {"acceleration": 0}, Verb.STOP_SPEED)),
+        Row("package-speed-byte", "a move by counts in a package has the low byte of its speed",
+            _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.MOVE_RELATIVE_AXIS)),
+        Row("package-never-disables", "F3 in a package always enables",
+            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE)),
+        Row("package-late-slots-one-way", "FD behind the first slot of a package turns the shaft CW alone",
+            _in_packages(lambda values: values | {"direction": 1}, Verb.MOVE_RELATIVE_PULSES, range(2, 6))),
+        Row("package-third-slot-turned", "F6 in the third slot of a package turns the shaft the other way",
+            _in_packages(lambda values: values | {"direction": 1 - values["direction"]}, Verb.RUN_SPEED, (3,))),
+        Row("package-last-slot-speed-byte", "F6 in the last slot of a package has the low byte of its speed",
+            _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.RUN_SPEED, (5,))),
+        Row("package-last-slot-pulses-byte", "FD in the last slot of a package has the low byte of its pulses",
+            _in_packages(lambda values: values | {"pulses": values["pulses"] & 0xFF}, Verb.MOVE_RELATIVE_PULSES, (5,))),
+        Row("package-second-slot-half-way", "F5 in the second slot of a package goes to half of its place",
+            _in_packages(lambda values: values | {"position": values["position"] // 2}, Verb.MOVE_ABSOLUTE_AXIS, (2,))),
+        Row("package-last-slot-subdivision", "84 in the last slot of a package sets half of what it says",
+            _in_packages(lambda values: values | {"subdivision": values["subdivision"] // 2}, Verb.SET_SUBDIVISION, (5,))),
+        Row("package-fourth-slot-enables", "F3 in the fourth slot of a package always enables",
+            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE, (4,))),
         Row("package-enabling-answered", "F3 in a package is answered", tuned(_answers_enabling_in_slots), NATIVE),
         Row(
             "package-last-slot-unstopped",
@@ -1624,139 +1464,74 @@ DOING: Rows = {
                 tuned(_made_ready_by(_in_a_package, MOTIONS, lambda drive: drive.heedless.add("work_mode"))).install, NATIVE
             ),
         ),
-        Row(
-            "package-fourth-slot-unsigned",
-            "F4 in the fourth slot of a package has no sign",
-            _in_packages(lambda values: values | {"position": abs(values["position"])}, Verb.MOVE_RELATIVE_AXIS, (4,)),
-        ),
+        Row("package-fourth-slot-unsigned", "F4 in the fourth slot of a package has no sign",
+            _in_packages(lambda values: values | {"position": abs(values["position"])}, Verb.MOVE_RELATIVE_AXIS, (4,))),
     ),
     "limit": (
         Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes", tuned(_left_elsewhere)),
-        Row(
-            "open-without-limits",
-            "end limits do nothing in the open mode",
-            _limits_passed(lambda drive, side: "open" in drive.mode),
-        ),
-        Row(
-            "stuck-at-limit", "FD away from a closed end limit is refused", refused_when(_at_a_limit, Verb.MOVE_RELATIVE_PULSES)
-        ),
-        Row(
-            "right-limit-passed",
-            "FD passes the right end limit",
-            _limits_passed(lambda drive, side: side == "right" and _by_pulses(drive)),
-        ),
-        Row(
-            "right-limit-passed-slowly",
-            "motion below 30 rpm passes the right end limit",
-            _limits_passed(lambda drive, side: side == "right" and _is_slow(drive)),
-        ),
-        Row(
-            "right-limit-told-complete",
-            "a move that the right end limit stops is told as complete",
-            tuned(_complete_at_right),
-            TELLING,
-        ),
-        Row(
-            "limits-passed-at-once",
-            "motion without a ramp passes the end limits",
-            _limits_passed(lambda drive, side: _asked_of(drive)[1] == 0),
-        ),
+        Row("open-without-limits", "end limits do nothing in the open mode",
+            _limits_passed(lambda drive, side: "open" in drive.mode)),
+        Row("stuck-at-limit", "FD away from a closed end limit is refused",
+            refused_when(_at_a_limit, Verb.MOVE_RELATIVE_PULSES)),
+        Row("right-limit-passed", "FD passes the right end limit",
+            _limits_passed(lambda drive, side: side == "right" and _by_pulses(drive))),
+        Row("right-limit-passed-slowly", "motion below 30 rpm passes the right end limit",
+            _limits_passed(lambda drive, side: side == "right" and _is_slow(drive))),
+        Row("right-limit-told-complete", "a move that the right end limit stops is told as complete",
+            tuned(_complete_at_right), TELLING),
+        Row("limits-passed-at-once", "motion without a ramp passes the end limits",
+            _limits_passed(lambda drive, side: _asked_of(drive)[1] == 0)),
     ),
     "set": (
-        Row(
-            "calibration-goes-on",
-            "F7 says success while the motor calibrates, and does not end it",
-            undone_when(lambda drive: drive.doing(Activity.CALIBRATE), Verb.EMERGENCY_STOP),
-        ),
+        Row("calibration-goes-on", "F7 says success while the motor calibrates, and does not end it",
+            undone_when(lambda drive: drive.doing(Activity.CALIBRATE), Verb.EMERGENCY_STOP)),
         Row("zero-refused-while-off", "92 is refused while the motor is off", refused_when(_is_off, Verb.SET_ZERO)),
-        Row(
-            "setting-undone-while-off",
-            "84 says success and stores nothing while off",
-            undone_when(_is_off, Verb.SET_SUBDIVISION),
-        ),
+        Row("setting-undone-while-off", "84 says success and stores nothing while off",
+            undone_when(_is_off, Verb.SET_SUBDIVISION)),
         Row("remap-refused-while-turning", "9E is refused while the shaft turns", refused_when(_turns, Verb.SET_LIMIT_REMAP)),
-        Row(
-            "group-left-by-address",
-            "a new address takes the drive out of its group",
-            before(Verb.SET_ADDRESS, _leave_group),
-            having(Verb.SET_GROUP_ADDRESS),
-        ),
-        Row(
-            "group-deaf-to-all",
-            "a drive in a group does not hear broadcasts",
-            Change(taken(_own_and_group_alone).install, having(Verb.SET_GROUP_ADDRESS)),
-        ),
+        Row("group-left-by-address", "a new address takes the drive out of its group",
+            before(Verb.SET_ADDRESS, _leave_group), having(Verb.SET_GROUP_ADDRESS)),
+        Row("group-deaf-to-all", "a drive in a group does not hear broadcasts",
+            Change(taken(_own_and_group_alone).install, having(Verb.SET_GROUP_ADDRESS))),
     ),
     "update": (
         Row("update-undone", "F5 while the shaft turns says success and is lost", undone_when(_turns, Verb.MOVE_ABSOLUTE_AXIS)),
         Row("current-capped", "currents above 2900 mA are stored as 2900", Change(_stored_as("current", _capped).install, CAN)),
-        Row(
-            "tolerance-capped",
-            "stall tolerances above 360 degrees hold as that",
-            Change(_stored_as("stall_tolerance", lambda v: min(v, 200)).install, having(Verb.SET_STALL_TOLERANCE)),
-        ),
+        Row("tolerance-capped", "stall tolerances above 360 degrees hold as that",
+            Change(_stored_as("stall_tolerance", lambda v: min(v, 200)).install, having(Verb.SET_STALL_TOLERANCE))),
     ),
     "homed": (
         Row("slow-run-after-homing", "the first run after 91 has the home speed at most", tuned(_slow_after_homing)),
         Row("open-home-slow", "91 turns at half of its speed in the open mode", tuned(_slow_open_home)),
-        Row(
-            "homing-back-as-stopped", "F1 says stopped on homing's way back", told_when(_homes_back, Verb.READ_STATUS, status=1)
-        ),
+        Row("homing-back-as-stopped", "F1 says stopped on homing's way back",
+            told_when(_homes_back, Verb.READ_STATUS, status=1)),
         Row("fe-of-old-zero", "FE behind homing counts from another zero", request(_of_old_zero, Verb.MOVE_ABSOLUTE_PULSES)),
-        Row(
-            "refusals-need-active",
-            "a motion that is refused is not answered with active 0",
+        Row("refusals-need-active", "a motion that is refused is not answered with active 0",
             result(lambda d, c, sent, found: found if found["status"] or mks(d).settings["active"] else None, MOTIONS),
-            TELLING,
-        ),
-        Row(
-            "homing-untold-behind-setting",
-            "the end of homing is not told when 83 comes on the way",
-            before(Verb.SET_CURRENT, _untold),
-            TELLING,
-        ),
+            TELLING),
+        Row("homing-untold-behind-setting", "the end of homing is not told when 83 comes on the way",
+            before(Verb.SET_CURRENT, _untold), TELLING),
         Row("homing-ccw-untold", "the end of homing counter-clockwise is not told", tuned(_ccw_home_untold), TELLING),
-        Row(
-            "home-zero-at-wall",
-            "homing to an obstacle zeroes the encoder and leaves the count of pulses",
-            when_home(_pulses_beside),
-            TELLING,
-        ),
+        Row("home-zero-at-wall", "homing to an obstacle zeroes the encoder and leaves the count of pulses",
+            when_home(_pulses_beside), TELLING),
         Row("homing-ccw-lets-go", "homing counter-clockwise lets the shaft go at its end", when_home(_let_go_ccw)),
-        Row(
-            "home-by-wall-unstopped",
-            "F7 says success and does not end homing without a switch",
-            Change(undone_when(_homes_by_wall, Verb.EMERGENCY_STOP).install, TELLING),
-        ),
-        Row(
-            "home-by-wall-as-stopped",
-            "F1 says stopped while homing without a switch",
-            Change(told_when(_homes_by_wall, Verb.READ_STATUS, status=1).install, TELLING),
-        ),
+        Row("home-by-wall-unstopped", "F7 says success and does not end homing without a switch",
+            Change(undone_when(_homes_by_wall, Verb.EMERGENCY_STOP).install, TELLING)),
+        Row("home-by-wall-as-stopped", "F1 says stopped while homing without a switch",
+            Change(told_when(_homes_by_wall, Verb.READ_STATUS, status=1).install, TELLING)),
         Row("respond-silences-home", "91 is not answered with respond 0", tuned(_home_silenced, TELLING)),
         Row("lock-by-restart", "41 holds the shaft, whatever 8F says", tuned(_locked_by_restart, CAN)),
-        Row(
-            "home-told-by-all",
-            "the end of homing is told though all drives or a group were asked",
-            _told_to_all(lambda request, values: request.command.verb is Verb.HOME),
-        ),
-        Row(
-            "failure-told-by-all",
-            "a move that fails says 0 though all drives or a group were asked",
-            _told_to_all(lambda request, values: request.command.verb in MOTIONS and not values["status"]),
-        ),
-        Row(
-            "limit-told-by-all",
-            "a move that a limit ends says 3 though all drives or a group were asked",
-            _told_to_all(lambda request, values: values["status"] == mks_shared.RunStatus.LIMIT_STOP),
-        ),
-        Row(
-            "ramp-told-by-all",
-            "a stop by a ramp tells its end though all drives or a group were asked",
-            _told_to_all(lambda request, values: request.command.verb in STOPS and bool(request.values["acceleration"])),
-        ),
+        Row("home-told-by-all", "the end of homing is told though all drives or a group were asked",
+            _told_to_all(lambda request, values: request.command.verb is Verb.HOME)),
+        Row("failure-told-by-all", "a move that fails says 0 though all drives or a group were asked",
+            _told_to_all(lambda request, values: request.command.verb in MOTIONS and not values["status"])),
+        Row("limit-told-by-all", "a move that a limit ends says 3 though all drives or a group were asked",
+            _told_to_all(lambda request, values: values["status"] == mks_shared.RunStatus.LIMIT_STOP)),
+        Row("ramp-told-by-all", "a stop by a ramp tells its end though all drives or a group were asked",
+            _told_to_all(lambda request, values: request.command.verb in STOPS and bool(request.values["acceleration"]))),
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
     ),
 }
+# fmt: on
 
 FAULTS = faults(HEARING, TOLD, DOING)

@@ -328,64 +328,38 @@ def _turning_back(drive: MksCore) -> None:
     drive.behaviours[Verb.ENABLE] = act
 
 
+# fmt: off
 EFFECTS: Rows = {
     "reads": (
         Row("read-of-restart-restarts", "a read of 41 restarts the drive", _reading(Verb.RESTART, restart)),
         Row("read-of-zero-sets-zero", "a read of 92 sets the zero", _reading(Verb.SET_ZERO, set_zero)),
         Row("read-of-stop-stops", "a read of F7 stops the motor", _reading(Verb.EMERGENCY_STOP, _halt)),
         Row("read-of-home-turns", "a read of 91 turns the shaft", _reading(Verb.HOME, _turn_home)),
-        Row(
-            "address-told-by-9-bits",
-            "00 8B tells the low 9 bits of the address",
-            result(_told_by_nine_bits, Verb.READ_PARAMETER),
-            CAN,
-        ),
+        Row("address-told-by-9-bits", "00 8B tells the low 9 bits of the address",
+            result(_told_by_nine_bits, Verb.READ_PARAMETER), CAN),
     ),
     "restart": (
         Row("closed-run-taken-up", "a run in the closed mode begins again behind a restart", tuned(_taking_up_run, SERIAL)),
     ),
     "completion": (
-        Row(
-            "completion-cut",
-            "what tells the end of a motion lacks its last two bytes",
-            _last_words(lambda data: data[:-2]),
-            NATIVE,
-        ),
-        Row(
-            "completion-of-noise",
-            "the end of a motion is told by noise",
-            _last_words(lambda data: bytes(b ^ 0x55 for b in data)),
-            NATIVE,
-        ),
+        Row("completion-cut", "what tells the end of a motion lacks its last two bytes",
+            _last_words(lambda data: data[:-2]), NATIVE),
+        Row("completion-of-noise", "the end of a motion is told by noise",
+            _last_words(lambda data: bytes(b ^ 0x55 for b in data)), NATIVE),
     ),
     "within a range": (
         Row("division-from-50", "PEND divides the pulses from a period of 50 on", _division(lambda n: n if n >= 50 else 0)),
-        Row(
-            "division-not-above-5000",
-            "PEND divides no pulses by more than 5000",
-            _division(lambda n: n if 100 <= n <= 5000 else 0),
-        ),
-        Row(
-            "division-of-16-bits",
-            "PEND divides pulses by 16 bits of the period",
-            _division(lambda n: n & 0xFFFF if n >= 100 else 0),
-        ),
+        Row("division-not-above-5000", "PEND divides no pulses by more than 5000",
+            _division(lambda n: n if 100 <= n <= 5000 else 0)),
+        Row("division-of-16-bits", "PEND divides pulses by 16 bits of the period",
+            _division(lambda n: n & 0xFFFF if n >= 100 else 0)),
         Row("division-above-100", "PEND divides no pulses by 100", _division(lambda n: n if n > 100 else 0)),
-        Row(
-            "division-of-positive",
-            "PEND divides the pulses of one way alone",
-            _division(lambda n: n if n >= 100 else 0, lambda pulses: max(pulses, 0)),
-        ),
-        Row(
-            "current-of-steps",
-            "currents of 256 to 1023 mA are stored as 256",
-            Change(storing(_in_steps, "current").install, CAN),
-        ),
-        Row(
-            "slow-homing-capped",
-            "91 turns at the home speed, but at 1000 rpm at most",
-            homing_by(lambda settings: {"home_speed": min(settings["home_speed"], 1000)}),
-        ),
+        Row("division-of-positive", "PEND divides the pulses of one way alone",
+            _division(lambda n: n if n >= 100 else 0, lambda pulses: max(pulses, 0))),
+        Row("current-of-steps", "currents of 256 to 1023 mA are stored as 256",
+            Change(storing(_in_steps, "current").install, CAN)),
+        Row("slow-homing-capped", "91 turns at the home speed, but at 1000 rpm at most",
+            homing_by(lambda settings: {"home_speed": min(settings["home_speed"], 1000)})),
         Row(
             "home-backs-off-half-a-turn",
             "from a closed end stop homing goes back half a turn, whatever the return angle is",
@@ -393,32 +367,20 @@ EFFECTS: Rows = {
                 homing_by(lambda s: {} if s["home_mode"] else {"return_angle": mks_shared.COUNTS_PER_TURN // 2}).install, CAN
             ),
         ),
-        Row(
-            "home-backs-off-16-bits",
-            "from a closed end stop homing goes back by the low 16 bits of the return angle",
-            Change(homing_by(lambda s: {} if s["home_mode"] else {"return_angle": s["return_angle"] & 0xFFFF}).install, CAN),
-        ),
+        Row("home-backs-off-16-bits", "from a closed end stop homing goes back by the low 16 bits of the return angle",
+            Change(homing_by(lambda s: {} if s["home_mode"] else {"return_angle": s["return_angle"] & 0xFFFF}).install, CAN)),
         Row("small-tolerance-coarse", "stall tolerances below 72 degrees hold as that", _tolerance(72, max)),
         Row("great-tolerance-capped", "stall tolerances above 1800 degrees hold as that", _tolerance(1800, min)),
-        Row(
-            "widest-below-is-above",
-            "absolute moves take a place that is widest below 0 for one above",
-            request(_far_above, (Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_ABSOLUTE_AXIS)),
-        ),
-        Row(
-            "home-speed-low-first",
-            "90 stores the speed low byte first, where that is within its range",
-            stored("home_speed", _low_byte_first),
-        ),
+        Row("widest-below-is-above", "absolute moves take a place that is widest below 0 for one above",
+            request(_far_above, (Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_ABSOLUTE_AXIS))),
+        Row("home-speed-low-first", "90 stores the speed low byte first, where that is within its range",
+            stored("home_speed", _low_byte_first)),
         Row("high-groups-deaf", "a group above 7Fh is not heard", taken(_deaf_to_high_groups), having(Verb.SET_GROUP_ADDRESS)),
     ),
     "limits": (
         Row("limits-by-low-pins", "end limits hold where a pin is low, at any home_trigger", tuned(_limits_by_low_pins)),
-        Row(
-            "closed-start-by-low-pin",
-            "homing leaves an end stop first whose pin is low, at any home_trigger",
-            tuned(_closed_start_by_low_pins),
-        ),
+        Row("closed-start-by-low-pin", "homing leaves an end stop first whose pin is low, at any home_trigger",
+            tuned(_closed_start_by_low_pins)),
     ),
     "let go": (
         Row("protected-keeps-torque", "3E reads 1 and the motor holds the shaft", tuned(_keeping_torque)),
@@ -428,12 +390,10 @@ EFFECTS: Rows = {
         Row("release-needs-enabling", "behind 3D motion is refused until F3 01, though 3A reads 1", tuned(_waiting_for_enable)),
         Row("release-takes-up", "3D takes up the motion that the protection ended", tuned(_taking_up)),
         Row("disabled-keeps-torque", "3A reads 0 and the motor holds the shaft", tuned(_gripping(lambda drive: drive.by_bus))),
-        Row(
-            "en-pin-keeps-torque",
-            "3A reads 0 and the motor holds the shaft at the En pin's other level",
-            tuned(_gripping(lambda drive: not drive.by_bus)),
-        ),
+        Row("en-pin-keeps-torque", "3A reads 0 and the motor holds the shaft at the En pin's other level",
+            tuned(_gripping(lambda drive: not drive.by_bus))),
     ),
 }
+# fmt: on
 
 FAULTS = faults(EFFECTS)

@@ -612,97 +612,55 @@ def _way_back(drive: Drive, command: Command, sent: Values, found: Values) -> Va
     return found if found["status"] or not by_direction else {"status": int(mks_shared.ZeroStatus.SUCCESS)}
 
 
+# fmt: off
 SEQUENCES: Rows = {
     "behind a stop": (
         Row("stops-lose-pulses", f"33 loses {_LOST} pulses at each stop of a turning shaft", before(STOPS, _loses_pulses)),
         Row("target-kept", "F4 behind F7 goes on to the target of the move that F7 ended, too", tuned(_target_kept(False))),
-        Row(
-            "target-kept-protected",
-            "F4 behind 3D goes on to the target of the move that the protection ended, too",
-            tuned(_target_kept(True)),
-        ),
+        Row("target-kept-protected", "F4 behind 3D goes on to the target of the move that the protection ended, too",
+            tuned(_target_kept(True))),
         Row("homing-unstopped", "F7 says success and does not end homing", undone_when(_homes, Verb.EMERGENCY_STOP)),
-        Row(
-            "emergency-completes-pulses",
-            "a move by pulses that F7 ended is told as complete when it would have been",
-            _emergency_completes(Activity.MOVE, mks_shared.RunStatus.COMPLETE, (Verb.MOVE_RELATIVE_PULSES,)),
-        ),
-        Row(
-            "emergency-completes-open",
-            "a move in the open mode that F7 ends is told as complete",
-            Change(before(Verb.EMERGENCY_STOP, _complete_open).install, TELLING),
-        ),
-        Row(
-            "emergency-completes-home",
-            "homing that F7 ended is told as success",
-            _emergency_completes(Activity.HOME, mks_shared.HomeStatus.SUCCESS, (Verb.HOME,)),
-        ),
-        Row(
-            "status-behind-emergency-ramp",
-            "behind F7 on a ramp F1 reads the ramp on",
-            tuned(_status_of_before((mks_shared.MotorStatus.SPEEDING_UP, mks_shared.MotorStatus.SLOWING_DOWN))),
-        ),
-        Row(
-            "status-behind-emergency-home",
-            "behind F7 while homing F1 reads homing on",
-            tuned(_status_of_before((mks_shared.MotorStatus.HOMING,)), having(Verb.HOME)),
-        ),
-        Row(
-            "speed-0-cw-goes-on",
-            "F6 with speed 0 and direction 1 stops nothing",
-            before(Verb.RUN_SPEED, _only_ccw_stops),
-            SERIAL,
-        ),
+        Row("emergency-completes-pulses", "a move by pulses that F7 ended is told as complete when it would have been",
+            _emergency_completes(Activity.MOVE, mks_shared.RunStatus.COMPLETE, (Verb.MOVE_RELATIVE_PULSES,))),
+        Row("emergency-completes-open", "a move in the open mode that F7 ends is told as complete",
+            Change(before(Verb.EMERGENCY_STOP, _complete_open).install, TELLING)),
+        Row("emergency-completes-home", "homing that F7 ended is told as success",
+            _emergency_completes(Activity.HOME, mks_shared.HomeStatus.SUCCESS, (Verb.HOME,))),
+        Row("status-behind-emergency-ramp", "behind F7 on a ramp F1 reads the ramp on",
+            tuned(_status_of_before((mks_shared.MotorStatus.SPEEDING_UP, mks_shared.MotorStatus.SLOWING_DOWN)))),
+        Row("status-behind-emergency-home", "behind F7 while homing F1 reads homing on",
+            tuned(_status_of_before((mks_shared.MotorStatus.HOMING,)), having(Verb.HOME))),
+        Row("speed-0-cw-goes-on", "F6 with speed 0 and direction 1 stops nothing",
+            before(Verb.RUN_SPEED, _only_ccw_stops), SERIAL),
         Row("cleaning-stops", "FF CA stops the shaft", before(Verb.SAVE_SPEED, _end_run)),
-        Row(
-            "cleaned-turning-alone",
-            "FF CA cleans the kept run while the shaft turns alone",
-            before(Verb.SAVE_SPEED, _kept_at_rest),
-        ),
+        Row("cleaned-turning-alone", "FF CA cleans the kept run while the shaft turns alone",
+            before(Verb.SAVE_SPEED, _kept_at_rest)),
     ),
     "behind what came on the way": (
         Row("newer-keeps-ramp", "a motion that takes over from another one keeps its acceleration", tuned(_keeps_ramp)),
         Row("newer-keeps-faster", "a motion that takes over from a faster one keeps its speed", tuned(_keeps_faster)),
         Row("speeds-as-before", "84 while the shaft turns changes the length of moves, and no speed", tuned(_speeds_as_before)),
-        Row(
-            "off-behind-settings",
-            "3A reads 0 behind a setting that came while the shaft turned",
-            _told_behind(True, Verb.READ_ENABLED, enabled=0),
-        ),
-        Row(
-            "protected-behind-motions",
-            "3E reads 1 behind a motion that took over from another one",
-            _told_behind(False, Verb.READ_PROTECTION, status=1),
-        ),
+        Row("off-behind-settings", "3A reads 0 behind a setting that came while the shaft turned",
+            _told_behind(True, Verb.READ_ENABLED, enabled=0)),
+        Row("protected-behind-motions", "3E reads 1 behind a motion that took over from another one",
+            _told_behind(False, Verb.READ_PROTECTION, status=1)),
     ),
     "one of many": (
         Row("third-target-lost", "of targets that follow one another the third is lost", _few_updates(Verb.MOVE_ABSOLUTE_AXIS)),
         Row("package-first-motion", "of the own slots of a package the first motion is executed", slots(_first_motion)),
-        Row(
-            "package-late-slots-unset",
-            "a setting in the last two slots of a package is not stored",
-            slots(lambda own, every, wanted: [slot for slot in wanted if slot in every[:3] or not _sets(slot)]),
-        ),
+        Row("package-late-slots-unset", "a setting in the last two slots of a package is not stored",
+            slots(lambda own, every, wanted: [slot for slot in wanted if slot in every[:3] or not _sets(slot)])),
         Row("package-of-two-codes", "of the own slots of a package the first of each code is executed", slots(_by_code)),
     ),
     "by the ramp of before": (
-        Row(
-            "at-once-by-ramp-of-before",
-            "F5 with acceleration 0 takes the ramp of the motion before",
-            tuned(_taking_ramp_of_last(Verb.MOVE_ABSOLUTE_AXIS, lambda own, last: not own)),
-        ),
-        Row(
-            "at-once-behind-at-once",
-            "FE behind a motion with acceleration 0 is at once too",
-            tuned(_taking_ramp_of_last(Verb.MOVE_ABSOLUTE_PULSES, lambda own, last: not last)),
-        ),
+        Row("at-once-by-ramp-of-before", "F5 with acceleration 0 takes the ramp of the motion before",
+            tuned(_taking_ramp_of_last(Verb.MOVE_ABSOLUTE_AXIS, lambda own, last: not own))),
+        Row("at-once-behind-at-once", "FE behind a motion with acceleration 0 is at once too",
+            tuned(_taking_ramp_of_last(Verb.MOVE_ABSOLUTE_PULSES, lambda own, last: not last))),
     ),
     "sooner": (
-        Row(
-            "release-enables",
-            "3D enables a motor that is off and was not protected",
-            before(Verb.RELEASE_PROTECTION, _released_enabled),
-        ),
+        Row("release-enables", "3D enables a motor that is off and was not protected",
+            before(Verb.RELEASE_PROTECTION, _released_enabled)),
         *(
             Row(name, f"{code} does not end a run that began at power-on", tuned(partial(_kept_goes_on, of=of), having(of)))
             for name, code, of in (
@@ -711,108 +669,58 @@ SEQUENCES: Rows = {
             )
         ),
         Row("saves-older-run", "FF keeps the run before the newest one", tuned(_saves_older, having(Verb.SAVE_SPEED))),
-        Row(
-            "forgets-newest-run",
-            "FF CA forgets a run alone that was kept since power-on",
-            tuned(_forgets_newest, having(Verb.SAVE_SPEED)),
-        ),
-        Row(
-            "released-once",
-            "3D releases the protection once until a restart",
-            tuned(_released_once, having(Verb.RELEASE_PROTECTION)),
-        ),
-        Row(
-            "current-not-put-back",
-            "83 does not set a current back to the one before",
-            tuned(_current_not_put_back, having(Verb.SET_CURRENT)),
-        ),
+        Row("forgets-newest-run", "FF CA forgets a run alone that was kept since power-on",
+            tuned(_forgets_newest, having(Verb.SAVE_SPEED))),
+        Row("released-once", "3D releases the protection once until a restart",
+            tuned(_released_once, having(Verb.RELEASE_PROTECTION))),
+        Row("current-not-put-back", "83 does not set a current back to the one before",
+            tuned(_current_not_put_back, having(Verb.SET_CURRENT))),
         Row("alm-beside-pend", "a write of PEND writes ALM with mask 2, too", request(_alm_beside_pend, Verb.WRITE_IO), CAN),
-        Row(
-            "save-speed-begun-by-mode",
-            "the kept run begins when 82 sets a mode by the bus",
-            wrapped(Verb.SET_WORK_MODE, _begins_kept(lambda request: True)),
-        ),
-        Row(
-            "save-speed-begun-by-enabling",
-            "the kept run begins when F3 enables the motor",
-            wrapped(Verb.ENABLE, _begins_kept(lambda request: bool(request.values["enabled"]))),
-        ),
+        Row("save-speed-begun-by-mode", "the kept run begins when 82 sets a mode by the bus",
+            wrapped(Verb.SET_WORK_MODE, _begins_kept(lambda request: True))),
+        Row("save-speed-begun-by-enabling", "the kept run begins when F3 enables the motor",
+            wrapped(Verb.ENABLE, _begins_kept(lambda request: bool(request.values["enabled"])))),
     ),
     "undone": (
         Row("lets-go-once-limited", "90 with the end limit off leaves it on for homing", tuned(_lets_go_once_limited)),
         Row("protection-stays", "88 00 is answered, and the protection acts on", storing(_on_alone, "protection")),
-        Row(
-            "group-left-by-speed",
-            "8A takes the drive out of its group",
-            before(Verb.SET_BAUD_RATE, _leave_group),
-            having(Verb.SET_GROUP_ADDRESS),
-        ),
+        Row("group-left-by-speed", "8A takes the drive out of its group",
+            before(Verb.SET_BAUD_RATE, _leave_group), having(Verb.SET_GROUP_ADDRESS)),
     ),
     "with another setting": (
         Row("respond-0-needs-active", "respond 0 silences nothing with active 0", tuned(_silent_if_active), NATIVE),
-        Row(
-            "ends-told-aloud",
-            "with respond 0 the end of FE and F5 is told",
-            tuned(_tells_ends(lambda request, values: request.command.verb in _TO_PLACES)),
-            TELLING,
-        ),
-        Row(
-            "limit-told-aloud",
-            "with respond 0 a move that an end limit stops is told",
-            tuned(_tells_ends(lambda request, values: values["status"] == mks_shared.RunStatus.LIMIT_STOP)),
-            TELLING,
-        ),
+        Row("ends-told-aloud", "with respond 0 the end of FE and F5 is told",
+            tuned(_tells_ends(lambda request, values: request.command.verb in _TO_PLACES)), TELLING),
+        Row("limit-told-aloud", "with respond 0 a move that an end limit stops is told",
+            tuned(_tells_ends(lambda request, values: values["status"] == mks_shared.RunStatus.LIMIT_STOP)), TELLING),
         Row("refused-aloud", "with respond 0 a refusal is answered", tuned(_refuses_aloud), TELLING),
-        Row(
-            "direction-turns-speed-of-moves",
-            "with 86 on CCW the speed of a move is told the other way",
-            result(_move_told_turned, Verb.READ_SPEED),
-        ),
+        Row("direction-turns-speed-of-moves", "with 86 on CCW the speed of a move is told the other way",
+            result(_move_told_turned, Verb.READ_SPEED)),
         Row("direction-turns-home", "with 86 on CCW homing turns the other way round", _homing_turned),
         Row("protection-slows", f"with the protection on nothing turns faster than {_SAFE_RPM} rpm", tuned(_slow_if_protected)),
         *(
-            Row(
-                f"way-back-slower-{name}",
-                f"a higher 0_Speed brings the shaft back {name} more slowly",
-                request(_slower_back(direction), Verb.SET_ZERO_MODE),
-                SERIAL,
-            )
+            Row(f"way-back-slower-{name}", f"a higher 0_Speed brings the shaft back {name} more slowly",
+                request(_slower_back(direction), Verb.SET_ZERO_MODE), SERIAL)
             for name, direction in (("cw", mks_shared.ConfigDirection.CW), ("ccw", mks_shared.ConfigDirection.CCW))
         ),
         Row("way-back-untold", "3B reads 1 on the way back by a direction", result(_way_back, Verb.READ_ZERO_STATUS), SERIAL),
     ),
     "in one mode": (
-        Row(
-            "homing-above-mode",
-            "homing turns at the speed that is set, above that of the work mode",
-            tuned(_homes_at_any_speed, having(Verb.HOME)),
-            SERIAL,
-        ),
+        Row("homing-above-mode", "homing turns at the speed that is set, above that of the work mode",
+            tuned(_homes_at_any_speed, having(Verb.HOME)), SERIAL),
         Row("holding-refused-open", "9B is refused in an open mode", refused_when(_open, Verb.SET_HOLDING_CURRENT), SERIAL),
     ),
     "few send it": (
         Row("address-fa-refused", "the address FA is refused", limit("new_address", numbers.refuses(0xFA)), NATIVE),
-        Row(
-            "stops-of-all-at-once",
-            "stops by broadcast are at once, at any acceleration",
-            tuned(_stops_of_all(lambda sent, moved: 0)),
-        ),
-        Row(
-            "stops-of-all-by-ramp",
-            "a stop by broadcast with acceleration 0 slows the shaft down by the ramp of its motion",
-            tuned(_stops_of_all(lambda sent, moved: sent or moved)),
-        ),
-        Row(
-            "short-moves-undone",
-            f"moves by fewer than {_SHORTEST} units turn nothing",
-            request(_short, (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_RELATIVE_AXIS)),
-        ),
+        Row("stops-of-all-at-once", "stops by broadcast are at once, at any acceleration",
+            tuned(_stops_of_all(lambda sent, moved: 0))),
+        Row("stops-of-all-by-ramp", "a stop by broadcast with acceleration 0 slows the shaft down by the ramp of its motion",
+            tuned(_stops_of_all(lambda sent, moved: sent or moved))),
+        Row("short-moves-undone", f"moves by fewer than {_SHORTEST} units turn nothing",
+            request(_short, (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_RELATIVE_AXIS))),
         *(
-            Row(
-                f"low-word-stops-{name}",
-                f"{name.upper()} by a number whose low word is 0 stops",
-                request(_stopped_by_low_word, verb),
-            )
+            Row(f"low-word-stops-{name}", f"{name.upper()} by a number whose low word is 0 stops",
+                request(_stopped_by_low_word, verb))
             for name, verb in (
                 ("fd", Verb.MOVE_RELATIVE_PULSES),
                 ("fe", Verb.MOVE_ABSOLUTE_PULSES),
@@ -821,22 +729,15 @@ SEQUENCES: Rows = {
             )
         ),
         Row("axis-of-24-bits", "F5 reckons with 24 bits of the axis", request(_from_axis_of_24_bits, Verb.MOVE_ABSOLUTE_AXIS)),
-        Row(
-            "as-sent-at-odd",
-            f"at odd subdivisions above {_PLAIN_MOST} the speed is the one that is sent",
-            tuned(_as_sent_at_odd),
-            SERIAL,
-        ),
+        Row("as-sent-at-odd", f"at odd subdivisions above {_PLAIN_MOST} the speed is the one that is sent",
+            tuned(_as_sent_at_odd), SERIAL),
         Row("speeds-in-whole-rpm", "speeds of other subdivisions are rounded to whole rpm", tuned(_in_whole_rpm)),
-        Row(
-            "speed-0-of-moves-goes-on",
-            "F4 with speed 0 and a distance is answered, and the shaft goes on",
-            before(Verb.MOVE_RELATIVE_AXIS, _going_on_at_0),
-            SERIAL,
-        ),
+        Row("speed-0-of-moves-goes-on", "F4 with speed 0 and a distance is answered, and the shaft goes on",
+            before(Verb.MOVE_RELATIVE_AXIS, _going_on_at_0), SERIAL),
         Row("moves-scaled-at-32", "at 32 subdivisions moves go at half their speed", tuned(_scaled_moves)),
         Row("inner-request-obeyed", "a request in the data of another drive's is obeyed", tuned(_inner_requests), NATIVE),
     ),
 }
+# fmt: on
 
 FAULTS = faults(SEQUENCES)
