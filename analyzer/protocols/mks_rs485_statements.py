@@ -37,6 +37,7 @@ def setting(section: str, name: str, what: str, *more: Statement) -> Iterator[St
     yield from more
 
 
+# fmt: off
 _LONG_READS = (
     *read(
         "5.1.1",
@@ -47,12 +48,8 @@ _LONG_READS = (
     said("5.1.1/carries-up", "Above 3FFFh the carry is one more.", "motion/read_encoder_carry/*"),
     said("5.1.1/carries-down", "Below 0 the carry is one less.", "motion/read_encoder_carry/*"),
     *read("5.1.2", "read_position", "31 reads the encoder as one signed count of six bytes.", "motion/read_position/wide"),
-    said(
-        "5.1.2/below-zero",
-        "It goes on below zero.",
-        "motion/read_encoder_carry/standing",
-        "motion/move_absolute_axis/reads-as-asked",
-    ),
+    said("5.1.2/below-zero", "It goes on below zero.",
+        "motion/read_encoder_carry/standing", "motion/move_absolute_axis/reads-as-asked"),
     *read("5.1.3", "read_speed", "32 reads the speed in rpm, in two signed bytes.", "motion/read_speed/crossed"),
     said("5.1.3/code", "Its reply carries code 32.", "shape/read_speed/code"),
     *read("5.1.4", "read_pulses", "33 reads how many pulses came, in four signed bytes.", "motion/read_pulses/counts-*"),
@@ -74,7 +71,9 @@ _LONG_READS = (
         "motion/read_protection/at-first",
     ),
 )
+# fmt: on
 
+# fmt: off
 _SETTINGS = (
     said("5.2.1/calibrates", "80 with data 00 calibrates the encoder.", "motion/calibrate/status", "ranges/calibrate/reserved"),
     said("5.2.1/begins", "Status 0: the calibration goes on.", "motion/calibrate/replies"),
@@ -124,20 +123,11 @@ _SETTINGS = (
         said("5.2.13/silent", "With respond 0 motion is executed and not answered.", "motion/set_respond/0-silences-*"),
         said("5.2.13/read", "With respond 0 the status F1 is still answered.", "motion/set_respond/0-leaves-reads"),
         said("5.2.13/passive", "With active 0 the beginning is answered and the end is not.", "motion/set_respond/inactive-*"),
-        said(
-            "5.2.13/end",
-            "With both 1 the end is answered by 2, or 3 at an end limit.",
-            "motion/*/replies",
-            "motion/set_home/end-limit-told-*",
-            "motion/set_respond/1-answers-again",
-            "addressing/others-asked/ends-told",
-        ),
-        said(
-            "5.2.13/start",
-            "Motion is answered at once by 1, or by 0 when it fails.",
-            "timing/*/answered-soon",
-            "motion/*/disabled",
-        ),
+        said("5.2.13/end", "With both 1 the end is answered by 2, or 3 at an end limit.",
+            "motion/*/replies", "motion/set_home/end-limit-told-*", "motion/set_respond/1-answers-again",
+            "addressing/others-asked/ends-told"),
+        said("5.2.13/start", "Motion is answered at once by 1, or by 0 when it fails.",
+            "timing/*/answered-soon", "motion/*/disabled"),
     ),
     *setting(
         "5.2.14",
@@ -150,43 +140,18 @@ _SETTINGS = (
         "5.2.16",
         "set_group_address",
         "8D sets the group address, 1 to FFh.",
-        said(
-            "5.2.16/own",
-            "A drive of a group executes what its own address is sent.",
-            "addressing/group/own",
-            "examples/move_relative_pulses/*",
-        ),
-        said(
-            "5.2.16/all",
-            "What address 0 is sent, every drive executes.",
-            "addressing/broadcast/executed",
-            "examples/*/to_all_1",
-        ),
-        said(
-            "5.2.16/group",
-            "What the group address is sent, the group's drives execute.",
-            "addressing/group/*_*/*",
-            "addressing/group/executed",
-            "addressing/group/while-turning",
-            "read-back/settings/restart-group",
-            "read-back/*/restart-group-*",
-            "examples/*/to_group_*",
-        ),
-        said(
-            "5.2.16/others",
-            "What another group is sent, a drive does not execute.",
-            "addressing/group/other",
-            "addressing/group/*_*/*",
-        ),
-        said(
-            "5.2.16/silent",
-            "What a group is sent is not answered.",
-            "addressing/group/silent",
-            "addressing/group/ends-by-itself/*",
-            "addressing/group/read",
-            "addressing/group/set_*",
-            "addressing/group/outcomes",
-        ),
+        said("5.2.16/own", "A drive of a group executes what its own address is sent.",
+            "addressing/group/own", "examples/move_relative_pulses/*"),
+        said("5.2.16/all", "What address 0 is sent, every drive executes.",
+            "addressing/broadcast/executed", "examples/*/to_all_1"),
+        said("5.2.16/group", "What the group address is sent, the group's drives execute.",
+            "addressing/group/*_*/*", "addressing/group/executed", "addressing/group/while-turning",
+            "read-back/settings/restart-group", "read-back/*/restart-group-*", "examples/*/to_group_*"),
+        said("5.2.16/others", "What another group is sent, a drive does not execute.",
+            "addressing/group/other", "addressing/group/*_*/*"),
+        said("5.2.16/silent", "What a group is sent is not answered.",
+            "addressing/group/silent", "addressing/group/ends-by-itself/*", "addressing/group/read", "addressing/group/set_*",
+            "addressing/group/outcomes"),
     ),
     # 5.3 Home
     *setting("5.3.1", "set_home", "90 sets trigger level, direction, speed and end limit."),
@@ -204,9 +169,8 @@ _SETTINGS = (
         "94 sets the way back, the method and the current of homing.",
         said("5.3.4/obstacle", "Method 1 homes against an obstacle, without a switch.", "motion/home/without-switch-*"),
         said("5.3.4/method-0", "Method 0 homes by the switch.", "motion/home/finds-switch-*"),
-        said(
-            "5.3.4/back", "From the obstacle the shaft goes back by the angle: 4000h is a turn.", "motion/home/without-switch-*"
-        ),
+        said("5.3.4/back", "From the obstacle the shaft goes back by the angle: 4000h is a turn.",
+            "motion/home/without-switch-*"),
         said("5.3.4/zero", "Where it ends is zero.", "motion/home/without-switch-*"),
         said("5.3.4/default", "By default the way back is 2000h.", "read-back/restore/settings"),
         unseen("5.3.4/current", "The shaft pushes with this current and no more.", CURRENT_UNSEEN),
@@ -215,110 +179,61 @@ _SETTINGS = (
     *setting("5.3.5", "set_limit_remap", "9E switches the remapped ports off (0) or on (1)."),
     # 5.4 to 5.6
     *setting("5.4.1", "set_zero_mode", "9A sets mode, zero, speed and direction of the way back."),
-    said(
-        "5.5/defaults", "3F puts every parameter back to its default.", "read-back/restore/settings", "read-back/restore/link"
-    ),
+    said("5.5/defaults", "3F puts every parameter back to its default.",
+        "read-back/restore/settings", "read-back/restore/link"),
     said("5.5/status", "It is answered by 1, or by 0 when that fails.", "shape/restore/status"),
     said("5.5/reboots", "Then the drive starts again.", "read-back/restore/reboots"),
     unseen("5.5/uncalibrated", "Then the motor needs a calibration.", "no command tells whether the motor is calibrated"),
     unseen("5.5/key", "A key held at power-on restores the defaults.", KEYS),
-    said(
-        "5.6/restarts", "41 starts the drive again.", "motion/restart/ends-motion*", "timing/restart/*", "read-back/restart/*"
-    ),
+    said("5.6/restarts", "41 starts the drive again.",
+        "motion/restart/ends-motion*", "timing/restart/*", "read-back/restart/*"),
     said("5.6/status", "It is answered by 1, or by 0 when that fails.", "shape/restart/status"),
     # 5.7 Packages
-    said(
-        "5.7/five",
-        "A package holds up to five commands; each drive takes its own by the address.",
-        "addressing/package/move_*",
-        "addressing/package/run_speed",
-        "addressing/package/own_slot",
-        "addressing/package/last_of_five",
-    ),
-    said(
-        "5.7/slots",
-        "Each of the five slots is executed.",
-        "addressing/package/*/every-slot",
-        *(f"addressing/package/slot_{n}" for n in range(1, 6)),
-    ),
-    said(
-        "5.7/settings",
-        "A slot holds any ordinary command, without head and checksum.",
-        "addressing/package/enable",
-        "addressing/package/home",
-        "addressing/package/set_*",
-        "addressing/package/as-sent",
-        "read-back/settings/restart-package",
-        "read-back/*/restart-package-*",
-        "read-back/save_speed/package",
-    ),
+    said("5.7/five", "A package holds up to five commands; each drive takes its own by the address.",
+        "addressing/package/move_*", "addressing/package/run_speed", "addressing/package/own_slot",
+        "addressing/package/last_of_five"),
+    said("5.7/slots", "Each of the five slots is executed.",
+        "addressing/package/*/every-slot", *(f"addressing/package/slot_{n}" for n in range(1, 6))),
+    said("5.7/settings", "A slot holds any ordinary command, without head and checksum.",
+        "addressing/package/enable", "addressing/package/home", "addressing/package/set_*", "addressing/package/as-sent",
+        "read-back/settings/restart-package", "read-back/*/restart-package-*", "read-back/save_speed/package"),
     said("5.7/length", "A package has 52 bytes.", "addressing/package/length", "addressing/package/broken_off"),
-    said(
-        "5.7/zeros",
-        "A short command is filled up with zeros to ten bytes.",
-        "addressing/package/own_slot",
-        "addressing/package/slot_*",
-    ),
+    said("5.7/zeros", "A short command is filled up with zeros to ten bytes.",
+        "addressing/package/own_slot", "addressing/package/slot_*"),
     said("5.7/checksum", "A package ends in its checksum.", "addressing/package/checksum", "addressing/package/damaged"),
     said("5.7/first", "Of two commands for one drive only the first is executed.", "addressing/package/first_of_two"),
     said("5.7/silent", "A package is not answered.", "addressing/package/silent", "addressing/package/ends-by-itself/*"),
     said("5.7/others", "Slots of other drives are not executed.", "addressing/package/others"),
     said("5.7/example", "The printed package moves five motors in five ways.", "examples/long_package/1"),
 )
+# fmt: on
 
+# fmt: off
 _FRAMES = (
     said("4/heads", "Requests begin with FA, replies with FB.", "framing/head/*", "shape/*/head"),
     said("4/address", "A drive executes and answers what its own address is sent.", "addressing/other/*", "shape/*/address"),
-    said(
-        "4/addresses", "Addresses are 0 to 255; the default is 1.", "ranges/set_address/new_address/*", "read-back/restore/link"
-    ),
-    said(
-        "4/broadcast",
-        "Address 0 reaches every drive.",
-        "addressing/broadcast/*_*/*",
-        "addressing/broadcast/executed",
-        "addressing/broadcast/while-turning",
-        "addressing/broadcast/protection",
-        "addressing/broadcast/set_*",
-        "read-back/settings/restart-broadcast",
-        "read-back/*/restart-broadcast-*",
-    ),
-    said(
-        "4/broadcast-silent",
-        "What address 0 is sent is not answered.",
-        "addressing/broadcast/read",
-        "addressing/broadcast/silent",
-        "addressing/broadcast/ends-by-itself/*",
-    ),
-    said(
-        "4/code",
-        "The code says which command is executed, and the reply repeats it.",
-        "shape/*/code",
-        "framing/unknown_code/ignored",
-    ),
-    said(
-        "4/check", "The check is the low byte of the sum of all bytes before.", "framing/checksum_*/ignored", "shape/*/checksum"
-    ),
-    said(
-        "4/check-motion",
-        "Motion with a wrong check is not executed.",
-        "framing/checksum_bit/not_executed",
-        "framing/flipped_bit/not_executed",
-        "framing/*/wrong_check",
-    ),
-    said(
-        "4/other-motion",
-        "Motion for another address is not executed.",
-        "addressing/*/other_address",
-        "addressing/other/set_subdivision",
-        "addressing/other/not_executed",
-        "addressing/group/other",
-    ),
-    said(
-        "4/answered", "Every request is answered, once.", "shape/*/answered", "shape/*/once", "resilience/*", "traffic/answered"
-    ),
+    said("4/addresses", "Addresses are 0 to 255; the default is 1.",
+        "ranges/set_address/new_address/*", "read-back/restore/link"),
+    said("4/broadcast", "Address 0 reaches every drive.",
+        "addressing/broadcast/*_*/*", "addressing/broadcast/executed", "addressing/broadcast/while-turning",
+        "addressing/broadcast/protection", "addressing/broadcast/set_*", "read-back/settings/restart-broadcast",
+        "read-back/*/restart-broadcast-*"),
+    said("4/broadcast-silent", "What address 0 is sent is not answered.",
+        "addressing/broadcast/read", "addressing/broadcast/silent", "addressing/broadcast/ends-by-itself/*"),
+    said("4/code", "The code says which command is executed, and the reply repeats it.",
+        "shape/*/code", "framing/unknown_code/ignored"),
+    said("4/check", "The check is the low byte of the sum of all bytes before.",
+        "framing/checksum_*/ignored", "shape/*/checksum"),
+    said("4/check-motion", "Motion with a wrong check is not executed.",
+        "framing/checksum_bit/not_executed", "framing/flipped_bit/not_executed", "framing/*/wrong_check"),
+    said("4/other-motion", "Motion for another address is not executed.",
+        "addressing/*/other_address", "addressing/other/set_subdivision", "addressing/other/not_executed",
+        "addressing/group/other"),
+    said("4/answered", "Every request is answered, once.",
+        "shape/*/answered", "shape/*/once", "resilience/*", "traffic/answered"),
     said("4/unasked", "A drive that is asked nothing says nothing.", "shape/unasked", "traffic/asked_for"),
 )
+# fmt: on
 
 
 def _stop(section: str, name: str, code: str) -> Iterator[Statement]:
@@ -360,6 +275,7 @@ def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Stat
     yield said(f"{section}/silent", "Its answers can be switched off by 8C.", f"motion/set_respond/0-silences-{name}")
 
 
+# fmt: off
 _MOTION = (
     said("6/serial", "Motion commands need a serial work mode.", "motion/*/crossed-taken", "motion/*/pulse-mode"),
     *RAMPS,
@@ -367,100 +283,50 @@ _MOTION = (
     *effects("6.2.1", "read_status"),
     said("6.2.1/calibrating", "6 (printed 5): it is calibrating.", "motion/calibrate/status"),
     said("6.2.2/off", "F3 with 0 lets the motor go.", "motion/enable/off-ends-mo*", "motion/enable/is-read"),
-    said(
-        "6.2.2/on",
-        "F3 with 1 makes it hold.",
-        "motion/enable/is-read",
-        "motion/enable/on-holds-here",
-        "read-back/enable/effect",
-    ),
+    said("6.2.2/on", "F3 with 1 makes it hold.",
+        "motion/enable/is-read", "motion/enable/on-holds-here", "read-back/enable/effect"),
     said("6.2.2/status", "It is answered by 1, or by 0 when that fails.", "shape/enable/status", "ranges/enable/enabled/*"),
-    said(
-        "6.2.2/disabled-motion",
-        "A disabled motor is not turned by any motion command.",
-        *each(RUNS, "motion/{}/disabled"),
-        "motion/*/disabled",
-        "motion/home/disabled",
-    ),
+    said("6.2.2/disabled-motion", "A disabled motor is not turned by any motion command.",
+        *each(RUNS, "motion/{}/disabled"), "motion/*/disabled", "motion/home/disabled"),
     said("6.3/stops", "F7 stops the motor at once.", "motion/emergency_stop/ends-*", "motion/calibrate/halted"),
     said("6.3/status", "It is answered by 1, or by 0 when that fails.", "motion/emergency_stop/replies"),
-    said(
-        "6.4/broadcast",
-        "By address 0 all motors execute the same.",
-        "addressing/broadcast/*_*/*",
-        "addressing/broadcast/executed",
-        "read-back/save_speed/broadcast",
-    ),
-    said(
-        "6.4/group",
-        "By group addresses the motors of each group execute the same.",
-        "addressing/group/*_*/*",
-        "addressing/group/executed",
-        "read-back/save_speed/group",
-    ),
+    said("6.4/broadcast", "By address 0 all motors execute the same.",
+        "addressing/broadcast/*_*/*", "addressing/broadcast/executed", "read-back/save_speed/broadcast"),
+    said("6.4/group", "By group addresses the motors of each group execute the same.",
+        "addressing/group/*_*/*", "addressing/group/executed", "read-back/save_speed/group"),
     said("6.4/package", "By a package each motor executes its own.", "addressing/package/own_slot"),
     # 6.5 Speed
-    said(
-        "6.5.1/runs",
-        "F6 turns the shaft at a fixed speed and acceleration.",
-        "motion/run_speed/speed-*",
-        "motion/run_speed/lasts",
-    ),
-    said(
-        "6.5.1/way",
-        "The highest bit of byte 4 is the direction: 0 CCW, 1 CW.",
-        "motion/run_speed/opposite",
-        "motion/run_speed/raises",
-    ),
+    said("6.5.1/runs", "F6 turns the shaft at a fixed speed and acceleration.",
+        "motion/run_speed/speed-*", "motion/run_speed/lasts"),
+    said("6.5.1/way", "The highest bit of byte 4 is the direction: 0 CCW, 1 CW.",
+        "motion/run_speed/opposite", "motion/run_speed/raises"),
     said("6.5.1/speed", "The speed has 12 bits, in bytes 4 and 5.", "ranges/run_speed/speed/*"),
     said("6.5.1/acceleration", "The acceleration is 0 to 255.", "ranges/run_speed/acceleration/*", "timing/run_speed/ramp-*"),
     said("6.5.1/reserved", "Bits 6 to 4 of byte 4 are reserved.", "ranges/run_speed/reserved"),
     said("6.5.1/forward", "01 40 02 turns it forward at 320 rpm.", "examples/run_speed/1"),
     said("6.5.1/reverse", "81 40 02 turns it backward at 320 rpm.", "examples/run_speed/2"),
-    said(
-        "6.5.1/status",
-        "It is answered by 1, or by 0 when that fails.",
-        "motion/run_speed/crossed-replies",
-        "motion/run_speed/disabled",
-    ),
+    said("6.5.1/status", "It is answered by 1, or by 0 when that fails.",
+        "motion/run_speed/crossed-replies", "motion/run_speed/disabled"),
     said("6.5.1/silent", "Its answers can be switched off by 8C.", "motion/set_respond/0-silences-run_speed"),
     *_stop("6.5.2", "stop_speed", "F6"),
-    said(
-        "6.5.3/save",
-        "FF with C8 keeps the present run.",
-        "read-back/save_speed/power",
-        "read-back/save_speed/restart",
-        "read-back/save_speed/as-it-was",
-    ),
+    said("6.5.3/save", "FF with C8 keeps the present run.",
+        "read-back/save_speed/power", "read-back/save_speed/restart", "read-back/save_speed/as-it-was"),
     said("6.5.3/clean", "FF with CA forgets the kept run.", "read-back/save_speed/clean"),
-    said(
-        "6.5.3/status", "It is answered by 1 or 2, or by 0 when that fails.", "shape/save_speed/status", "examples/save_speed/1"
-    ),
-    said(
-        "6.5.3/power-on",
-        "With a kept run the motor turns when power comes on, either way.",
-        "read-back/save_speed/power",
-        "read-back/save_speed/no-sooner",
-    ),
+    said("6.5.3/status", "It is answered by 1 or 2, or by 0 when that fails.",
+        "shape/save_speed/status", "examples/save_speed/1"),
+    said("6.5.3/power-on", "With a kept run the motor turns when power comes on, either way.",
+        "read-back/save_speed/power", "read-back/save_speed/no-sooner"),
     # 6.6 to 6.9 Positions
     *_move(
         "6.6.1",
         "move_relative_pulses",
         "FD",
-        said(
-            "6.6.1/way",
-            "The highest bit of byte 4 is the direction.",
-            "motion/move_relative_pulses/opposite",
-            "motion/run_speed/same-sense",
-        ),
+        said("6.6.1/way", "The highest bit of byte 4 is the direction.",
+            "motion/move_relative_pulses/opposite", "motion/run_speed/same-sense"),
         said("6.6.1/reserved", "Bits 6 to 4 of byte 4 are reserved.", "ranges/move_relative_pulses/reserved"),
-        said(
-            "6.6.1/20-turns",
-            "FA00h pulses are 20 turns at 16 subdivisions.",
-            "examples/move_relative_pulses/*",
-            "motion/move_relative_pulses/distance",
-            "motion/move_relative_pulses/behind-ended",
-        ),
+        said("6.6.1/20-turns", "FA00h pulses are 20 turns at 16 subdivisions.",
+            "examples/move_relative_pulses/*", "motion/move_relative_pulses/distance",
+            "motion/move_relative_pulses/behind-ended"),
         said("6.6.1/subdivision", "A turn has 3200 pulses at 16 subdivisions.", "motion/set_subdivision/pulses-at-16"),
     ),
     *_stop("6.6.2", "stop_relative_pulses", "FD"),
@@ -468,18 +334,10 @@ _MOTION = (
         "6.7.1",
         "move_absolute_pulses",
         "FE",
-        said(
-            "6.7.1/anywhere",
-            "It goes there from any place.",
-            "motion/move_absolute_pulses/again",
-            "motion/move_absolute_pulses/same-place",
-        ),
-        said(
-            "6.7.1/below-zero",
-            "FFFFC000h is -4000h.",
-            "motion/move_absolute_pulses/reads-as-asked",
-            "examples/move_absolute_pulses/2",
-        ),
+        said("6.7.1/anywhere", "It goes there from any place.",
+            "motion/move_absolute_pulses/again", "motion/move_absolute_pulses/same-place"),
+        said("6.7.1/below-zero", "FFFFC000h is -4000h.",
+            "motion/move_absolute_pulses/reads-as-asked", "examples/move_absolute_pulses/2"),
     ),
     *_stop("6.7.2", "stop_absolute_pulses", "FE"),
     *_move(
@@ -487,42 +345,22 @@ _MOTION = (
         "move_relative_axis",
         "F4",
         said("6.8.1/axis", "The axis is the value that 31 reads.", "motion/move_relative_axis/sign"),
-        said(
-            "6.8.1/forward",
-            "From 8000h by 4000h it ends at C000h.",
-            "examples/move_relative_axis/1",
-            "motion/move_relative_axis/sign",
-        ),
-        said(
-            "6.8.1/back",
-            "From 8000h by -4000h it ends at 4000h.",
-            "examples/move_relative_axis/2",
-            "motion/move_relative_axis/opposite",
-        ),
+        said("6.8.1/forward", "From 8000h by 4000h it ends at C000h.",
+            "examples/move_relative_axis/1", "motion/move_relative_axis/sign"),
+        said("6.8.1/back", "From 8000h by -4000h it ends at 4000h.",
+            "examples/move_relative_axis/2", "motion/move_relative_axis/opposite"),
     ),
     *_stop("6.8.2", "stop_relative_axis", "F4"),
     *_move(
         "6.9.1",
         "move_absolute_axis",
         "F5",
-        said(
-            "6.9.1/axis",
-            "The axis is the value that 31 reads.",
-            "motion/move_absolute_axis/sign",
-            "motion/move_absolute_axis/reads-as-asked",
-        ),
-        said(
-            "6.9.1/anywhere",
-            "It goes there from any place.",
-            "motion/move_absolute_axis/again",
-            "motion/move_absolute_axis/same-place",
-        ),
-        said(
-            "6.9.1/below-zero",
-            "FFFFC000h is -4000h.",
-            "motion/move_absolute_axis/reads-as-asked",
-            "examples/move_absolute_axis/2",
-        ),
+        said("6.9.1/axis", "The axis is the value that 31 reads.",
+            "motion/move_absolute_axis/sign", "motion/move_absolute_axis/reads-as-asked"),
+        said("6.9.1/anywhere", "It goes there from any place.",
+            "motion/move_absolute_axis/again", "motion/move_absolute_axis/same-place"),
+        said("6.9.1/below-zero", "FFFFC000h is -4000h.",
+            "motion/move_absolute_axis/reads-as-asked", "examples/move_absolute_axis/2"),
     ),
     *_stop("6.9.2", "stop_absolute_axis", "F5"),
     # Part 7
@@ -531,25 +369,14 @@ _MOTION = (
     said("7.4/save", "FA 01 FF C8 is answered by status 1.", "examples/save_speed/1"),
     said("7.4/stop", "FA 01 F6 00 00 02 stops the motor.", "examples/stop_speed/*"),
     said("7.4/power-on", "Then the motor turns as was kept when power comes on.", "read-back/save_speed/power"),
-    said(
-        "7.5/200-turns",
-        "9C400h pulses are 200 turns, told by 1 and then by 2.",
-        "examples/move_relative_pulses/*",
-        "motion/move_relative_pulses/replies",
-    ),
-    said(
-        "7.5/1000-turns",
-        "30D400h pulses the other way are 1000 turns.",
-        "examples/move_relative_pulses/*",
-        "motion/move_relative_pulses/opposite",
-    ),
-    said(
-        "7.5/stop",
-        "A stop under way is told by 1 and then by 2.",
-        "motion/stop_relative_pulses/replies",
-        "examples/stop_relative_pulses/*",
-    ),
+    said("7.5/200-turns", "9C400h pulses are 200 turns, told by 1 and then by 2.",
+        "examples/move_relative_pulses/*", "motion/move_relative_pulses/replies"),
+    said("7.5/1000-turns", "30D400h pulses the other way are 1000 turns.",
+        "examples/move_relative_pulses/*", "motion/move_relative_pulses/opposite"),
+    said("7.5/stop", "A stop under way is told by 1 and then by 2.",
+        "motion/stop_relative_pulses/replies", "examples/stop_relative_pulses/*"),
 )
+# fmt: on
 
 _NO_SWITCH = (
     said("3.13/silent", "UartRSP silences the answers of speed and position commands.", "motion/set_respond/0-silences-*"),

@@ -507,11 +507,9 @@ STATES: Rows = {
     ),
     "motion": (
         Row("newer-target-refused", "F5 is refused while a move is under way", before(F5, mks.refuse_newer)),
-        Row(
-            "pulses-signed",
-            "FD takes the upper half of its pulses as negative",
-            asked("pulses", lambda value, field: value - (1 << field.bit_width) if value >> field.bit_width - 1 else value, FD),
-        ),
+        Row("pulses-signed", "FD takes the upper half of its pulses as negative",
+            asked("pulses", lambda value, field: value - (1 << field.bit_width) if value >> field.bit_width - 1 else value,
+                FD)),
         Row("off-refused-while-turning", "F3 is refused while the shaft turns",
             before(Verb.ENABLE, mks.refuse_off_while_turning)),
         Row("zero-ignored-while-turning", "92 does nothing while the shaft turns",

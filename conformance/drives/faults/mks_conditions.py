@@ -592,13 +592,9 @@ TOLD: Rows = {
         Row("error-counts-turns", "39 tells the turns made", result(_whole_turns, Verb.READ_ANGLE_ERROR)),
         Row("slow-speed-zero", "32 tells 0 below 5 rpm",
             result(lambda d, c, q, found: {"speed": 0} if abs(found["speed"]) < _VERY_SLOW else found, Verb.READ_SPEED)),
-        Row(
-            "slow-speed-tenfold",
-            "32 tells tenths of a rpm below 20 rpm",
-            result(
-                lambda d, c, q, found: {"speed": found["speed"] * 10} if abs(found["speed"]) < 20 else found, Verb.READ_SPEED
-            ),
-        ),
+        Row("slow-speed-tenfold", "32 tells tenths of a rpm below 20 rpm",
+            result(lambda d, c, q, found: {"speed": found["speed"] * 10} if abs(found["speed"]) < 20 else found,
+                Verb.READ_SPEED)),
     ),
     "ports": (Row("ports-given-back-by-moves", "a move gives written ports back", before(_MOVES, _give_ports_back), CAN),),
     "reply layout": (
@@ -1325,13 +1321,9 @@ DOING: Rows = {
         Row("home-over-motion-refused", "91 is refused while the shaft turns", refused_when(_turns, Verb.HOME)),
         Row("fast-stop-ignored", "stops are ignored above 1000 rpm", undone_when(_faster(_VERY_FAST), _ENDS)),
         Row("fast-at-once-by-ramp", "stops with acceleration 0 are slow above 1000 rpm", request(_slow_when_fast, STOPS)),
-        Row(
-            "run-unstopped-by-fd",
-            "the stop of FD does not end a run of F6 that turns clockwise",
-            undone_when(
-                lambda drive: drive.memory.run is not None and drive.motor.speed(drive.now_ns) < 0, Verb.STOP_RELATIVE_PULSES
-            ),
-        ),
+        Row("run-unstopped-by-fd", "the stop of FD does not end a run of F6 that turns clockwise",
+            undone_when(lambda drive: drive.memory.run is not None and drive.motor.speed(drive.now_ns) < 0,
+                Verb.STOP_RELATIVE_PULSES)),
         Row("rising-stop-ignored", "stops are ignored while the shaft speeds up", undone_when(_rises, _ENDS)),
         Row("falling-emergency-ignored", "F7 does nothing while the shaft slows down",
             undone_when(_falls, Verb.EMERGENCY_STOP)),
@@ -1457,13 +1449,9 @@ DOING: Rows = {
                 ]
             ),
         ),
-        Row(
-            "pulse-mode-obeys-package",
-            "motion in a package is executed in a pulse mode",
-            Change(
-                tuned(_made_ready_by(_in_a_package, MOTIONS, lambda drive: drive.heedless.add("work_mode"))).install, NATIVE
-            ),
-        ),
+        Row("pulse-mode-obeys-package", "motion in a package is executed in a pulse mode",
+            Change(tuned(_made_ready_by(_in_a_package, MOTIONS, lambda drive: drive.heedless.add("work_mode"))).install,
+                NATIVE)),
         Row("package-fourth-slot-unsigned", "F4 in the fourth slot of a package has no sign",
             _in_packages(lambda values: values | {"position": abs(values["position"])}, Verb.MOVE_RELATIVE_AXIS, (4,))),
     ),

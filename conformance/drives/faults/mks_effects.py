@@ -360,13 +360,9 @@ EFFECTS: Rows = {
             Change(storing(_in_steps, "current").install, CAN)),
         Row("slow-homing-capped", "91 turns at the home speed, but at 1000 rpm at most",
             homing_by(lambda settings: {"home_speed": min(settings["home_speed"], 1000)})),
-        Row(
-            "home-backs-off-half-a-turn",
-            "from a closed end stop homing goes back half a turn, whatever the return angle is",
-            Change(
-                homing_by(lambda s: {} if s["home_mode"] else {"return_angle": mks_shared.COUNTS_PER_TURN // 2}).install, CAN
-            ),
-        ),
+        Row("home-backs-off-half-a-turn", "from a closed end stop homing goes back half a turn, whatever the return angle is",
+            Change(homing_by(lambda s: {} if s["home_mode"] else {"return_angle": mks_shared.COUNTS_PER_TURN // 2}).install,
+                CAN)),
         Row("home-backs-off-16-bits", "from a closed end stop homing goes back by the low 16 bits of the return angle",
             Change(homing_by(lambda s: {} if s["home_mode"] else {"return_angle": s["return_angle"] & 0xFFFF}).install, CAN)),
         Row("small-tolerance-coarse", "stall tolerances below 72 degrees hold as that", _tolerance(72, max)),
