@@ -15,7 +15,21 @@ from analyzer.link import WRITE_ONE
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
-from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned, when_home, with_state, wrapped
+from conformance.drives.faults.mks_behaviour import (
+    OK,
+    as_given,
+    before,
+    by_laws,
+    clinging,
+    enclose,
+    forgetful,
+    mks,
+    overridden,
+    tuned,
+    when_home,
+    with_state,
+    wrapped,
+)
 from conformance.drives.faults.mks_frames import own, slots
 from conformance.drives.faults.places import (
     CAN,
@@ -46,6 +60,8 @@ from conformance.drives.mks.paths import Phase
 from conformance.drives.mks.state import way_of
 
 Condition = Callable[[MksCore], bool]
+#: The method of a drive that tells the end of a motion.
+Tell = Callable[[Request, Values], None]
 #: How long a drive is deaf after motion, and the pause after which it loses a request.
 _DEAF_NS, _PAUSE_NS = 3_000_000_000, 20_000_000_000
 #: Speeds beyond which a fault of a fast shaft holds (rpm).
@@ -223,16 +239,12 @@ def _is_for_group(drive: Drive, message: Message) -> bool:
     return bool(message.address) and message.address == drive.settings.get("group_address") != drive.address
 
 
-def _obey_without_check(drive: MksCore) -> None:
+def _obey_without_check(receive: Callable[..., list[Outgoing]], drive: MksCore, frame: Frame, t_ns: int) -> list[Outgoing]:
     """Halt at a frame of the code of the emergency stop alone."""
-    code, take = drive.dialect.by_verb[Verb.EMERGENCY_STOP].code, drive.receive
-
-    def receive(frame: Frame, t_ns: int) -> list[Outgoing]:
-        if frame.data == bytes((code,)) and frame.can is not None and frame.can.id == drive.address:
-            frame = replace(frame, data=drive.dialect.link.completed(frame.data, frame.can.id), checksum_ok=True)
-        return take(frame, t_ns)
-
-    drive.receive = receive  # type: ignore[method-assign]
+    code = drive.dialect.by_verb[Verb.EMERGENCY_STOP].code
+    if frame.data == bytes((code,)) and frame.can is not None and frame.can.id == drive.address:
+        frame = replace(frame, data=drive.dialect.link.completed(frame.data, frame.can.id), checksum_ok=True)
+    return receive(frame, t_ns)
 
 
 def _deaf_after_motion(drive: MksCore) -> None:
@@ -516,7 +528,8 @@ HEARING: Rows = {
         Row("hears-bad-group-bit-4", "a group address that differs by 10h is obeyed", _heard_by_group(4)),
         Row("group-motion-answered", "motion to the group is answered", answered(_answers_group), NATIVE),
     ),
-    "length": (Row("emergency-without-check", "F7 is obeyed without its check", tuned(_obey_without_check), CAN),),
+    "length": (Row("emergency-without-check", "F7 is obeyed without its check",
+                   overridden("receive", _obey_without_check), CAN),),
 }
 # fmt: on
 
@@ -618,9 +631,7 @@ def _latched(drive: MksCore) -> None:
         return values
 
     drive.hooks.request.append(watch)
-    for verb in MOTIONS & drive.behaviours.keys():
-        obey = drive.behaviours[verb]
-        drive.behaviours[verb] = lambda core, asked, obey=obey: core.refused(asked) if latched else obey(core, asked)  # type: ignore[misc]
+    enclose(drive, MOTIONS, lambda obey, core, request: core.refused(request) if latched else obey(core, request))
 
 
 def _halt_first(drive: MksCore, request: Request) -> None:
@@ -658,21 +669,16 @@ def _as_sent_at_128(drive: Drive, command: Command, values: Values) -> Values:
 def _back_as(change: Callable[[MksCore], Mapping[str, int]]) -> Change:
     """Go back to the zero at power-on as though some settings were others."""
 
-    def tune(drive: MksCore) -> None:
-        power_on = drive.power_on
+    def other(power_on: Callable[[MksCore], None], drive: MksCore, _: MksCore) -> None:
+        changed = change(drive)
+        kept = {name: drive.settings[name] for name in changed}
+        drive.settings.update(changed)
+        try:
+            power_on(drive)
+        finally:
+            drive.settings.update(kept)
 
-        def other(drive: MksCore) -> None:
-            changed = change(drive)
-            kept = {name: drive.settings[name] for name in changed}
-            drive.settings.update(changed)
-            try:
-                power_on(drive)
-            finally:
-                drive.settings.update(kept)
-
-        drive.power_on = other
-
-    return Change(tuned(tune).install, having(Verb.SET_ZERO_MODE))
+    return overridden("power_on", other, having(Verb.SET_ZERO_MODE))
 
 
 def _back_with(name: str, change: Callable[[int], int]) -> Change:
@@ -704,9 +710,8 @@ def _at_a_limit(drive: MksCore) -> bool:
     return drive.at_limit(1) or drive.at_limit(-1)
 
 
-def _slow_open_home(drive: MksCore) -> None:
-    held = drive.settings
-    drive.home_settings = lambda: held | {"home_speed": held["home_speed"] // 2} if "open" in drive.mode else held
+def _slow_open_home(held: Callable[[], Mapping[str, int]], drive: MksCore) -> Mapping[str, int]:
+    return {**held(), "home_speed": held()["home_speed"] // 2} if "open" in drive.mode else held()
 
 
 def _turned_by_setting(drive: Drive, command: Command, values: Values) -> Values:
@@ -798,16 +803,11 @@ def _runs_round(drive: MksCore) -> None:
     )
 
 
-def _once(drive: MksCore) -> None:
+def _once(power_on: Callable[[MksCore], None], drive: MksCore, _: MksCore) -> None:
     """Forget the saved run when it has begun."""
-    power_on = drive.power_on
-
-    def started(core: MksCore) -> None:
-        power_on(core)
-        if core.memory.run is not None:
-            core.settings["saved_run"] = 0
-
-    drive.power_on = started
+    power_on(drive)
+    if drive.memory.run is not None:
+        drive.settings["saved_run"] = 0
 
 
 def _stored_as(name: str, change: Callable[[int], int]) -> Change:
@@ -833,23 +833,17 @@ def _in_packages(change: Callable[[Values], Values], of: Verb, slots: Collection
         drive.hooks.slots.append(note)
         drive.hooks.request.append(apply)
 
-    return Change(tuned(install).install, NATIVE)
+    return tuned(install, NATIVE)
 
 
-def _left_elsewhere(drive: MksCore) -> None:
+def _left_elsewhere(way: Callable[[str], int], drive: MksCore, side: str) -> int:
     """Take the left to be clockwise, but for homing."""
-    way = drive.side_way
-    drive.side_way = lambda side: way(side) if drive.task is not None else (-1 if side == "left" else 1)  # type: ignore[method-assign]
+    return way(side) if drive.task is not None else -1 if side == "left" else 1
 
 
 def _limits_passed(when: Callable[[MksCore, str], bool]) -> Change:
     """Have no limit on a side (`left`, `right`) in a condition."""
-
-    def install(drive: MksCore) -> None:
-        reached = drive._limit_time
-        drive._limit_time = lambda side: None if when(drive, side) else reached(side)  # type: ignore[method-assign]
-
-    return tuned(install)
+    return overridden("_limit_time", lambda reached, drive, side: None if when(drive, side) else reached(side))
 
 
 def _is(message: Message, verb: Verb) -> bool:
@@ -865,20 +859,20 @@ def _fast(values: Values) -> bool:
     return bool(values["speed"] > _FAST)
 
 
-def _taking_up(behaviour: Behaviour) -> Behaviour:
+def _taking_up(drive: MksCore) -> None:
     """Begin the move again that was under way when the motor was switched off."""
     ended: list[Request] = []
 
-    def act(drive: MksCore, request: Request) -> Values | None:
+    def act(enable: Behaviour, core: MksCore, request: Request) -> Values | None:
         if not request.values["enabled"]:
-            ended[:] = [drive.task.request] if drive.task is not None and drive.task.request is not None else []
-            return behaviour(drive, request)
-        result = behaviour(drive, request)
+            ended[:] = [core.task.request] if core.task is not None and core.task.request is not None else []
+            return enable(core, request)
+        result = enable(core, request)
         if ended and ended[0].command.verb in _MOVES:
-            drive.behaviours[ended[0].command.verb](drive, ended.pop())
+            core.behaviours[ended[0].command.verb](core, ended.pop())
         return result
 
-    return act
+    enclose(drive, Verb.ENABLE, act)
 
 
 def _halted_run_taken_up(drive: MksCore) -> None:
@@ -913,29 +907,11 @@ def _turned(drive: MksCore, speed: int) -> int:
     return -speed if drive.settings["motor_direction"] else speed
 
 
-def _unlimited_while_turning(behaviour: Behaviour) -> Behaviour:
-    def act(drive: MksCore, request: Request) -> Values | None:
-        highest = drive.highest_speed
-        if "close" in drive.mode and _turns(drive):
-            drive.highest_speed = lambda declared: declared  # type: ignore[method-assign]
-        result = behaviour(drive, request)
-        drive.highest_speed = highest  # type: ignore[method-assign]
-        return result
-
-    return act
-
-
-def _open_enables(drive: MksCore) -> None:
-    change = drive.behaviours[Verb.SET_WORK_MODE]
-
-    def act(core: MksCore, request: Request) -> Values | None:
-        result = change(core, request)
-        if "open" in core.mode:
-            core.memory.enabled = True
-            core.grip()
-        return result
-
-    drive.behaviours[Verb.SET_WORK_MODE] = act
+def _open_enables(change: Behaviour, drive: MksCore, request: Request) -> Values | None:
+    result = change(drive, request)
+    if "open" in drive.mode:
+        _switch_on(drive)
+    return result
 
 
 def _halted_back(drive: MksCore, request: Request) -> None:
@@ -1014,26 +990,16 @@ def _homes_by_wall(drive: MksCore) -> bool:
 def _told_to_all(of: Callable[[Request, Values], bool]) -> Change:
     """Tell the ends of some motions also where several drives were asked."""
 
-    def change(drive: MksCore) -> None:
-        complete = drive.complete
+    def tell(complete: Tell, drive: MksCore, request: Request, values: Values) -> None:
+        request.answered = request.answered or of(request, values)
+        complete(request, values)
 
-        def tell(request: Request, values: Values) -> None:
-            request.answered = request.answered or of(request, values)
-            complete(request, values)
-
-        drive.complete = tell  # type: ignore[method-assign]
-
-    return tuned(change, TELLING)
+    return overridden("complete", tell, TELLING)
 
 
-def _home_silenced(drive: MksCore) -> None:
+def _home_silenced(silenced: Callable[[Command], bool], drive: MksCore, command: Command) -> bool:
     """Take the replies of homing for those of a motion, which 8C silences."""
-    silenced = drive.silenced
-
-    def silences(command: Command) -> bool:
-        return silenced(command) or (command.verb is Verb.HOME and not drive.settings["respond"])
-
-    drive.silenced = silences  # type: ignore[method-assign]
+    return silenced(command) or (command.verb is Verb.HOME and not drive.settings["respond"])
 
 
 def _locked_by_restart(drive: MksCore) -> None:
@@ -1090,16 +1056,12 @@ def _tired(drive: MksCore) -> None:
     """Refuse motion when there were many."""
     begun = 0
 
-    def tire(obey: Behaviour) -> Behaviour:
-        def behave(core: MksCore, request: Request) -> Values | None:
-            nonlocal begun
-            begun += 1
-            return core.refused(request) if begun > _MANY else obey(core, request)
+    def tire(obey: Behaviour, core: MksCore, request: Request) -> Values | None:
+        nonlocal begun
+        begun += 1
+        return core.refused(request) if begun > _MANY else obey(core, request)
 
-        return behave
-
-    for verb in MOTIONS & drive.behaviours.keys():
-        drive.behaviours[verb] = tire(drive.behaviours[verb])
+    enclose(drive, MOTIONS, tire)
 
 
 def _hasty_lost(drive: MksCore) -> None:
@@ -1118,17 +1080,12 @@ def _zero_not_cleaned(drive: MksCore, request: Request) -> Values | None:
     return dict(OK) if request.values["set_zero"] == mks_shared.ZeroPoint.CLEAN else None
 
 
-def _home_told(drive: MksCore) -> None:
+def _home_told(complete: Tell, drive: MksCore, request: Request, values: Values) -> None:
     """Tell the end of homing also where `active` is off."""
-    complete = drive.complete
-
-    def tell(request: Request, values: Values) -> None:
-        active = drive.settings.get("active", 1)
-        drive.settings["active"] = active or request.command.verb is Verb.HOME
-        complete(request, values)
-        drive.settings["active"] = active
-
-    drive.complete = tell  # type: ignore[method-assign]
+    active = drive.settings.get("active", 1)
+    drive.settings["active"] = active or request.command.verb is Verb.HOME
+    complete(request, values)
+    drive.settings["active"] = active
 
 
 def _of_old_zero(drive: Drive, command: Command, values: Values) -> Values:
@@ -1136,15 +1093,10 @@ def _of_old_zero(drive: Drive, command: Command, values: Values) -> Values:
     return values | {"position": values["position"] + 500} if _homed(mks(drive)) else values
 
 
-def _ccw_home_untold(drive: MksCore) -> None:
+def _ccw_home_untold(complete: Tell, drive: MksCore, request: Request, values: Values) -> None:
     """Do not tell the end of homing counter-clockwise."""
-    complete = drive.complete
-
-    def tell(request: Request, values: Values) -> None:
-        if request.command.verb is not Verb.HOME or drive.settings["home_direction"] != mks_shared.ConfigDirection.CCW:
-            complete(request, values)
-
-    drive.complete = tell  # type: ignore[method-assign]
+    if request.command.verb is not Verb.HOME or drive.settings["home_direction"] != mks_shared.ConfigDirection.CCW:
+        complete(request, values)
 
 
 def _untold(drive: MksCore, request: Request) -> None:
@@ -1193,27 +1145,21 @@ def _deaf_to_direction(drive: MksCore) -> None:
     )
 
 
-def _shortened(shorten: Callable[[MksCore, Frame], bytes], wanted: Callable[[Command], bool]) -> Callable[[MksCore], None]:
+def _shortened(shorten: Callable[[MksCore, Frame], bytes], wanted: Callable[[Command], bool]) -> Change:
     """Take CAN frames that are too long as what is left of them, where that is a command that is wanted."""
 
-    def install(drive: MksCore) -> None:
-        take = drive._take
+    def taken(take: Callable[[Frame], None], drive: MksCore, frame: Frame) -> None:
+        can = frame.can
+        if can is not None and len(frame.data) >= _LEAST_LONG:
+            data = shorten(drive, frame)
+            if data != frame.data and drive.dialect.link.fits(data, can.id):
+                shorter = replace(frame, data=data, can=replace(can, data=data), checksum_ok=True)
+                message = drive.responder.read(shorter)
+                if message.form is not None and message.command is not None and wanted(message.command):
+                    frame = shorter
+        take(frame)
 
-        def taken(frame: Frame) -> None:
-            can = frame.can
-            if can is not None and len(frame.data) >= _LEAST_LONG:
-                data = shorten(drive, frame)
-                if data != frame.data and drive.dialect.link.fits(data, can.id):
-                    shorter = replace(frame, data=data, can=replace(can, data=data), checksum_ok=True)
-                    message = drive.responder.read(shorter)
-                    if message.form is not None and message.command is not None and wanted(message.command):
-                        take(shorter)
-                        return
-            take(frame)
-
-        drive._take = taken  # type: ignore[method-assign]
-
-    return install
+    return overridden("_take", taken, CAN)
 
 
 def _byte_behind(drive: MksCore, frame: Frame) -> bytes:
@@ -1278,15 +1224,17 @@ DOING: Rows = {
         Row("protected-moves-backwards", "motion backwards is obeyed while protected",
             with_state(MOTIONS, _backwards, protected=False)),
         Row("enabling-takes-up-halted", "F3 01 takes up a run that F7 ended", tuned(_halted_run_taken_up)),
-        Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", wrapped(Verb.ENABLE, _taking_up)),
+        Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", tuned(_taking_up)),
     ),
     "turned": (
         Row("direction-after-restart", "86 turns F4 round from a restart on", _after_restart(_axis_turned), SERIAL),
-        Row("lock-in-open", "82 to the open mode enables the motor, whatever 8F says", tuned(_open_enables), CAN),
+        Row("lock-in-open", "82 to the open mode enables the motor, whatever 8F says",
+            wrapped(Verb.SET_WORK_MODE, _open_enables), CAN),
         Row("direction-turns-speed", "86 turns the speed that 32 tells",
             result(lambda d, c, sent, found: found | {"speed": _turned(mks(d), found["speed"])}, Verb.READ_SPEED), SERIAL),
         Row("close-unlimited-while-turning", "F5 in the close mode turns at up to 3000 rpm where the shaft turns already",
-            wrapped(Verb.MOVE_ABSOLUTE_AXIS, _unlimited_while_turning), SERIAL),
+            by_laws(Verb.MOVE_ABSOLUTE_AXIS, lambda drive: "close" in drive.mode and _turns(drive), highest_speed=as_given),
+            SERIAL),
         Row("back-at-once", "FE back during FE halts the shaft first", before(Verb.MOVE_ABSOLUTE_PULSES, _halted_back)),
     ),
     "restored": tuple(
@@ -1310,7 +1258,7 @@ DOING: Rows = {
         Row("near-by-quarters", "9A takes the longer way to a zero that is a quarter of a turn above and more",
             _back_as(_near_by_quarters)),
         Row("short-way-down", "9A goes clockwise to a zero that is a little above", _back_as(_short_way_down)),
-        Row("homing-always-told", "the end of homing is told with active 0 too", tuned(_home_told), NATIVE),
+        Row("homing-always-told", "the end of homing is told with active 0 too", overridden("complete", _home_told), NATIVE),
     ),
     "stop": (
         Row("steep-stop-ignored", "stops with an acceleration of 128 and more do nothing", before(STOPS, _above_127)),
@@ -1344,26 +1292,26 @@ DOING: Rows = {
         Row("f5-as-sent-at-128", "at 128 subdivisions F5 has its speed as sent",
             request(_as_sent_at_128, Verb.MOVE_ABSOLUTE_AXIS)),
         Row("high-pulses-back", "FD goes back where the top bit of its pulses is set",
-            Change(request(_back, Verb.MOVE_RELATIVE_PULSES).install, SERIAL)),
+            request(_back, Verb.MOVE_RELATIVE_PULSES), SERIAL),
     ),
     "direction": (
         Row("direction-turns-fe", "86 turns moves by FE",
-            Change(request(_turned_by_setting, Verb.MOVE_ABSOLUTE_PULSES).install, SERIAL)),
+            request(_turned_by_setting, Verb.MOVE_ABSOLUTE_PULSES), SERIAL),
         Row("restart-turns-round", "after a restart F6 turns the other way", _after_restart(_runs_round)),
     ),
     "direction of the motor": (
         Row("direction-turns-open-runs", "86 turns runs in the open mode",
-            Change(request(_turned_open, Verb.RUN_SPEED).install, SERIAL)),
-        Row("direction-ends-motion", "86 stops the shaft", Change(before(Verb.SET_DIRECTION, _halted).install, SERIAL)),
+            request(_turned_open, Verb.RUN_SPEED), SERIAL),
+        Row("direction-ends-motion", "86 stops the shaft", before(Verb.SET_DIRECTION, _halted), SERIAL),
         Row("direction-lost-by-restart", "after a restart 86 turns no run", _after_restart(_deaf_to_direction), CAN),
     ),
     "frames": (
         Row("long-setting-stored", "settings with a byte behind their check are stored",
-            tuned(_shortened(_byte_behind, lambda command: command.verb.value.startswith("set_"))), CAN),
+            _shortened(_byte_behind, lambda command: command.verb.value.startswith("set_"))),
         Row("long-run-executed", "F6 with two bytes of data too many is executed",
-            tuned(_shortened(_two_bytes_more, lambda command: command.verb is Verb.RUN_SPEED)), CAN),
+            _shortened(_two_bytes_more, lambda command: command.verb is Verb.RUN_SPEED)),
         Row("long-settings-executed", "settings with two bytes of data too many are stored",
-            tuned(_shortened(_two_bytes_more, lambda command: command.verb.value.startswith("set_"))), CAN),
+            _shortened(_two_bytes_more, lambda command: command.verb.value.startswith("set_"))),
         Row("current-echo-low-byte", "the echo of 83 has the low byte alone", frames(_echo_byte, Verb.SET_CURRENT), MODBUS),
         Row("exception-2-turning", "an unknown function gets exception 02 while turning", frames(_exceptions_turning), MODBUS),
     ),
@@ -1371,16 +1319,16 @@ DOING: Rows = {
         Row("restart-speed-as-sent", "after a restart no speed is one of the subdivision", _after_restart(_speeds_as_sent)),
         Row("fine-subdivision-lost", "after a restart subdivisions above 128 are 16", _after_restart(_coarse)),
         Row("home-speed-byte", "after a restart the home speed has its low byte alone", _after_restart(_slow_home), SERIAL),
-        Row("enable-level-forgotten", "a restart forgets the level of En", Change(forgetful("enable_level").install, SERIAL)),
-        Row("baud-rate-lost", "a restart loses the speed of the line", Change(forgetful("baud_rate").install, SERIAL)),
-        Row("dialect-lost", "a restart loses the dialect", Change(forgetful("modbus").install, NATIVE)),
+        Row("enable-level-forgotten", "a restart forgets the level of En", forgetful("enable_level"), SERIAL),
+        Row("baud-rate-lost", "a restart loses the speed of the line", forgetful("baud_rate"), SERIAL),
+        Row("dialect-lost", "a restart loses the dialect", forgetful("modbus"), NATIVE),
         Row("wide-address-lost", "a restart takes an ID above FFh for none", _after_restart(_address_unset), CAN),
         Row("save-speed-without-direction", "a kept run begins as it was sent, without what 86 says",
             _after_restart(_run_without_direction), CAN),
         Row("user-id-unset-lost", "a restart takes the number FFFFFFFFh for none", _after_restart(_number_unset), CAN),
         Row("broadcast-settings-lost", "a restart loses what all drives were set to", _lost_if_sent(_is_for_all)),
         Row("group-settings-lost", "a restart loses what the group was set to",
-            Change(_lost_if_sent(_is_for_group).install, having(Verb.SET_GROUP_ADDRESS))),
+            _lost_if_sent(_is_for_group), having(Verb.SET_GROUP_ADDRESS)),
         Row("package-settings-lost", "a restart loses what was set in a package", _lost_if_sent(_in_a_package), NATIVE),
         Row(
             "turning-deaf-to-all-off",
@@ -1393,13 +1341,13 @@ DOING: Rows = {
             ),
         ),
         Row("tolerance-of-all-lost", "a stall tolerance that was set by a broadcast is lost by a restart",
-            Change(_lost_if_sent(_is_for_all, "stall_tolerance").install, CAN)),
+            _lost_if_sent(_is_for_all, "stall_tolerance"), CAN),
         Row("homing-deaf-to-stops-of-all", "the emergency stop to all drives is not heard while homing",
             _deaf_homing(Verb.EMERGENCY_STOP, _is_for_all)),
         Row("homing-deaf-to-group-off", "F3 by the group is not heard while homing",
-            Change(_deaf_homing(Verb.ENABLE, _is_for_group).install, having(Verb.SET_GROUP_ADDRESS))),
+            _deaf_homing(Verb.ENABLE, _is_for_group), having(Verb.SET_GROUP_ADDRESS)),
         Row("group-deaf-while-turning", "a move by the group is not heard while the shaft turns",
-            Change(taken(_deaf_to_group).install, having(Verb.SET_GROUP_ADDRESS))),
+            taken(_deaf_to_group), having(Verb.SET_GROUP_ADDRESS)),
         Row(
             "protection-of-all-unheard",
             "88 to all drives is not heard",
@@ -1410,7 +1358,7 @@ DOING: Rows = {
             ),
             SERIAL,
         ),
-        Row("saved-run-once", "a saved run begins at one power-on alone", tuned(_once)),
+        Row("saved-run-once", "a saved run begins at one power-on alone", overridden("power_on", _once)),
         Row("saved-ramp-lost", "a saved run begins without its ramp", _stored_as("saved_acceleration", lambda v: 0)),
         Row("saved-speed-byte", "a saved run has the low byte of its speed", _stored_as("saved_speed", lambda v: v & 0xFF)),
     ),
@@ -1450,13 +1398,13 @@ DOING: Rows = {
             ),
         ),
         Row("pulse-mode-obeys-package", "motion in a package is executed in a pulse mode",
-            Change(tuned(_made_ready_by(_in_a_package, MOTIONS, lambda drive: drive.heedless.add("work_mode"))).install,
-                NATIVE)),
+            tuned(_made_ready_by(_in_a_package, MOTIONS, lambda drive: drive.heedless.add("work_mode"))), NATIVE),
         Row("package-fourth-slot-unsigned", "F4 in the fourth slot of a package has no sign",
             _in_packages(lambda values: values | {"position": abs(values["position"])}, Verb.MOVE_RELATIVE_AXIS, (4,))),
     ),
     "limit": (
-        Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes", tuned(_left_elsewhere)),
+        Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes",
+            overridden("side_way", _left_elsewhere)),
         Row("open-without-limits", "end limits do nothing in the open mode",
             _limits_passed(lambda drive, side: "open" in drive.mode)),
         Row("stuck-at-limit", "FD away from a closed end limit is refused",
@@ -1480,17 +1428,17 @@ DOING: Rows = {
         Row("group-left-by-address", "a new address takes the drive out of its group",
             before(Verb.SET_ADDRESS, _leave_group), having(Verb.SET_GROUP_ADDRESS)),
         Row("group-deaf-to-all", "a drive in a group does not hear broadcasts",
-            Change(taken(_own_and_group_alone).install, having(Verb.SET_GROUP_ADDRESS))),
+            taken(_own_and_group_alone), having(Verb.SET_GROUP_ADDRESS)),
     ),
     "update": (
         Row("update-undone", "F5 while the shaft turns says success and is lost", undone_when(_turns, Verb.MOVE_ABSOLUTE_AXIS)),
-        Row("current-capped", "currents above 2900 mA are stored as 2900", Change(_stored_as("current", _capped).install, CAN)),
+        Row("current-capped", "currents above 2900 mA are stored as 2900", _stored_as("current", _capped), CAN),
         Row("tolerance-capped", "stall tolerances above 360 degrees hold as that",
-            Change(_stored_as("stall_tolerance", lambda v: min(v, 200)).install, having(Verb.SET_STALL_TOLERANCE))),
+            _stored_as("stall_tolerance", lambda v: min(v, 200)), having(Verb.SET_STALL_TOLERANCE)),
     ),
     "homed": (
         Row("slow-run-after-homing", "the first run after 91 has the home speed at most", tuned(_slow_after_homing)),
-        Row("open-home-slow", "91 turns at half of its speed in the open mode", tuned(_slow_open_home)),
+        Row("open-home-slow", "91 turns at half of its speed in the open mode", overridden("home_settings", _slow_open_home)),
         Row("homing-back-as-stopped", "F1 says stopped on homing's way back",
             told_when(_homes_back, Verb.READ_STATUS, status=1)),
         Row("fe-of-old-zero", "FE behind homing counts from another zero", request(_of_old_zero, Verb.MOVE_ABSOLUTE_PULSES)),
@@ -1499,15 +1447,16 @@ DOING: Rows = {
             TELLING),
         Row("homing-untold-behind-setting", "the end of homing is not told when 83 comes on the way",
             before(Verb.SET_CURRENT, _untold), TELLING),
-        Row("homing-ccw-untold", "the end of homing counter-clockwise is not told", tuned(_ccw_home_untold), TELLING),
+        Row("homing-ccw-untold", "the end of homing counter-clockwise is not told",
+            overridden("complete", _ccw_home_untold), TELLING),
         Row("home-zero-at-wall", "homing to an obstacle zeroes the encoder and leaves the count of pulses",
             when_home(_pulses_beside), TELLING),
         Row("homing-ccw-lets-go", "homing counter-clockwise lets the shaft go at its end", when_home(_let_go_ccw)),
         Row("home-by-wall-unstopped", "F7 says success and does not end homing without a switch",
-            Change(undone_when(_homes_by_wall, Verb.EMERGENCY_STOP).install, TELLING)),
+            undone_when(_homes_by_wall, Verb.EMERGENCY_STOP), TELLING),
         Row("home-by-wall-as-stopped", "F1 says stopped while homing without a switch",
-            Change(told_when(_homes_by_wall, Verb.READ_STATUS, status=1).install, TELLING)),
-        Row("respond-silences-home", "91 is not answered with respond 0", tuned(_home_silenced, TELLING)),
+            told_when(_homes_by_wall, Verb.READ_STATUS, status=1), TELLING),
+        Row("respond-silences-home", "91 is not answered with respond 0", overridden("silenced", _home_silenced, TELLING)),
         Row("lock-by-restart", "41 holds the shaft, whatever 8F says", tuned(_locked_by_restart, CAN)),
         Row("home-told-by-all", "the end of homing is told though all drives or a group were asked",
             _told_to_all(lambda request, values: request.command.verb is Verb.HOME)),
