@@ -112,10 +112,6 @@ def _twice(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgo
     return (outgoing, outgoing)
 
 
-def _noisy(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
-    return (replace(outgoing, data=NOISE), outgoing)
-
-
 def _asleep() -> Say:
     """Lose the first reply after a pause."""
     last_ns = 0
@@ -237,7 +233,8 @@ LINK: Rows = {
     "shape": (
         Row("doubled-reply", "every reply is sent twice", frames(_twice), EVERY),
         Row("half-frame", "of every reply only the first half is sent", whole(lambda f: f[: len(f) // 2]), EVERY),
-        Row("spurious-bytes", "three bytes of noise come before every reply", frames(_noisy), EVERY),
+        Row("spurious-bytes", "three bytes of noise come before every reply",
+            frames(lambda drive, command, outgoing: (replace(outgoing, data=NOISE), outgoing)), EVERY),
         Row("trailing-byte", "a zero byte comes behind every reply", whole(lambda f: f + b"\0"), EVERY),
         Row("echo", "the request is repeated before every reply", Change(_echo), EVERY),
         Row("pause-in-frame", "every reply stops for 40 ms in its middle", frames(_halting), SERIAL + LK),

@@ -113,10 +113,6 @@ def _keeps_faster(drive: LkDrive) -> None:
     drive.motor.go = faster  # type: ignore[method-assign]
 
 
-def _letting_go(drive: LkDrive, request: Request) -> None:
-    drive.motor.hold(braked=False)
-
-
 # --- what is told -----------------------------------------------------------------------------------------------------
 
 
@@ -242,7 +238,8 @@ CONDITIONS: Rows = {
             _limits(lambda limits: replace(limits, angle=limits.angle if limits.angle <= 360 else 1e9))),
     ),
     "brake": tuple(
-        Row(f"lk-{kind}-release-brake", f"{text} releases a brake that holds", moving(names, _letting_go, after=True))
+        Row(f"lk-{kind}-release-brake", f"{text} releases a brake that holds",
+            moving(names, lambda drive, request: drive.motor.hold(braked=False), after=True))
         for kind, text, names in (
             ("runs", "a run at a speed", ("run_speed",)),
             ("moves", "a move over several turns", MULTI_TURN),

@@ -7,7 +7,6 @@ from dataclasses import replace as replaced_limits
 
 from analyzer.catalogue import Verb
 from analyzer.codec import codec
-from analyzer.layout import Field
 from analyzer.protocols.lk_rs485 import CURRENT_MODELS, DIALECT, HUNDREDTH, POWER_MODELS, BrakeControl, SpinDirection
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Hooks, Request
@@ -249,10 +248,6 @@ def _unlimited_clockwise(drive: LkDrive, request: Request) -> None:
     drive.motor.move_by(distance, drive.motor.build.top_speed if distance > 0 else None)
 
 
-def _half_range(value: int, field: Field) -> int:
-    return max(-1024, min(1024, value))
-
-
 def _keeping_speed(hooks: Hooks) -> None:
     """Let the speed of a limited increment hold for the move to a position behind it."""
     tops: list[float] = []
@@ -453,7 +448,8 @@ ROWS: Rows = {
         Row("lk-speed-ramp-ignored", "the speed ramp of 0xC1 has no effect", _without_effect("speed_ramp")),
         Row("lk-torque-limit-of-runs-alone", "the torque limit has no effect on 0xA7",
             replaced("move_increment", _without("torque", lambda drive, request: True))),
-        Row("lk-torque-half-range", "0xA1 gives 1024 at most", asked("torque_current", _half_range)),
+        Row("lk-torque-half-range", "0xA1 gives 1024 at most",
+            asked("torque_current", lambda value, field: max(-1024, min(1024, value)))),
         Row("lk-max-speed-kept", "the max_speed of 0xA8 limits the next 0xA3", Change(_keeping_speed, LK)),
         Row("lk-torque-limit-one-way", "the torque limit does not hold for a torque below 0", tuned(limited_one_way)),
         Row("lk-torque-limit-told-one-way", "the torque limit does not hold for a torque below 0, which 0x9C tells as limited",

@@ -605,6 +605,11 @@ def keep_ports(drive: MksCore, request: Request) -> Values | None:
     return None if request.values["alm_mask"] or request.values["pend_mask"] else dict(OK)
 
 
+def leave_group(drive: MksCore, request: Request) -> None:
+    """Take the drive out of its group."""
+    drive.settings["group_address"] = 0
+
+
 def store_refused(drive: Drive, command: Command, values: Values, wanted: bool) -> bool:
     """Store what is allowed of a setting that is refused."""
     if not wanted and command.verb is Verb.SET_HOME:

@@ -16,6 +16,7 @@ from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import (
+    MOVES,
     OK,
     as_given,
     before,
@@ -23,9 +24,12 @@ from conformance.drives.faults.mks_behaviour import (
     clinging,
     enclose,
     forgetful,
+    hold,
+    leave_group,
     mks,
     overridden,
     tuned,
+    turns,
     when_home,
     with_state,
     wrapped,
@@ -68,7 +72,6 @@ _DEAF_NS, _PAUSE_NS = 3_000_000_000, 20_000_000_000
 _FAST, _VERY_FAST = 500, 1000
 _VERY_SLOW, _CRAWLS = 5, 30
 _BY_COUNTS = frozenset({Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS})
-_MOVES = MOTIONS - {Verb.RUN_SPEED}
 _ENDS = STOPS | {Verb.EMERGENCY_STOP}
 _BITS = 16
 #: The highest number of a byte, and by how many counts a count of pulses is off.
@@ -81,10 +84,6 @@ def _rpm(drive: MksCore) -> float:
     return float(drive.motor.speed(drive.now_ns))
 
 
-def _turns(drive: MksCore) -> bool:
-    return _rpm(drive) != 0
-
-
 def _rises(drive: MksCore) -> bool:
     return drive.motor.phase(drive.now_ns) is Phase.SPEEDING_UP
 
@@ -95,14 +94,6 @@ def _falls(drive: MksCore) -> bool:
 
 def _faster(rpm: float) -> Condition:
     return lambda drive: abs(_rpm(drive)) > rpm
-
-
-def _off(drive: MksCore) -> bool:
-    return not drive.enabled
-
-
-def _below_zero(drive: MksCore) -> bool:
-    return drive.axis < -2 * drive.counts_per_turn
 
 
 def _full_and_fast(drive: MksCore) -> bool:
@@ -253,7 +244,7 @@ def _deaf_after_motion(drive: MksCore) -> None:
 
     def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
         nonlocal turned_ns
-        if _turns(drive):
+        if turns(drive):
             turned_ns = drive.now_ns
             return wanted
         return wanted and (turned_ns is None or drive.now_ns - turned_ns > _DEAF_NS)
@@ -338,11 +329,6 @@ def _made_ready_by(
         drive.behave = obey  # type: ignore[method-assign]
 
     return install
-
-
-def _switch_on(drive: MksCore) -> None:
-    drive.memory.enabled = True
-    drive.grip()
 
 
 def _unprotect(drive: MksCore) -> None:
@@ -443,10 +429,6 @@ def _silent_when(when: Condition, of: Of) -> Change:
     return frames(change, of)
 
 
-def _unanswered_and_turning(drive: MksCore) -> bool:
-    return not drive.settings["respond"] and _turns(drive)
-
-
 # fmt: off
 HEARING: Rows = {
     "deaf": (
@@ -467,10 +449,12 @@ HEARING: Rows = {
         Row("deaf-after-exception", "the request behind an exception, or behind FF FF for a parameter, is ignored",
             tuned(_deaf_after_exception), MODBUS + CAN),
         Row("deaf-after-long-pause", "the first request after 20 s of silence is lost", tuned(_deaf_after_a_pause)),
-        Row("silent-below-zero", "31 is not answered below -2 turns", _silent_when(_below_zero, Verb.READ_POSITION)),
+        Row("silent-below-zero", "31 is not answered below -2 turns",
+            _silent_when(lambda drive: drive.axis < -2 * drive.counts_per_turn, Verb.READ_POSITION)),
         Row("status-silent-with-respond-0", "with respond 0 F1 is not answered while the shaft turns",
-            _silent_when(_unanswered_and_turning, Verb.READ_STATUS), TELLING),
-        Row("silent-disabled", "motion is not answered while the motor is off", _silent_when(_off, MOTIONS), NATIVE),
+            _silent_when(lambda drive: not drive.settings["respond"] and turns(drive), Verb.READ_STATUS), TELLING),
+        Row("silent-disabled", "motion is not answered while the motor is off",
+            _silent_when(lambda drive: not drive.enabled, MOTIONS), NATIVE),
         Row("every-150th-lost", "every 150th reply is lost", every(150, lambda d, c, o: ())),
     ),
     "checksum": (
@@ -487,7 +471,7 @@ HEARING: Rows = {
         Row("broadcast-one-way", "F6 to all drives turns the shaft one way alone",
             _asked_to(_is_for_all, Verb.RUN_SPEED, lambda values: values | {"direction": 0})),
         Row("off-obeys-all", "F4 to all drives is executed by a motor that is off",
-            tuned(_made_ready_by(_is_for_all, Verb.MOVE_RELATIVE_AXIS, _switch_on))),
+            tuned(_made_ready_by(_is_for_all, Verb.MOVE_RELATIVE_AXIS, hold))),
         Row("protected-obeys-all", "FE to all drives is executed by a motor that is protected",
             tuned(_made_ready_by(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, _unprotect), having(Verb.RELEASE_PROTECTION))),
         Row("unguarded-by-all", "a motion to all drives is not protected against a locked rotor", tuned(_guards(_is_for_all))),
@@ -585,12 +569,12 @@ TOLD: Rows = {
     "order": (Row("respond-behind-active", "00 8C tells active first", result(_respond_and_active, Verb.READ_PARAMETER), CAN),),
     "frozen": (
         Row("carry-frozen-when-fast", "30 stays above 500 rpm", stale_when(_faster(_FAST), Verb.READ_ENCODER_CARRY)),
-        Row("pulses-counted-at-rest", "33 counts when the motion is over", stale_when(_turns, Verb.READ_PULSES)),
+        Row("pulses-counted-at-rest", "33 counts when the motion is over", stale_when(turns, Verb.READ_PULSES)),
     ),
     "status": (
         Row("fast-status-2", "F1 reads 2 at full speed above 500 rpm", told_when(_full_and_fast, Verb.READ_STATUS, status=2)),
         Row("open-status-0", "F1 reads 0 while the shaft turns in an open mode",
-            told_when(lambda drive: "open" in drive.mode and _turns(drive), Verb.READ_STATUS, status=0)),
+            told_when(lambda drive: "open" in drive.mode and turns(drive), Verb.READ_STATUS, status=0)),
         Row("slower-status-2", "F1 reads 2 while a run goes over to a lower speed",
             told_when(_slows_to_a_speed, Verb.READ_STATUS, status=2)),
         Row("falling-pulses-full", "F1 reads 4 while a move by FE slows down",
@@ -598,8 +582,8 @@ TOLD: Rows = {
         Row("rising-pulses-stopped", "F1 reads 1 while a move by FD speeds up",
             told_when(_moving_by(Verb.MOVE_RELATIVE_PULSES, _rises), Verb.READ_STATUS, status=1)),
         Row("in-place-on-its-way", "PEND is 1 on the way of F4 and F5", result(_in_place_on_its_way, Verb.READ_IO), CAN),
-        Row("off-while-turning", "3A reads 0 while the shaft turns", told_when(_turns, Verb.READ_ENABLED, enabled=0)),
-        Row("protected-while-turning", "3E reads 1 while the shaft turns", told_when(_turns, Verb.READ_PROTECTION, status=1)),
+        Row("off-while-turning", "3A reads 0 while the shaft turns", told_when(turns, Verb.READ_ENABLED, enabled=0)),
+        Row("protected-while-turning", "3E reads 1 while the shaft turns", told_when(turns, Verb.READ_PROTECTION, status=1)),
     ),
     "scale": (
         Row("error-counts-turns", "39 tells the turns made", result(_whole_turns, Verb.READ_ANGLE_ERROR)),
@@ -609,7 +593,7 @@ TOLD: Rows = {
             result(lambda d, c, q, found: {"speed": found["speed"] * 10} if abs(found["speed"]) < 20 else found,
                 Verb.READ_SPEED)),
     ),
-    "ports": (Row("ports-given-back-by-moves", "a move gives written ports back", before(_MOVES, _give_ports_back), CAN),),
+    "ports": (Row("ports-given-back-by-moves", "a move gives written ports back", before(MOVES, _give_ports_back), CAN),),
     "reply layout": (
         Row("speed-long-after-restart", "32 is answered with four bytes more after a restart", tuned(_long_speed), CAN),
     ),
@@ -698,16 +682,7 @@ def _near_by_quarters(drive: MksCore) -> Mapping[str, int]:
     return {"zero_mode": int(mks_shared.ZeroMode.DIRECTION), "zero_direction": _CLOCKWISE} if long else {}
 
 
-def _short_way_down(drive: MksCore) -> Mapping[str, int]:
-    """Turn clockwise to a zero that is less than a sixth of a turn above, whatever the direction is."""
-    return {"zero_direction": _CLOCKWISE} if _way_up(drive) < 1 / 6 else {}
-
-
 _CLOCKWISE = int(mks_shared.ConfigDirection.CW)
-
-
-def _at_a_limit(drive: MksCore) -> bool:
-    return drive.at_limit(1) or drive.at_limit(-1)
 
 
 def _slow_open_home(held: Callable[[], Mapping[str, int]], drive: MksCore) -> Mapping[str, int]:
@@ -855,10 +830,6 @@ def _backwards(values: Values) -> bool:
     return values.get("direction") == mks_shared.MotionDirection.CW or values.get("position", 0) < 0
 
 
-def _fast(values: Values) -> bool:
-    return bool(values["speed"] > _FAST)
-
-
 def _taking_up(drive: MksCore) -> None:
     """Begin the move again that was under way when the motor was switched off."""
     ended: list[Request] = []
@@ -868,7 +839,7 @@ def _taking_up(drive: MksCore) -> None:
             ended[:] = [core.task.request] if core.task is not None and core.task.request is not None else []
             return enable(core, request)
         result = enable(core, request)
-        if ended and ended[0].command.verb in _MOVES:
+        if ended and ended[0].command.verb in MOVES:
             core.behaviours[ended[0].command.verb](core, ended.pop())
         return result
 
@@ -881,12 +852,12 @@ def _halted_run_taken_up(drive: MksCore) -> None:
     halt, enable = drive.behaviours[Verb.EMERGENCY_STOP], drive.behaviours[Verb.ENABLE]
 
     def halting(core: MksCore, request: Request) -> Values | None:
-        halted[:] = [core.memory.run] if core.memory.run and _turns(core) else []
+        halted[:] = [core.memory.run] if core.memory.run and turns(core) else []
         return halt(core, request)
 
     def enabling(core: MksCore, request: Request) -> Values | None:
         told = enable(core, request)
-        if halted and request.values["enabled"] and core.ready and not _turns(core):
+        if halted and request.values["enabled"] and core.ready and not turns(core):
             begin_run(core, *halted.pop())
         return told
 
@@ -910,14 +881,14 @@ def _turned(drive: MksCore, speed: int) -> int:
 def _open_enables(change: Behaviour, drive: MksCore, request: Request) -> Values | None:
     result = change(drive, request)
     if "open" in drive.mode:
-        _switch_on(drive)
+        hold(drive)
     return result
 
 
 def _halted_back(drive: MksCore, request: Request) -> None:
     """Halt a shaft at once that a move to a place behind it is to turn round."""
     ahead = (request.values["position"] - drive.pulses) * drive.pulse_counts
-    if _turns(drive) and ahead * _rpm(drive) < 0:
+    if turns(drive) and ahead * _rpm(drive) < 0:
         drive.motor.halt(drive.now_ns)
 
 
@@ -943,8 +914,8 @@ def _disabled_later(drive: MksCore, request: Request) -> Values | None:
 
 def _deaf_to_group(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     """Hear no move by the group while the shaft turns."""
-    moves = any(_is(message, verb) for verb in _MOVES)
-    return wanted and not (moves and _is_for_group(drive, message) and _turns(mks(drive)))
+    moves = any(_is(message, verb) for verb in MOVES)
+    return wanted and not (moves and _is_for_group(drive, message) and turns(mks(drive)))
 
 
 def _deaf_homing(verb: Verb, shared: Callable[[Drive, Message], bool]) -> Change:
@@ -972,10 +943,6 @@ def _is_slow(drive: MksCore) -> bool:
 def _by_pulses(drive: MksCore) -> bool:
     request = drive.task.request if drive.task is not None else None
     return request is not None and request.command.verb is Verb.MOVE_RELATIVE_PULSES
-
-
-def _capped(value: int) -> int:
-    return min(value, 2900)
 
 
 def _homes_back(drive: MksCore) -> bool:
@@ -1108,11 +1075,6 @@ def _untold(drive: MksCore, request: Request) -> None:
 # --- in one condition of two --------------------------------------------------------------------------------------------
 
 
-def _above_127(drive: MksCore, request: Request) -> Values | None:
-    """Say that a stop by a steep ramp began, and do nothing."""
-    return dict(OK) if request.values["acceleration"] > _HALF_BYTE else None
-
-
 def _closed_clockwise(drive: MksCore) -> bool:
     return "close" in drive.mode and _rpm(drive) < 0
 
@@ -1123,10 +1085,6 @@ def _slow_emergency(drive: MksCore, request: Request) -> Values | None:
         return None
     begin_run(drive, 0, 0, _EASY)
     return dict(OK)
-
-
-def _leave_group(drive: MksCore, request: Request) -> None:
-    drive.settings["group_address"] = 0
 
 
 def _turned_open(drive: Drive, command: Command, values: Values) -> Values:
@@ -1184,7 +1142,7 @@ def _echo_byte(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Outg
 def _exceptions_turning(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
     """Tell exception 02 for 01 while the shaft turns."""
     body = body_of(drive, outgoing)
-    wrong = len(body) == _EXCEPTION and body[1] & 0x80 and body[2] == 1 and _turns(mks(drive))
+    wrong = len(body) == _EXCEPTION and body[1] & 0x80 and body[2] == 1 and turns(mks(drive))
     return (rebuilt(drive, outgoing, body[:2] + b"\2") if wrong else outgoing,)
 
 
@@ -1219,7 +1177,8 @@ DOING: Rows = {
     "disabled": (
         Row("disabled-moves-backwards", "motion backwards is obeyed while disabled",
             with_state(MOTIONS, _backwards, enabled=True)),
-        Row("disabled-moves-fast", "motion above 500 rpm is obeyed while disabled", with_state(MOTIONS, _fast, enabled=True)),
+        Row("disabled-moves-fast", "motion above 500 rpm is obeyed while disabled",
+            with_state(MOTIONS, lambda values: bool(values["speed"] > _FAST), enabled=True)),
         Row("zero-enables", "92 enables a motor that is off", with_state(Verb.SET_ZERO, enabled=True)),
         Row("protected-moves-backwards", "motion backwards is obeyed while protected",
             with_state(MOTIONS, _backwards, protected=False)),
@@ -1233,7 +1192,7 @@ DOING: Rows = {
         Row("direction-turns-speed", "86 turns the speed that 32 tells",
             result(lambda d, c, sent, found: found | {"speed": _turned(mks(d), found["speed"])}, Verb.READ_SPEED), SERIAL),
         Row("close-unlimited-while-turning", "F5 in the close mode turns at up to 3000 rpm where the shaft turns already",
-            by_laws(Verb.MOVE_ABSOLUTE_AXIS, lambda drive: "close" in drive.mode and _turns(drive), highest_speed=as_given),
+            by_laws(Verb.MOVE_ABSOLUTE_AXIS, lambda drive: "close" in drive.mode and turns(drive), highest_speed=as_given),
             SERIAL),
         Row("back-at-once", "FE back during FE halts the shaft first", before(Verb.MOVE_ABSOLUTE_PULSES, _halted_back)),
     ),
@@ -1257,16 +1216,18 @@ DOING: Rows = {
         Row("zero-speed-4-as-3", "9A goes back at speed 4 as at speed 3", _back_with("zero_speed", lambda v: min(v, 3))),
         Row("near-by-quarters", "9A takes the longer way to a zero that is a quarter of a turn above and more",
             _back_as(_near_by_quarters)),
-        Row("short-way-down", "9A goes clockwise to a zero that is a little above", _back_as(_short_way_down)),
+        Row("short-way-down", "9A goes clockwise to a zero that is a little above",
+            _back_as(lambda drive: {"zero_direction": _CLOCKWISE} if _way_up(drive) < 1 / 6 else {})),
         Row("homing-always-told", "the end of homing is told with active 0 too", overridden("complete", _home_told), NATIVE),
     ),
     "stop": (
-        Row("steep-stop-ignored", "stops with an acceleration of 128 and more do nothing", before(STOPS, _above_127)),
+        Row("steep-stop-ignored", "stops with an acceleration of 128 and more do nothing",
+            before(STOPS, lambda drive, request: dict(OK) if request.values["acceleration"] > _HALF_BYTE else None)),
         Row("closed-cw-emergency-slow", "F7 is slow in a closed mode, clockwise", before(Verb.EMERGENCY_STOP, _slow_emergency)),
         Row("closed-cw-emergency-ignored", "F7 does nothing in a closed mode, clockwise",
             undone_when(_closed_clockwise, Verb.EMERGENCY_STOP)),
-        Row("home-over-motion-undone", "91 says that it begins over a motion, and is lost", undone_when(_turns, Verb.HOME)),
-        Row("home-over-motion-refused", "91 is refused while the shaft turns", refused_when(_turns, Verb.HOME)),
+        Row("home-over-motion-undone", "91 says that it begins over a motion, and is lost", undone_when(turns, Verb.HOME)),
+        Row("home-over-motion-refused", "91 is refused while the shaft turns", refused_when(turns, Verb.HOME)),
         Row("fast-stop-ignored", "stops are ignored above 1000 rpm", undone_when(_faster(_VERY_FAST), _ENDS)),
         Row("fast-at-once-by-ramp", "stops with acceleration 0 are slow above 1000 rpm", request(_slow_when_fast, STOPS)),
         Row("run-unstopped-by-fd", "the stop of FD does not end a run of F6 that turns clockwise",
@@ -1408,7 +1369,7 @@ DOING: Rows = {
         Row("open-without-limits", "end limits do nothing in the open mode",
             _limits_passed(lambda drive, side: "open" in drive.mode)),
         Row("stuck-at-limit", "FD away from a closed end limit is refused",
-            refused_when(_at_a_limit, Verb.MOVE_RELATIVE_PULSES)),
+            refused_when(lambda drive: drive.at_limit(1) or drive.at_limit(-1), Verb.MOVE_RELATIVE_PULSES)),
         Row("right-limit-passed", "FD passes the right end limit",
             _limits_passed(lambda drive, side: side == "right" and _by_pulses(drive))),
         Row("right-limit-passed-slowly", "motion below 30 rpm passes the right end limit",
@@ -1424,15 +1385,16 @@ DOING: Rows = {
         Row("zero-refused-while-off", "92 is refused while the motor is off", refused_when(_is_off, Verb.SET_ZERO)),
         Row("setting-undone-while-off", "84 says success and stores nothing while off",
             undone_when(_is_off, Verb.SET_SUBDIVISION)),
-        Row("remap-refused-while-turning", "9E is refused while the shaft turns", refused_when(_turns, Verb.SET_LIMIT_REMAP)),
+        Row("remap-refused-while-turning", "9E is refused while the shaft turns", refused_when(turns, Verb.SET_LIMIT_REMAP)),
         Row("group-left-by-address", "a new address takes the drive out of its group",
-            before(Verb.SET_ADDRESS, _leave_group), having(Verb.SET_GROUP_ADDRESS)),
+            before(Verb.SET_ADDRESS, leave_group), having(Verb.SET_GROUP_ADDRESS)),
         Row("group-deaf-to-all", "a drive in a group does not hear broadcasts",
             taken(_own_and_group_alone), having(Verb.SET_GROUP_ADDRESS)),
     ),
     "update": (
-        Row("update-undone", "F5 while the shaft turns says success and is lost", undone_when(_turns, Verb.MOVE_ABSOLUTE_AXIS)),
-        Row("current-capped", "currents above 2900 mA are stored as 2900", _stored_as("current", _capped), CAN),
+        Row("update-undone", "F5 while the shaft turns says success and is lost", undone_when(turns, Verb.MOVE_ABSOLUTE_AXIS)),
+        Row("current-capped", "currents above 2900 mA are stored as 2900",
+            _stored_as("current", lambda value: min(value, 2900)), CAN),
         Row("tolerance-capped", "stall tolerances above 360 degrees hold as that",
             _stored_as("stall_tolerance", lambda v: min(v, 200)), having(Verb.SET_STALL_TOLERANCE)),
     ),

@@ -12,7 +12,6 @@ from fractions import Fraction
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
-from analyzer.layout import Field
 from analyzer.link import READS
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
@@ -247,10 +246,6 @@ def _unwatched(verb: Verb) -> Change:
     return Change(lambda hooks: hooks.request.append(ask), having(verb))
 
 
-def _low_byte_first(value: int, field: Field) -> int:
-    return turned if field.allows(turned := swap_bytes(value, field)) else value
-
-
 def _far_above(drive: Drive, command: Command, values: Values) -> Values:
     """Take a place in the lower half of what its field holds below 0 for one above."""
     half = 1 << command.request_forms[0].layout.named["position"].bit_width - 2
@@ -332,7 +327,7 @@ EFFECTS: Rows = {
         Row("widest-below-is-above", "absolute moves take a place that is widest below 0 for one above",
             request(_far_above, (Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_ABSOLUTE_AXIS))),
         Row("home-speed-low-first", "90 stores the speed low byte first, where that is within its range",
-            stored("home_speed", _low_byte_first)),
+            stored("home_speed", lambda value, field: turned if field.allows(turned := swap_bytes(value, field)) else value)),
         Row("high-groups-deaf", "a group above 7Fh is not heard", taken(_deaf_to_high_groups), having(Verb.SET_GROUP_ADDRESS)),
     ),
     "limits": (

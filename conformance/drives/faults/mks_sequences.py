@@ -23,7 +23,9 @@ from conformance.drives.faults.mks_behaviour import (
     before,
     by_laws,
     enclose,
+    hold,
     homing_by,
+    leave_group,
     mks,
     overridden,
     tuned,
@@ -135,11 +137,6 @@ def _scaled_moves(obey: Behaviour, drive: MksCore, request: Request) -> Values |
         drive.real_speed = plain  # type: ignore[method-assign]
 
 
-def _going_on_at_0(drive: MksCore, request: Request) -> Values | None:
-    """Say that a move at speed 0 stops the shaft, and let it go on."""
-    return None if request.values["speed"] else dict(OK)
-
-
 def _as_sent_at_odd(plain: Callable[[int], Number], drive: MksCore, speed: int) -> Number:
     """Turn at the speed as sent at odd subdivisions above 64."""
     return speed if drive.subdivision > _PLAIN_MOST and drive.subdivision % 2 else plain(speed)
@@ -159,18 +156,6 @@ def _few_updates(verb: Verb) -> Change:
         enclose(drive, verb, behave)
 
     return tuned(change, having(verb))
-
-
-def _on_alone(drive: Drive, name: str, value: int) -> tuple[str, int] | None:
-    return None if name == "protection" and not value else (name, value)
-
-
-def _open(drive: MksCore) -> bool:
-    return "open" in drive.mode
-
-
-def _homes(drive: MksCore) -> bool:
-    return drive.doing(Activity.HOME)
 
 
 def _by_code(address: int, every: list[Slot], wanted: list[Slot]) -> list[Slot]:
@@ -296,12 +281,6 @@ def _move_told_turned(drive: Drive, command: Command, asked: Values, values: Val
     return values | {"speed": -values["speed"]} if turned else values
 
 
-def _released_enabled(drive: MksCore, request: Request) -> None:
-    """Enable a motor that is off where nothing was protected."""
-    drive.memory.enabled = True
-    drive.grip()
-
-
 _homing_turned = Change(
     homing_by(lambda settings: {"home_direction": settings["home_direction"] ^ settings["motor_direction"]}).install, SERIAL
 )
@@ -347,10 +326,6 @@ def _only_ccw_stops(drive: MksCore, request: Request) -> Values | None:
     """Say that a run at speed 0 stops the shaft, and let it go on where the direction is clockwise."""
     clockwise = request.values["direction"] == mks_shared.MotionDirection.CW
     return dict(OK) if clockwise and not request.values["speed"] else None
-
-
-def _leave_group(drive: MksCore, request: Request) -> None:
-    drive.settings["group_address"] = 0
 
 
 def _inner_requests(take: Callable[[Frame], None], drive: MksCore, frame: Frame) -> None:
@@ -562,7 +537,8 @@ SEQUENCES: Rows = {
         Row("target-kept", "F4 behind F7 goes on to the target of the move that F7 ended, too", tuned(_target_kept(False))),
         Row("target-kept-protected", "F4 behind 3D goes on to the target of the move that the protection ended, too",
             tuned(_target_kept(True))),
-        Row("homing-unstopped", "F7 says success and does not end homing", undone_when(_homes, Verb.EMERGENCY_STOP)),
+        Row("homing-unstopped", "F7 says success and does not end homing",
+            undone_when(lambda drive: drive.doing(Activity.HOME), Verb.EMERGENCY_STOP)),
         Row("emergency-completes-pulses", "a move by pulses that F7 ended is told as complete when it would have been",
             _emergency_completes(Activity.MOVE, mks_shared.RunStatus.COMPLETE, (Verb.MOVE_RELATIVE_PULSES,))),
         Row("emergency-completes-open", "a move in the open mode that F7 ends is told as complete",
@@ -603,7 +579,7 @@ SEQUENCES: Rows = {
     ),
     "sooner": (
         Row("release-enables", "3D enables a motor that is off and was not protected",
-            before(Verb.RELEASE_PROTECTION, _released_enabled)),
+            before(Verb.RELEASE_PROTECTION, lambda drive, _: hold(drive))),
         *(
             Row(name, f"{code} does not end a run that began at power-on", tuned(partial(_kept_goes_on, of=of), having(of)))
             for name, code, of in (
@@ -626,9 +602,10 @@ SEQUENCES: Rows = {
     ),
     "undone": (
         Row("lets-go-once-limited", "90 with the end limit off leaves it on for homing", tuned(_lets_go_once_limited)),
-        Row("protection-stays", "88 00 is answered, and the protection acts on", storing(_on_alone, "protection")),
+        Row("protection-stays", "88 00 is answered, and the protection acts on",
+            storing(lambda drive, name, value: None if name == "protection" and not value else (name, value), "protection")),
         Row("group-left-by-speed", "8A takes the drive out of its group",
-            before(Verb.SET_BAUD_RATE, _leave_group), having(Verb.SET_GROUP_ADDRESS)),
+            before(Verb.SET_BAUD_RATE, leave_group), having(Verb.SET_GROUP_ADDRESS)),
     ),
     "with another setting": (
         Row("respond-0-needs-active", "respond 0 silences nothing with active 0",
@@ -653,7 +630,8 @@ SEQUENCES: Rows = {
     "in one mode": (
         Row("homing-above-mode", "homing turns at the speed that is set, above that of the work mode",
             by_laws(Verb.HOME, highest_speed=as_given), SERIAL),
-        Row("holding-refused-open", "9B is refused in an open mode", refused_when(_open, Verb.SET_HOLDING_CURRENT), SERIAL),
+        Row("holding-refused-open", "9B is refused in an open mode",
+            refused_when(lambda drive: "open" in drive.mode, Verb.SET_HOLDING_CURRENT), SERIAL),
     ),
     "few send it": (
         Row("address-fa-refused", "the address FA is refused", limit("new_address", numbers.refuses(0xFA)), NATIVE),
@@ -679,7 +657,7 @@ SEQUENCES: Rows = {
         Row("speeds-in-whole-rpm", "speeds of other subdivisions are rounded to whole rpm",
             overridden("real_speed", lambda real, drive, speed: round(real(speed)))),
         Row("speed-0-of-moves-goes-on", "F4 with speed 0 and a distance is answered, and the shaft goes on",
-            before(Verb.MOVE_RELATIVE_AXIS, _going_on_at_0), SERIAL),
+            before(Verb.MOVE_RELATIVE_AXIS, lambda drive, request: None if request.values["speed"] else dict(OK)), SERIAL),
         Row("moves-scaled-at-32", "at 32 subdivisions moves go at half their speed", wrapped(TARGETS, _scaled_moves)),
         Row("inner-request-obeyed", "a request in the data of another drive's is obeyed",
             overridden("_take", _inner_requests), NATIVE),
