@@ -99,7 +99,6 @@ _PARAMETERS = (
     (38, "speed_ramp", "the ramp of the speed, signed, in bytes 3 to 6"),
 )
 
-# fmt: off
 STATEMENTS: tuple[S, ...] = (
     # --- the pages before the first command ---
     S("RS485 bus parameters/bus", "The bus is RS485.", unclaimed="wiring: a drive on another bus answers nothing at all"),
@@ -384,5 +383,4 @@ STATEMENTS: tuple[S, ...] = (
         ("timing/write_parameter/one-ramp", "timing/write_parameter/one-slope-*",
          "timing/write_parameter/speed-ramp-*-each-way", "timing/write_parameter/speed-ramp-at-once",
          "timing/write_parameter/speed-ramp-under-way-*")),
-)
-# fmt: on
+)  # fmt: skip

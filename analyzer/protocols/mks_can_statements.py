@@ -106,7 +106,6 @@ def _stop(section: str, name: str, sent: str) -> Iterator[Statement]:
     )
 
 
-# fmt: off
 STATEMENTS: tuple[Statement, ...] = (
     # Part 1: the product
     said("1.1/position-feedback", "The drive goes by the position of its encoder, so that no steps are lost.",
@@ -554,5 +553,4 @@ STATEMENTS: tuple[Statement, ...] = (
     said("5.5/stop", "FD with speed 0 on the way stops the motor and is answered by 1, then 2.",
         "examples/stop_relative_pulses/3"),
     unseen("6.1/supply", "The supply is 12 to 24 V; nothing is plugged under power; phases are connected in order.", "wiring"),
-)
-# fmt: on
+)  # fmt: skip

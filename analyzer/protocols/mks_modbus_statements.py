@@ -56,7 +56,6 @@ def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Stat
     yield from more
 
 
-# fmt: off
 _READS = (
     said("8/speaks", "The drive speaks Modbus-RTU when that is switched on.",
         "ranges/set_modbus/modbus/listed", "framing/other_dialect/ignored"),
@@ -105,10 +104,8 @@ _READS = (
         "motion/read_status/behind-emergency",
     ),
     said("8.1.10/calibrating", "6: it is calibrating.", "motion/calibrate/status"),
-)
-# fmt: on
+)  # fmt: skip
 
-# fmt: off
 _WRITES = (
     said("8.2/one", "One register is written by function 06 and echoed.",
         "modbus/write_one/echo", "modbus/function/other_write"),
@@ -174,10 +171,8 @@ _WRITES = (
     ),
     *_write("8.2.21", "set_limit_remap", "9Eh switches the remapped ports off (0) or on (1)."),
     *_write_many("8.2.22", "set_zero_mode", "9Ah sets mode, zero, speed and direction of the way back."),
-)
-# fmt: on
+)  # fmt: skip
 
-# fmt: off
 _MOTION = (
     *_write("8.3.1", "emergency_stop",
          "F7h with 1 stops the motor at once.",
@@ -225,7 +220,6 @@ _MOTION = (
             "motion/move_absolute_axis/sign", "motion/move_absolute_axis/reads-as-asked"),
     ),
     *_stop("8.3.7.2", "stop_absolute_axis", "F5h"),
-)
-# fmt: on
+)  # fmt: skip
 
 STATEMENTS = (*SHARED, *RAMPS, *_READS, *_WRITES, *_MOTION)

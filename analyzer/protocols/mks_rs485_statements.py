@@ -37,7 +37,6 @@ def setting(section: str, name: str, what: str, *more: Statement) -> Iterator[St
     yield from more
 
 
-# fmt: off
 _LONG_READS = (
     *read(
         "5.1.1",
@@ -70,10 +69,8 @@ _LONG_READS = (
         "motion/set_protection/lets-go",
         "motion/read_protection/at-first",
     ),
-)
-# fmt: on
+)  # fmt: skip
 
-# fmt: off
 _SETTINGS = (
     said("5.2.1/calibrates", "80 with data 00 calibrates the encoder.", "motion/calibrate/status", "ranges/calibrate/reserved"),
     said("5.2.1/begins", "Status 0: the calibration goes on.", "motion/calibrate/replies"),
@@ -205,10 +202,8 @@ _SETTINGS = (
     said("5.7/silent", "A package is not answered.", "addressing/package/silent", "addressing/package/ends-by-itself/*"),
     said("5.7/others", "Slots of other drives are not executed.", "addressing/package/others"),
     said("5.7/example", "The printed package moves five motors in five ways.", "examples/long_package/1"),
-)
-# fmt: on
+)  # fmt: skip
 
-# fmt: off
 _FRAMES = (
     said("4/heads", "Requests begin with FA, replies with FB.", "framing/head/*", "shape/*/head"),
     said("4/address", "A drive executes and answers what its own address is sent.", "addressing/other/*", "shape/*/address"),
@@ -232,8 +227,7 @@ _FRAMES = (
     said("4/answered", "Every request is answered, once.",
         "shape/*/answered", "shape/*/once", "resilience/*", "traffic/answered"),
     said("4/unasked", "A drive that is asked nothing says nothing.", "shape/unasked", "traffic/asked_for"),
-)
-# fmt: on
+)  # fmt: skip
 
 
 def _stop(section: str, name: str, code: str) -> Iterator[Statement]:
@@ -275,7 +269,6 @@ def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Stat
     yield said(f"{section}/silent", "Its answers can be switched off by 8C.", f"motion/set_respond/0-silences-{name}")
 
 
-# fmt: off
 _MOTION = (
     said("6/serial", "Motion commands need a serial work mode.", "motion/*/crossed-taken", "motion/*/pulse-mode"),
     *RAMPS,
@@ -375,8 +368,7 @@ _MOTION = (
         "examples/move_relative_pulses/*", "motion/move_relative_pulses/opposite"),
     said("7.5/stop", "A stop under way is told by 1 and then by 2.",
         "motion/stop_relative_pulses/replies", "examples/stop_relative_pulses/*"),
-)
-# fmt: on
+)  # fmt: skip
 
 _NO_SWITCH = (
     said("3.13/silent", "UartRSP silences the answers of speed and position commands.", "motion/set_respond/0-silences-*"),

@@ -45,7 +45,6 @@ def read(section: str, name: str, what: str, *claims: str) -> Iterator[Statement
     yield from effects(section, name)
 
 
-# fmt: off
 #: Parts 1 to 3: modes, ports, end limits, options. What an option does, the command of the same name does.
 SHARED = (
     # Part 1
@@ -132,10 +131,8 @@ SHARED = (
         "no command tells whether the motor is calibrated"),
     unseen("3.26/key", "A key held at power-on restores the defaults.", KEYS),
     unseen("3.27/version", "About shows the version.", DISPLAY),
-)
-# fmt: on
+)  # fmt: skip
 
-# fmt: off
 #: Section 6.1: speed and acceleration, which 8.3 refers to.
 RAMPS = (
     said("6.1/range", "A speed is 0 to 3000; a greater one turns faster.",
@@ -161,10 +158,8 @@ RAMPS = (
     said("6.1/down", "On the way down each rpm takes as long as on the way up.",
         "timing/stop_speed/ramp-*", "timing/run_speed/ramp-240-to-60"),
     said("6.1/down-to-speed", "The way down ends at the lower speed that was asked for.", "timing/run_speed/ramp-240-to-60"),
-)
-# fmt: on
+)  # fmt: skip
 
-# fmt: off
 #: What is said of a command in both links, by its name; an id is without the section.
 EFFECTS: dict[str, tuple[Statement, ...]] = {
     "read_encoder_carry": (
@@ -283,5 +278,4 @@ EFFECTS: dict[str, tuple[Statement, ...]] = {
         said("updates", "A newer target and speed are taken up under way.",
             "motion/move_absolute_axis/update-*", "motion/move_absolute_axis/newer-*"),
     ),
-}
-# fmt: on
+}  # fmt: skip

@@ -200,7 +200,6 @@ def _added(number: int) -> Callable[[bytes], bytes]:
     return byte(0, lambda value: value + number)
 
 
-# fmt: off
 LINK: Rows = {
     "checksum": (
         Row("checksum-wrong", "every reply has a wrong checksum", check(-1, _added(0x5A)), EVERY),
@@ -285,8 +284,7 @@ LINK: Rows = {
         Row("lk-parameter-bytes-shifted", "the values that 0xC0 and 0xC1 answer stand one byte too early",
             _lk_data(lambda d: d[:1] + d[2:] + b"\0", (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER))),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 # --- numbers ---------------------------------------------------------------------------------------------------------
 
@@ -350,7 +348,6 @@ def tenfold(value: int, field: Field) -> int:
     return min(10 * value, field.high)
 
 
-# fmt: off
 NUMBER: Rows = {
     "byte order": (
         Row("current-bytes-swapped", "83 stores the current low byte first", stored("current", swap_bytes), CAN),
@@ -398,12 +395,10 @@ NUMBER: Rows = {
         Row("lk-torque-half", "replies have half the torque current", reply(TORQUE, scaled(1, 2))),
         Row("lk-max-speed-tenfold", "max_speed is taken in 0.1 deg/s", asked("max_speed", tenfold)),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 # --- limits and choices ----------------------------------------------------------------------------------------------
 
-# fmt: off
 LIMIT: Rows = {
     "limit": (
         Row("current-highest-refused", "83 refuses the highest current", limit("current", highest_refused)),
@@ -477,7 +472,6 @@ LIMIT: Rows = {
         Row("lk-direction-not-1", "0xA5 and 0xA6 do not obey counter-clockwise",
             limit("direction", refuses(SpinDirection.CCW))),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 FAULTS = (*faults(LINK), *_wrong_numbers(), *faults(NUMBER, LIMIT))

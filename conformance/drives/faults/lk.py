@@ -313,7 +313,6 @@ def _forgetting(name: str, **values: int) -> Change:
     return acting(name, lambda drive, request: drive.parameters.update(values), after=True)
 
 
-# fmt: off
 ROWS: Rows = {
     "addressing": (
         Row("lk-answers-other-address", "requests to any address are obeyed and answered",
@@ -488,7 +487,6 @@ ROWS: Rows = {
             acting("clear_turns", lambda drive, request: drive.motor.set_position(0.0))),
         Row("lk-phases-doubled", "0x9D tells phase currents in half the unit", result(_phases_doubled, Verb.READ_STATE_3)),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 FAULTS = faults(ROWS)

@@ -229,7 +229,6 @@ def _held_in_new_count(old: Act) -> Act:
     return act
 
 
-# fmt: off
 CONDITIONS: Rows = {
     "within a range": (
         Row("lk-high-speed-limits-ignored", "a speed limit above 30 rpm has no effect",
@@ -279,7 +278,6 @@ CONDITIONS: Rows = {
             tuned(_bending(Speed, 1.2, 0.6, _rises))),
         Row("lk-moves-end-soft", "a move comes to its end by a third of the ramp", tuned(_bending(Position, 1.0, 0.3, _falls))),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 FAULTS = faults(CONDITIONS)

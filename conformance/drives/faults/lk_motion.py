@@ -403,7 +403,6 @@ def _unbraked(old: Act) -> Act:
     return act
 
 
-# fmt: off
 ROWS: Rows = {
     "off": (
         Row("lk-off-still-moves", "motion commands are obeyed while the motor is off", tuned(_disobedient)),
@@ -541,7 +540,6 @@ ROWS: Rows = {
         Row("lk-ms-runs-torque", "an MS obeys and answers 0xA1", learning("run_torque", CURRENT_MODELS)),
         Row("lk-runs-open-loop", "an MF, MG or MH obeys and answers 0xA0", learning("run_open_loop", POWER_MODELS)),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 FAULTS = faults(ROWS)

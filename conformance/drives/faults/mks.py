@@ -86,7 +86,6 @@ PARAMETER = Verb.READ_PARAMETER
 
 # --- what it hears and answers ---------------------------------------------------------------------------------------
 
-# fmt: off
 HEARING: Rows = {
     "checksum": (
         Row("hears-bad-checksum", "frames with a wrong checksum are executed and answered",
@@ -184,12 +183,10 @@ HEARING: Rows = {
         Row("modbus-no-exceptions", "what calls for an exception is not answered",
             silent_to(lambda d, m: d.responder.exception(m) is not None), MODBUS),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 # --- what replies say ------------------------------------------------------------------------------------------------
 
-# fmt: off
 REPLIES: Rows = {
     "code": (
         Row("speed-reply-code-31", "32 is answered under the code 31, as a table of the manual has it",
@@ -270,12 +267,10 @@ REPLIES: Rows = {
         Row("unreadable-as-zero", "a code that cannot be read is answered 00 00",
             bodies(lambda b: b.replace(b"\xff\xff", b"\0\0"), PARAMETER)),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 # --- what it stores --------------------------------------------------------------------------------------------------
 
-# fmt: off
 SETTING: Rows = {
     "stored": (
         Row("subdivision-250-accepted", "84 accepts 250", limit("subdivision", accepts(250)), CAN),
@@ -324,12 +319,10 @@ SETTING: Rows = {
         Row("group-id-kept", "a restore leaves the group ID", clinging("group_address"), CAN),
         Row("dialect-kept", "a restore leaves Modbus on", clinging("modbus"), MODBUS),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 # --- how it moves ----------------------------------------------------------------------------------------------------
 
-# fmt: off
 MOTION: Rows = {
     "ramp": (
         Row("ramp-too-fast", "ramps take half their time", with_law("ramp", lambda a: ramp_step_ns(a) // 2)),
@@ -432,12 +425,10 @@ MOTION: Rows = {
         Row("home-mode-ignored", "homing always looks for a switch", homing_by(lambda s: {"home_mode": 0}), TELLING),
         Row("home-keeps-the-shaft", "with the end limit on homing does not let the shaft go", when_home(mks.hold), SERIAL),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 # --- what it tells of motion -----------------------------------------------------------------------------------------
 
-# fmt: off
 COMPLETION: Rows = {
     "completion": (
         Row("completion-missing", "the end of a move is not told", completing()),
@@ -477,12 +468,10 @@ COMPLETION: Rows = {
         Row("active-silences-first", "active 0 silences the first reply to motion too",
             unless(lambda d, c: not d.settings["active"], MOTIONS | STOPS), TELLING),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 # --- what it does in one state, and not in others ---------------------------------------------------------------------
 
-# fmt: off
 STATES: Rows = {
     "silence": (
         Row("reads-silent-while-off", "39 and 3E are not answered while the motor is disabled",
@@ -520,12 +509,10 @@ STATES: Rows = {
         Row("alarm-never", "ALM never tells an alarm", reply("alm", always(1))),
         Row("in-2-dead", "in_2 stays 0", reply("in_2", always(0)), CAN),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 # --- Modbus ----------------------------------------------------------------------------------------------------------
 
-# fmt: off
 FUNCTIONS: Rows = {
     "byte count": (
         Row("read-byte-count-in-registers", "reads count registers instead of bytes",
@@ -580,7 +567,6 @@ FUNCTIONS: Rows = {
     "address": (
         Row("register-low-byte-only", "only the low byte of a register is looked at", translated(mks_frames.low_byte_register)),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 FAULTS = faults(HEARING, REPLIES, SETTING, MOTION, COMPLETION, STATES, FUNCTIONS)

@@ -429,7 +429,6 @@ def _silent_when(when: Condition, of: Of) -> Change:
     return frames(change, of)
 
 
-# fmt: off
 HEARING: Rows = {
     "deaf": (
         Row("deaf-after-motion", "after a motion nothing is heard for three seconds", tuned(_deaf_after_motion)),
@@ -514,8 +513,7 @@ HEARING: Rows = {
     ),
     "length": (Row("emergency-without-check", "F7 is obeyed without its check",
                    overridden("receive", _obey_without_check), CAN),),
-}
-# fmt: on
+}  # fmt: skip
 
 
 # --- what it tells ----------------------------------------------------------------------------------------------------
@@ -564,7 +562,6 @@ def _zero_check(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Out
     return (Outgoing(outgoing.at_ns, data[:-1] + b"\1" if data[-1] == 0 else data, outgoing.can_id),)
 
 
-# fmt: off
 TOLD: Rows = {
     "order": (Row("respond-behind-active", "00 8C tells active first", result(_respond_and_active, Verb.READ_PARAMETER), CAN),),
     "frozen": (
@@ -598,8 +595,7 @@ TOLD: Rows = {
         Row("speed-long-after-restart", "32 is answered with four bytes more after a restart", tuned(_long_speed), CAN),
     ),
     "reply checksum": (Row("zero-check-sent-1", "a checksum that is 0 is sent as 1", frames(_zero_check), NATIVE),),
-}
-# fmt: on
+}  # fmt: skip
 
 
 # --- what it does -----------------------------------------------------------------------------------------------------
@@ -1172,7 +1168,6 @@ _RESTORED = (
     ("zero-mode", _OF_ZERO),
 )
 
-# fmt: off
 DOING: Rows = {
     "disabled": (
         Row("disabled-moves-backwards", "motion backwards is obeyed while disabled",
@@ -1430,7 +1425,6 @@ DOING: Rows = {
             _told_to_all(lambda request, values: request.command.verb in STOPS and bool(request.values["acceleration"]))),
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 FAULTS = faults(HEARING, TOLD, DOING)

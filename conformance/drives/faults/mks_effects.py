@@ -286,7 +286,6 @@ def _turning_back(drive: MksCore) -> None:
     enclose(drive, Verb.ENABLE, act)
 
 
-# fmt: off
 EFFECTS: Rows = {
     "reads": (
         Row("read-of-restart-restarts", "a read of 41 restarts the drive", _reading(Verb.RESTART, restart)),
@@ -349,7 +348,6 @@ EFFECTS: Rows = {
         Row("en-pin-keeps-torque", "3A reads 0 and the motor holds the shaft at the En pin's other level",
             _gripping(lambda drive: not drive.by_bus)),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 FAULTS = faults(EFFECTS)

@@ -530,7 +530,6 @@ def _way_back(drive: Drive, command: Command, sent: Values, found: Values) -> Va
     return found if found["status"] or not by_direction else {"status": int(mks_shared.ZeroStatus.SUCCESS)}
 
 
-# fmt: off
 SEQUENCES: Rows = {
     "behind a stop": (
         Row("stops-lose-pulses", f"33 loses {_LOST} pulses at each stop of a turning shaft", before(STOPS, _loses_pulses)),
@@ -662,7 +661,6 @@ SEQUENCES: Rows = {
         Row("inner-request-obeyed", "a request in the data of another drive's is obeyed",
             overridden("_take", _inner_requests), NATIVE),
     ),
-}
-# fmt: on
+}  # fmt: skip
 
 FAULTS = faults(SEQUENCES)

@@ -181,7 +181,6 @@ def _firmware(drive: LkDrive) -> None:
     drive.learn(REBOOT, lambda drive, request: drive.power_cycle(drive.now_ns))
 
 
-# fmt: off
 QUIRKS: tuple[Quirk, ...] = (
     Quirk("lk-off-sum", LK,
         "about 1 % of the replies to 0xA4 carry a data sum that is off by up to 4 either way (by the seed)",
@@ -200,5 +199,4 @@ QUIRKS: tuple[Quirk, ...] = (
     Quirk("lk-firmware-235", LK,
         "0x12 (product data), 0x40 and 0x42 (parameters) and 0x07 (restart, no reply) exist, 0xC0 and 0xC1 do not",
         f"{_TAXFROMDK}, lkmotor.h and log.txt", tuned(_firmware)),
-)
-# fmt: on
+)  # fmt: skip

@@ -199,7 +199,6 @@ def _calibrates_at_once(hooks: Hooks) -> None:
     tuned(change)(hooks)
 
 
-# fmt: off
 QUIRKS: tuple[Quirk, ...] = (
     Quirk("reversed-direction", NATIVE,
         "direction bit 0 of F6 and FD lowers the encoder value (42D, 1.0.6)", _REPORT,
@@ -234,5 +233,4 @@ QUIRKS: tuple[Quirk, ...] = (
         "40 says that turning clockwise raises the encoder", _CAN_NOTES, reply("calibration", always(1), Verb.READ_VERSION)),
     Quirk("deaf-after-limit-stop", TELLING,
         "after an end limit the next motion command is ignored (57D)", "kkhyunhho/MKSServo57DCANController", _deaf_after_limit),
-)
-# fmt: on
+)  # fmt: skip
