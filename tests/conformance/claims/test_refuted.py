@@ -103,7 +103,7 @@ REFUTES = {
     "motion/home/end-limit": "home-keeps-the-shaft",
     "motion/home/replies": "home-completion-missing home-begins-with-2 homing-ccw-untold",
     "motion/set_home/end-limit-stops-move_relative_axis": "end-limit-ignored open-without-limits+ limits-by-low-pins+",
-    "motion/set_home/end-limit-by-level": "limits-by-low-pins",
+    "motion/set_home/end-limit-by-level": "mks-can@1,fault=limits-by-low-pins",
     "motion/set_home/end-limit-told-move_relative_axis": "limit-stop-says-2",
     "motion/set_limit_remap/right-on": "limit-remap-ignored",
     "motion/set_protection/lets-go": "protection-ignored+ protection-hidden+ protected-keeps-torque+",
