@@ -11,7 +11,7 @@ from analyzer.protocols.lk_rs485 import ERROR_BITS, BrakeControl, BrakeState, Mo
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Hooks, Outgoing, Request, Values
 from conformance.drives.faults.generic import LK_MOTIONS
-from conformance.drives.faults.lk_behaviour import acting, at_power_up, backwards, lk, nothing, replaced, turns
+from conformance.drives.faults.lk_behaviour import acting, at_power_up, backwards, lk, nothing, replaced, turns, undone
 from conformance.drives.faults.numbers import always, exchanged, swap_bytes
 from conformance.drives.faults.places import (
     LK,
@@ -201,12 +201,12 @@ def _flags_read_away(drive: Drive, command: Command, asked: Values, values: Valu
 def _telling_cleared_flags(hooks: Hooks) -> None:
     flags: set[str] = set()
 
-    def clear(drive: LkDrive, old: Act, request: Request) -> None:
+    def clear(old: Act, drive: LkDrive, request: Request) -> None:
         flags.clear()
         flags.update(drive.errors)
         old(drive, request)
 
-    replaced("clear_errors", lambda old: lambda drive, request: clear(drive, old, request)).install(hooks)
+    replaced("clear_errors", clear).install(hooks)
     told = _read(lambda drive, values: values | {name: 1 for name in flags if name in values}, Verb.CLEAR_ERRORS)
     told.install(hooks)
 
@@ -240,7 +240,7 @@ def _brake_told_on(hooks: Hooks) -> None:
 def _torque_told_on(hooks: Hooks) -> None:
     told: list[int] = []
 
-    def stop(drive: LkDrive, old: Act, request: Request) -> None:
+    def stop(old: Act, drive: LkDrive, request: Request) -> None:
         told[:] = [round(drive.motor.torque)] if isinstance(drive.motor.goal, Torque) else told
         old(drive, request)
 
@@ -249,7 +249,7 @@ def _torque_told_on(hooks: Hooks) -> None:
             told.clear()
         return values
 
-    replaced("stop", lambda old: lambda drive, request: stop(drive, old, request)).install(hooks)
+    replaced("stop", stop).install(hooks)
     hooks.request.append(watch)
     name = "torque_current"
     tell = _read(lambda drive, values: values | {name: told[0]} if told and name in values else values, Verb.READ_STATE_2)
@@ -300,13 +300,10 @@ def _position_kept(hooks: Hooks) -> None:
     together(acting("set_position", remember, after=True), at_power_up(powered))(hooks)
 
 
-def _dropping_turns(old: Act) -> Act:
-    def act(drive: LkDrive, request: Request) -> None:
-        if turns(drive):
-            drive.motor.clear_turns()
-        old(drive, request)
-
-    return act
+def _dropping_turns(old: Act, drive: LkDrive, request: Request) -> None:
+    if turns(drive):
+        drive.motor.clear_turns()
+    old(drive, request)
 
 
 def _forgetting(name: str, **values: int) -> Change:
@@ -460,11 +457,11 @@ ROWS: Rows = {
         Row("lk-off-drops-turns-of-a-run", "0x80 drops the counted turns while the shaft turns",
             replaced("motor_off", _dropping_turns)),
         Row("lk-turns-kept-while-turning", "0x93 does nothing while the shaft turns",
-            replaced("clear_turns", lambda old: lambda drive, request: None if turns(drive) else old(drive, request))),
+            undone("clear_turns", lambda drive, _: turns(drive))),
         Row("lk-late-while-turning", "replies come 30 ms late while the shaft turns",
             Change(lambda hooks: hooks.reply.append(_late), LK)),
         Row("lk-errors-kept-while-off", "0x9B clears nothing while the motor is off",
-            replaced("clear_errors", lambda old: lambda drive, request: old(drive, request) if drive.motor.on else None)),
+            undone("clear_errors", lambda drive, _: not drive.motor.on)),
         Row("lk-cleared-state-always-on", "0x9B tells the state 00h of a motor that is off",
             reply("state", always(MotorState.ON), Verb.CLEAR_ERRORS)),
         Row("lk-single-turn-frozen-backwards", "0x94 stays while the shaft turns counter-clockwise",

@@ -30,17 +30,14 @@ _MOVES = (*MULTI_TURN, *SINGLE_TURN, *INCREMENTS)
 def _steeper(names: tuple[str, ...], times: float, when: Callable[[LkDrive], bool]) -> Change:
     """Let motion commands begin by another ramp in a condition."""
 
-    def make(old: Act) -> Act:
-        def act(drive: LkDrive, request: Request) -> None:
-            motor, kept = drive.motor, drive.motor.limits
-            if when(drive):
-                motor.limits = replace(kept, acceleration=kept.acceleration * times)
-            old(drive, request)
-            motor.limits = kept
+    def act(old: Act, drive: LkDrive, request: Request) -> None:
+        motor, kept = drive.motor, drive.motor.limits
+        if when(drive):
+            motor.limits = replace(kept, acceleration=kept.acceleration * times)
+        old(drive, request)
+        motor.limits = kept
 
-        return act
-
-    return together(*(replaced(name, make) for name in names))
+    return replaced(names, act)
 
 
 def _turning(drive: LkDrive) -> bool:
@@ -123,21 +120,11 @@ def _install_off_forgotten(hooks: Hooks) -> None:
         stands = turned and abs(lk(drive).motor.motion.speed) < 1
         return values | {"state": int(MotorState.ON)} if stands else values
 
-    def off(old: Act) -> Act:
-        def act(drive: LkDrive, request: Request) -> None:
-            turned[:] = [True] if _turning(drive) else []
-            old(drive, request)
+    def switch(old: Act, drive: LkDrive, request: Request) -> None:
+        turned[:] = [True] if request.command.name == "motor_off" and _turning(drive) else []
+        old(drive, request)
 
-        return act
-
-    def on(old: Act) -> Act:
-        def act(drive: LkDrive, request: Request) -> None:
-            turned.clear()
-            old(drive, request)
-
-        return act
-
-    together(replaced("motor_off", off), replaced("motor_on", on), result(tell, _STATE_1))(hooks)
+    together(replaced(("motor_off", "motor_on"), switch), result(tell, _STATE_1))(hooks)
 
 
 _off_forgotten = Change(_install_off_forgotten, LK)
@@ -172,15 +159,12 @@ def _raw_of_before(drive: LkDrive) -> None:
 def _clearing(change: Callable[[LkDrive, set[str]], set[str]]) -> Change:
     """Let 0x9B leave other flags; `change` is given those of before."""
 
-    def make(old: Act) -> Act:
-        def act(drive: LkDrive, request: Request) -> None:
-            before = set(drive.errors)
-            old(drive, request)
-            drive.errors = change(drive, before)
+    def act(old: Act, drive: LkDrive, request: Request) -> None:
+        before = set(drive.errors)
+        old(drive, request)
+        drive.errors = change(drive, before)
 
-        return act
-
-    return replaced("clear_errors", make)
+    return replaced("clear_errors", act)
 
 
 def _lowest_alone(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
@@ -216,17 +200,13 @@ def _speed_of_16_bits(drive: Drive, command: Command, sent: Values, values: Valu
     return values | {"speed": int(tenths / 10)}
 
 
-def _held_in_new_count(old: Act) -> Act:
+def _held_in_new_count(old: Act, drive: LkDrive, request: Request) -> None:
     """Let a shaft at rest go to the number of the place that it holds, in the count that 95 sets."""
-
-    def act(drive: LkDrive, request: Request) -> None:
-        motor = drive.motor
-        goal, before = motor.goal, motor.origin
-        old(drive, request)
-        if isinstance(goal, Position) and drive.obeys and not motor.motion.speed:
-            motor.go(replace(goal, angle=goal.angle + motor.origin - before))
-
-    return act
+    motor = drive.motor
+    goal, before = motor.goal, motor.origin
+    old(drive, request)
+    if isinstance(goal, Position) and drive.obeys and not motor.motion.speed:
+        motor.go(replace(goal, angle=goal.angle + motor.origin - before))
 
 
 CONDITIONS: Rows = {
