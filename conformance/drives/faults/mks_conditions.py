@@ -34,7 +34,20 @@ from conformance.drives.faults.mks_behaviour import (
     with_state,
     wrapped,
 )
-from conformance.drives.faults.mks_frames import own, slots
+from conformance.drives.faults.mks_frames import (
+    Whom,
+    answering,
+    deaf_to,
+    for_all,
+    hearing,
+    is_setting,
+    of,
+    own,
+    package,
+    slots,
+    to_group,
+    to_next,
+)
 from conformance.drives.faults.places import (
     CAN,
     CAN_LONGEST,
@@ -46,7 +59,6 @@ from conformance.drives.faults.places import (
     Of,
     Row,
     Rows,
-    answered,
     body_of,
     every,
     faults,
@@ -178,12 +190,6 @@ def _unchecked(of: Of, to_all: bool = False) -> Change:
     return taken(accept)
 
 
-def _setting_of_another(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-    setting = message.command is not None and message.command.verb.value.startswith("set_")
-    near = message.address == drive.address + 1
-    return wanted or (frame.checksum_ok and setting and near and mks(drive).responder.understands(message))
-
-
 def _run_by_one(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     """Begin a run by a write of its register by function 06h, and answer as the manual says."""
     core, data = mks(drive), frame.data
@@ -193,12 +199,7 @@ def _run_by_one(drive: Drive, frame: Frame, message: Message, wanted: bool) -> b
     return wanted
 
 
-def _answers_group(drive: Drive, message: Message, wanted: bool) -> bool:
-    motion = message.command is not None and message.command.verb in MOTIONS
-    return wanted or (motion and message.address == drive.settings.get("group_address"))
-
-
-def _newest_is(drive: Drive, to: Callable[[Drive, Message], bool]) -> Callable[[], bool]:
+def _newest_is(drive: MksCore, to: Whom) -> Callable[[], bool]:
     """Return a question: whether the newest request was sent so."""
     so = False
 
@@ -211,7 +212,7 @@ def _newest_is(drive: Drive, to: Callable[[Drive, Message], bool]) -> Callable[[
     return lambda: so
 
 
-def _asked_to(to: Callable[[Drive, Message], bool], of: Of, change: Callable[[Values], Values]) -> Change:
+def _asked_to(to: Whom, of: Of, change: Callable[[Values], Values]) -> Change:
     """Change some requests that were sent so, and no others."""
     verbs = {of} if isinstance(of, Verb) else of
 
@@ -220,14 +221,6 @@ def _asked_to(to: Callable[[Drive, Message], bool], of: Of, change: Callable[[Va
         drive.hooks.request.append(lambda _, command, values: change(values) if so() and command.verb in verbs else values)
 
     return tuned(install)
-
-
-def _is_for_all(drive: Drive, message: Message) -> bool:
-    return message.address == drive.dialect.broadcast
-
-
-def _is_for_group(drive: Drive, message: Message) -> bool:
-    return bool(message.address) and message.address == drive.settings.get("group_address") != drive.address
 
 
 def _obey_without_check(receive: Callable[..., list[Outgoing]], drive: MksCore, frame: Frame, t_ns: int) -> list[Outgoing]:
@@ -289,7 +282,7 @@ def _deaf_after_exception(drive: MksCore) -> None:
     drive.hooks.accept.append(accept)
 
 
-def _lost_if_sent(to: Callable[[Drive, Message], bool], only: str = "") -> Change:
+def _lost_if_sent(to: Whom, only: str = "") -> Change:
     """Lose settings by a restart that were sent so, and keep others. `only`: but one."""
 
     def change(drive: MksCore) -> None:
@@ -305,16 +298,10 @@ def _lost_if_sent(to: Callable[[Drive, Message], bool], only: str = "") -> Chang
 
 
 def _to_group(of: Of, change: Callable[[Values], Values]) -> Change:
-    return Change(_asked_to(_is_for_group, of, change).install, having(Verb.SET_GROUP_ADDRESS))
+    return Change(_asked_to(to_group, of, change).install, having(Verb.SET_GROUP_ADDRESS))
 
 
-def _in_a_package(drive: Drive, message: Message) -> bool:
-    return message.command is not None and message.command.slots is not None
-
-
-def _made_ready_by(
-    to: Callable[[Drive, Message], bool], of: Of, ready: Callable[[MksCore], object]
-) -> Callable[[MksCore], None]:
+def _made_ready_by(to: Whom, of: Of, ready: Callable[[MksCore], object]) -> Callable[[MksCore], None]:
     """Let the drive do what is sent so, even where it would refuse."""
     verbs = {of} if isinstance(of, Verb) else of
 
@@ -336,7 +323,7 @@ def _unprotect(drive: MksCore) -> None:
     drive.grip()
 
 
-def _guards(to: Callable[[Drive, Message], bool]) -> Callable[[MksCore], None]:
+def _guards(to: Whom) -> Callable[[MksCore], None]:
     """Have no protection while a motion is under way that was sent so."""
 
     def install(drive: MksCore) -> None:
@@ -353,7 +340,7 @@ def _guards(to: Callable[[Drive, Message], bool]) -> Callable[[MksCore], None]:
 
 
 def _answers_enabling_in_slots(drive: MksCore) -> None:
-    so, obey = _newest_is(drive, _in_a_package), drive.obey
+    so, obey = _newest_is(drive, package), drive.obey
 
     def aloud(request: Request) -> None:
         request.answered |= so() and request.command.verb is Verb.ENABLE
@@ -365,12 +352,11 @@ def _answers_enabling_in_slots(drive: MksCore) -> None:
 def _heard_by_group(bit: int) -> Change:
     """Hear another group address that differs in one bit."""
 
-    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-        group = drive.settings.get("group_address")
-        near = group and message.address == group ^ 1 << bit != drive.address
-        return wanted or bool(frame.checksum_ok and near and mks(drive).responder.understands(message))
+    def near(drive: MksCore, message: Message) -> bool:
+        group = drive.settings.get("group_address", 0)
+        return bool(group) and message.address == group ^ 1 << bit != drive.address
 
-    return Change(taken(accept).install, having(Verb.SET_GROUP_ADDRESS))
+    return Change(hearing(near).install, having(Verb.SET_GROUP_ADDRESS))
 
 
 def _deaf_to_all_when_moved(drive: MksCore) -> None:
@@ -380,7 +366,7 @@ def _deaf_to_all_when_moved(drive: MksCore) -> None:
     def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
         nonlocal begun
         begun = begun or drive.address
-        return wanted and (drive.address == begun or not _is_for_all(drive, message))
+        return wanted and (drive.address == begun or not for_all(drive, message))
 
     drive.hooks.accept.append(accept)
     drive.hooks.powered.append(lambda _: forget())
@@ -392,16 +378,16 @@ def _deaf_to_all_when_moved(drive: MksCore) -> None:
 
 def _group_unheard(group: int) -> Change:
     """Keep a group's address, and do not hear it."""
-    deaf = taken(lambda d, f, message, wanted: wanted and not (_is_for_group(d, message) and message.address == group))
+    deaf = deaf_to(lambda drive, message: to_group(drive, message) and message.address == group)
     return Change(deaf.install, having(Verb.SET_GROUP_ADDRESS))
 
 
-def _end_untold_behind(to: Callable[[Drive, Message], bool]) -> Change:
+def _end_untold_behind(to: Whom) -> Change:
     """Forget during a motion who is to be told its end when a frame is sent so."""
 
     def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
         task = mks(drive).task
-        if task is not None and task.request is not None and to(drive, message):
+        if task is not None and task.request is not None and to(mks(drive), message):
             task.request.answered = False
         return wanted
 
@@ -435,9 +421,9 @@ HEARING: Rows = {
         Row("deaf-to-all-when-moved", "a drive that was given another address does not hear all drives' until a restart",
             tuned(_deaf_to_all_when_moved)),
         Row("end-untold-behind-all", "a broadcast in a motion silences the reply at its end",
-            _end_untold_behind(_is_for_all), TELLING),
+            _end_untold_behind(for_all), TELLING),
         Row("end-untold-behind-group", "a frame to the group in a motion silences the reply at its end",
-            _end_untold_behind(_is_for_group), TELLING),
+            _end_untold_behind(to_group), TELLING),
         Row("end-untold-behind-other", "a frame to another drive in a motion silences the reply at its end",
             _end_untold_behind(lambda drive, message: message.address not in (drive.address, drive.dialect.broadcast)),
             TELLING),
@@ -464,28 +450,23 @@ HEARING: Rows = {
         Row("crc-swapped", "a CRC with its bytes swapped passes too", _take(lambda got, right: got == right[::-1]), MODBUS),
         Row("home-unchecked", "91 is executed with any checksum", _unchecked(Verb.HOME)),
         Row("broadcast-counts-halved", "F4 to all drives goes half as far",
-            _asked_to(_is_for_all, Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"position": values["position"] // 2})),
+            _asked_to(for_all, Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"position": values["position"] // 2})),
         Row("broadcast-move-at-once", "FE to all drives has no ramp",
-            _asked_to(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, lambda values: values | {"acceleration": 0})),
+            _asked_to(for_all, Verb.MOVE_ABSOLUTE_PULSES, lambda values: values | {"acceleration": 0})),
         Row("broadcast-one-way", "F6 to all drives turns the shaft one way alone",
-            _asked_to(_is_for_all, Verb.RUN_SPEED, lambda values: values | {"direction": 0})),
+            _asked_to(for_all, Verb.RUN_SPEED, lambda values: values | {"direction": 0})),
         Row("off-obeys-all", "F4 to all drives is executed by a motor that is off",
-            tuned(_made_ready_by(_is_for_all, Verb.MOVE_RELATIVE_AXIS, hold))),
+            tuned(_made_ready_by(for_all, Verb.MOVE_RELATIVE_AXIS, hold))),
         Row("protected-obeys-all", "FE to all drives is executed by a motor that is protected",
-            tuned(_made_ready_by(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, _unprotect), having(Verb.RELEASE_PROTECTION))),
-        Row("unguarded-by-all", "a motion to all drives is not protected against a locked rotor", tuned(_guards(_is_for_all))),
-        Row(
-            "subdivision-of-all-answered",
-            "84 to all drives is answered",
-            answered(
-                lambda drive, message, wanted: wanted or (_is_for_all(drive, message) and _is(message, Verb.SET_SUBDIVISION))
-            ),
-            SERIAL,
-        ),
+            tuned(_made_ready_by(for_all, Verb.MOVE_ABSOLUTE_PULSES, _unprotect), having(Verb.RELEASE_PROTECTION))),
+        Row("unguarded-by-all", "a motion to all drives is not protected against a locked rotor", tuned(_guards(for_all))),
+        Row("subdivision-of-all-answered", "84 to all drives is answered",
+            answering(of(for_all, Verb.SET_SUBDIVISION)), SERIAL),
         Row("broadcast-unchecked", "motion to all drives is executed with any checksum", _unchecked(MOTIONS, True)),
         Row("stop-unchecked", "F7 is executed with any checksum", _unchecked(Verb.EMERGENCY_STOP)),
     ),
-    "address": (Row("sets-for-next", "settings of the next higher address are stored too", taken(_setting_of_another)),),
+    "address": (Row("sets-for-next", "settings of the next higher address are stored too",
+                    hearing(lambda drive, message: to_next(drive, message) and is_setting(message))),),
     "function": (Row("run-by-06", "a write of F6 by 06h begins a run", taken(_run_by_one), MODBUS),),
     "group": (
         Row("group-without-ramp", "motion to the group has no ramp",
@@ -494,22 +475,11 @@ HEARING: Rows = {
             _to_group(Verb.MOVE_RELATIVE_PULSES, lambda values: values | {"pulses": values["pulses"] & 0xFF})),
         Row("group-speed-byte", "F4 to the group has the low byte of its speed",
             _to_group(Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"speed": values["speed"] & 0xFF})),
-        Row(
-            "group-answered-backwards",
-            "FD to the group is answered where it turns the shaft clockwise",
-            answered(
-                lambda drive, message, wanted: (
-                    wanted
-                    or (
-                        _is_for_group(drive, message) and _is(message, Verb.MOVE_RELATIVE_PULSES) and _backwards(message.values)
-                    )
-                )
-            ),
-            TELLING,
-        ),
+        Row("group-answered-backwards", "FD to the group is answered where it turns the shaft clockwise",
+            answering(lambda d, m: of(to_group, Verb.MOVE_RELATIVE_PULSES)(d, m) and _backwards(m.values)), TELLING),
         Row("hears-bad-group-bit-7", "a group address whose highest bit in a byte differs is obeyed", _heard_by_group(7)),
         Row("hears-bad-group-bit-4", "a group address that differs by 10h is obeyed", _heard_by_group(4)),
-        Row("group-motion-answered", "motion to the group is answered", answered(_answers_group), NATIVE),
+        Row("group-motion-answered", "motion to the group is answered", answering(of(to_group, *MOTIONS)), NATIVE),
     ),
     "length": (Row("emergency-without-check", "F7 is obeyed without its check",
                    overridden("receive", _obey_without_check), CAN),),
@@ -817,10 +787,6 @@ def _limits_passed(when: Callable[[MksCore, str], bool]) -> Change:
     return overridden("_limit_time", lambda reached, drive, side: None if when(drive, side) else reached(side))
 
 
-def _is(message: Message, verb: Verb) -> bool:
-    return message.command is not None and message.command.verb is verb
-
-
 def _backwards(values: Values) -> bool:
     """Say whether a motion of direction 1, or of a negative number, is asked for."""
     return values.get("direction") == mks_shared.MotionDirection.CW or values.get("position", 0) < 0
@@ -908,19 +874,9 @@ def _disabled_later(drive: MksCore, request: Request) -> Values | None:
     return dict(OK) if not request.values["enabled"] and drive.doing(Activity.MOVE) else None
 
 
-def _deaf_to_group(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-    """Hear no move by the group while the shaft turns."""
-    moves = any(_is(message, verb) for verb in MOVES)
-    return wanted and not (moves and _is_for_group(drive, message) and turns(mks(drive)))
-
-
-def _deaf_homing(verb: Verb, shared: Callable[[Drive, Message], bool]) -> Change:
-    """Hear a command that several drives get not while homing."""
-    return taken(
-        lambda drive, frame, message, wanted: (
-            wanted and not (_is(message, verb) and shared(drive, message) and mks(drive).doing(Activity.HOME))
-        )
-    )
+def _deaf_homing(to: Whom) -> Change:
+    """Do not hear these frames while homing."""
+    return deaf_to(lambda drive, message: to(drive, message) and drive.doing(Activity.HOME))
 
 
 def _asked_of(drive: MksCore) -> tuple[int | None, int | None]:
@@ -1009,10 +965,6 @@ def _slow_after_homing(drive: MksCore) -> None:
         return values
 
     drive.hooks.request.append(ask)
-
-
-def _own_and_group_alone(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-    return wanted and not (message.address == drive.dialect.broadcast and drive.settings.get("group_address"))
 
 
 def _tired(drive: MksCore) -> None:
@@ -1282,38 +1234,22 @@ DOING: Rows = {
         Row("save-speed-without-direction", "a kept run begins as it was sent, without what 86 says",
             _after_restart(_run_without_direction), CAN),
         Row("user-id-unset-lost", "a restart takes the number FFFFFFFFh for none", _after_restart(_number_unset), CAN),
-        Row("broadcast-settings-lost", "a restart loses what all drives were set to", _lost_if_sent(_is_for_all)),
+        Row("broadcast-settings-lost", "a restart loses what all drives were set to", _lost_if_sent(for_all)),
         Row("group-settings-lost", "a restart loses what the group was set to",
-            _lost_if_sent(_is_for_group), having(Verb.SET_GROUP_ADDRESS)),
-        Row("package-settings-lost", "a restart loses what was set in a package", _lost_if_sent(_in_a_package), NATIVE),
-        Row(
-            "turning-deaf-to-all-off",
-            "F3 to all drives is not heard while a run turns the shaft",
-            taken(
-                lambda drive, frame, message, wanted: (
-                    wanted
-                    and not (_is(message, Verb.ENABLE) and _is_for_all(drive, message) and mks(drive).memory.run is not None)
-                )
-            ),
-        ),
+            _lost_if_sent(to_group), having(Verb.SET_GROUP_ADDRESS)),
+        Row("package-settings-lost", "a restart loses what was set in a package", _lost_if_sent(package), NATIVE),
+        Row("turning-deaf-to-all-off", "F3 to all drives is not heard while a run turns the shaft",
+            deaf_to(lambda drive, message: of(for_all, Verb.ENABLE)(drive, message) and drive.memory.run is not None)),
         Row("tolerance-of-all-lost", "a stall tolerance that was set by a broadcast is lost by a restart",
-            _lost_if_sent(_is_for_all, "stall_tolerance"), CAN),
+            _lost_if_sent(for_all, "stall_tolerance"), CAN),
         Row("homing-deaf-to-stops-of-all", "the emergency stop to all drives is not heard while homing",
-            _deaf_homing(Verb.EMERGENCY_STOP, _is_for_all)),
+            _deaf_homing(of(for_all, Verb.EMERGENCY_STOP))),
         Row("homing-deaf-to-group-off", "F3 by the group is not heard while homing",
-            _deaf_homing(Verb.ENABLE, _is_for_group), having(Verb.SET_GROUP_ADDRESS)),
+            _deaf_homing(of(to_group, Verb.ENABLE)), having(Verb.SET_GROUP_ADDRESS)),
         Row("group-deaf-while-turning", "a move by the group is not heard while the shaft turns",
-            taken(_deaf_to_group), having(Verb.SET_GROUP_ADDRESS)),
-        Row(
-            "protection-of-all-unheard",
-            "88 to all drives is not heard",
-            taken(
-                lambda drive, frame, message, wanted: (
-                    wanted and not (_is(message, Verb.SET_PROTECTION) and message.address == drive.dialect.broadcast)
-                )
-            ),
-            SERIAL,
-        ),
+            deaf_to(lambda drive, message: of(to_group, *MOVES)(drive, message) and turns(drive)),
+            having(Verb.SET_GROUP_ADDRESS)),
+        Row("protection-of-all-unheard", "88 to all drives is not heard", deaf_to(of(for_all, Verb.SET_PROTECTION)), SERIAL),
         Row("saved-run-once", "a saved run begins at one power-on alone", overridden("power_on", _once)),
         Row("saved-ramp-lost", "a saved run begins without its ramp", _stored_as("saved_acceleration", lambda v: 0)),
         Row("saved-speed-byte", "a saved run has the low byte of its speed", _stored_as("saved_speed", lambda v: v & 0xFF)),
@@ -1354,7 +1290,7 @@ DOING: Rows = {
             ),
         ),
         Row("pulse-mode-obeys-package", "motion in a package is executed in a pulse mode",
-            tuned(_made_ready_by(_in_a_package, MOTIONS, lambda drive: drive.heedless.add("work_mode"))), NATIVE),
+            tuned(_made_ready_by(package, MOTIONS, lambda drive: drive.heedless.add("work_mode"))), NATIVE),
         Row("package-fourth-slot-unsigned", "F4 in the fourth slot of a package has no sign",
             _in_packages(lambda values: values | {"position": abs(values["position"])}, Verb.MOVE_RELATIVE_AXIS, (4,))),
     ),
@@ -1384,7 +1320,8 @@ DOING: Rows = {
         Row("group-left-by-address", "a new address takes the drive out of its group",
             before(Verb.SET_ADDRESS, leave_group), having(Verb.SET_GROUP_ADDRESS)),
         Row("group-deaf-to-all", "a drive in a group does not hear broadcasts",
-            taken(_own_and_group_alone), having(Verb.SET_GROUP_ADDRESS)),
+            deaf_to(lambda drive, message: for_all(drive, message) and bool(drive.settings.get("group_address"))),
+            having(Verb.SET_GROUP_ADDRESS)),
     ),
     "update": (
         Row("update-undone", "F5 while the shaft turns says success and is lost", undone_when(turns, Verb.MOVE_ABSOLUTE_AXIS)),
