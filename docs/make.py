@@ -1,4 +1,6 @@
-"""Make what the documents show: outputs in README.md and first-hour.md from real runs, the picture, the tables.
+"""Make what the documents show: outputs in README.md and first-hour.md from real runs, a picture, the tables.
+
+`make_view.py` beside it makes the pictures that need a browser or the view.
 
 python docs/make.py                rewrite README.md and what is made in docs in place
 python docs/make.py statements.md  rewrite this one alone

@@ -330,24 +330,10 @@ class _HeadFinder(Finder):
                 continue
             address, code, code_at = slot[0], slot[_SLOT_CODE], first + _SLOT_CODE
             sizes = self._sizes.get(code)
-            found.append(
-                Candidate(
-                    start,
-                    stop,
-                    stop if fits else code_at + 1,
-                    address,
-                    None,
-                    code,
-                    code_at,
-                    bool(sizes),
-                    fits,
-                    complete,
-                    slot[_SLOT_CODE + 1 :],
-                    sizes or (),
-                    weak=not sizes and code in self._heads,
-                    slot=number,
-                )
-            )
+            found.append(Candidate(
+                start, stop, stop if fits else code_at + 1, address, None, code, code_at, bool(sizes), fits, complete,
+                slot[_SLOT_CODE + 1 :], sizes or (), weak=not sizes and code in self._heads, slot=number,
+            ))  # fmt: skip
         good = fits and all(candidate.known for candidate in found)
         found.append(Candidate(start, stop, stop, None, None, package.head, start, True, good, complete))
         return Candidates(tuple(found), not complete)

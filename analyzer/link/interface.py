@@ -362,20 +362,9 @@ class FrameFinder(Finder):
         data = buffer[head.start : head.stop]
         known = (head.function, head.code) in self._codes
         candidate = Candidate(
-            0,
-            len(buffer),
-            len(buffer),
-            head.address,
-            head.function,
-            head.code or 0,
-            max(0, head.start - 1),
-            known,
-            complete and all(check.ok for check in checks),
-            complete,
-            data,
-            (len(data),),
-            misfit=not complete,
-        )
+            0, len(buffer), len(buffer), head.address, head.function, head.code or 0, max(0, head.start - 1), known,
+            complete and all(check.ok for check in checks), complete, data, (len(data),), misfit=not complete,
+        )  # fmt: skip
         return Candidates((candidate,))
 
 
@@ -405,16 +394,6 @@ class SlicerFinder(Finder):
         data = frame[head.start : head.stop]
         stop = start + len(frame)
         return Candidate(
-            start,
-            stop,
-            stop,
-            head.address,
-            head.function,
-            code,
-            start + max(0, head.start - 1),
-            (head.function, code) in self._codes,
-            fits,
-            True,
-            data,
-            (len(data),),
-        )
+            start, stop, stop, head.address, head.function, code, start + max(0, head.start - 1),
+            (head.function, code) in self._codes, fits, True, data, (len(data),),
+        )  # fmt: skip

@@ -188,20 +188,10 @@ class _LkFinder(Finder):
             stop = start + (6 + size if size else 5)
             complete = size is not None and stop <= end
             fits = complete and head_fits and (not size or sum8(buffer[start + 5 : stop - 1]) == buffer[stop - 1])
-            candidate = Candidate(
-                start,
-                min(stop, end),
-                end,
-                address,
-                None,
-                code,
-                start + 1,
-                True,
-                fits,
-                complete,
-                buffer[start + 5 : start + 5 + (size or 0)],
-                () if size is None else (size,),
-            )
+            candidate =Candidate(
+                start, min(stop, end), end, address, None, code, start + 1, True, fits, complete,
+                buffer[start + 5 : start + 5 + (size or 0)], () if size is None else (size,),
+            )  # fmt: skip
             return Candidates((candidate,), not complete)
         # Of another length or an unknown code: the head says all that can be known.
         stop = min(start + 5, end)
@@ -213,18 +203,8 @@ class _LkFinder(Finder):
         else:
             # The head of this dialect is a code of another (3E reads the protection of MKS drives). So an unknown code needs
             # more than the byte before it: the sum of the head, or the beginning of a sending.
-            candidate = Candidate(
-                start,
-                stop,
-                start + 5,
-                address,
-                None,
-                code,
-                start + 1,
-                False,
-                False,
-                start + 5 <= end,
-                first_only=not head_fits,
-                weak=not head_fits and code == _LK_HEAD,
-            )
+            candidate =Candidate(
+                start, stop, start + 5, address, None, code, start + 1, False, False, start + 5 <= end,
+                first_only=not head_fits, weak=not head_fits and code == _LK_HEAD,
+            )  # fmt: skip
         return Candidates((candidate,), start + 5 > end)

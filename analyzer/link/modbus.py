@@ -421,23 +421,11 @@ class _ModbusFinder(Finder):
         if quantity is None:
             note = f"register 0x{register:04X}"
         complete = stop <= end
-        candidate = Candidate(
-            start,
-            min(stop, end),
-            end,
-            buffer[start],
-            function,
-            register,
-            start + 3,
-            quantity is not None,
-            complete and modbus_crc(buffer[start:stop]) == 0,
-            complete,
-            buffer[data_at : data_at + size],
-            (size,),
-            misfit,
-            first_only=quantity is None,
-            note=note,
-        )
+        candidate =Candidate(
+            start, min(stop, end), end, buffer[start], function, register, start + 3, quantity is not None,
+            complete and modbus_crc(buffer[start:stop]) == 0, complete, buffer[data_at : data_at + size], (size,), misfit,
+            first_only=quantity is None, note=note,
+        )  # fmt: skip
         return Candidates((candidate,), not complete)
 
     def checked(self, buffer: bytes, start: int, stop: int) -> Iterator[Candidate]:

@@ -20,7 +20,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from analyzer.catalogue import Role
+from analyzer.catalogue import Dialect, Role
 from analyzer.errors import UsageError
 from analyzer.values import is_host, quote
 
@@ -63,6 +63,11 @@ class Endpoint:
     def bus_kind(self) -> str:
         """`can` or `serial`, as a dialect's `bus`."""
         return "can" if self.kind == "can" else "serial"
+
+    def check_dialect(self, dialect: Dialect) -> None:
+        """Raise UsageError for a dialect of another kind of bus."""
+        if dialect.bus != self.bus_kind:
+            raise UsageError(f"{dialect.name} is a dialect of {dialect.bus}, and {self.text} is a {self.bus_kind} bus")
 
     @property
     def host(self) -> tuple[str, int]:

@@ -343,11 +343,9 @@ class _File:
         entry = self._entry("drive", name, Drive)
         try:
             dialect = registry.get(entry.dialect)
+            place.check_dialect(dialect)
         except UsageError as error:
             raise self._error("drive", name, "dialect", str(error)) from None
-        if dialect.bus != place.bus_kind:
-            said = f"{dialect.name} is a dialect of {dialect.bus}, and {place.text} is a {place.bus_kind} bus"
-            raise self._error("drive", name, "dialect", said)
         first, last = dialect.addresses
         if not first <= entry.address <= last:
             raise self._error("drive", name, "address", f"got {entry.address}, expected {first}..{last}")

@@ -57,37 +57,20 @@ def _move(section: str, name: str, code: str, *more: Statement) -> Iterator[Stat
 
 
 _READS = (
-    said(
-        "8/speaks",
-        "The drive speaks Modbus-RTU when that is switched on.",
-        "ranges/set_modbus/modbus/listed",
-        "framing/other_dialect/ignored",
-    ),
+    said("8/speaks", "The drive speaks Modbus-RTU when that is switched on.",
+        "ranges/set_modbus/modbus/listed", "framing/other_dialect/ignored"),
     said("8/crc", "Frames end in a CRC16.", "framing/checksum_*/ignored", "shape/*/crc16"),
-    said(
-        "8/crc-motion",
-        "Motion with a wrong CRC is not executed.",
-        "framing/checksum_bit/not_executed",
-        "framing/flipped_bit/not_executed",
-        "framing/*/wrong_check",
-    ),
+    said("8/crc-motion", "Motion with a wrong CRC is not executed.",
+        "framing/checksum_bit/not_executed", "framing/flipped_bit/not_executed", "framing/*/wrong_check"),
     said("8/address", "A drive executes and answers what its own address is sent.", "addressing/other/*", "shape/*/address"),
-    said(
-        "8/answered", "Every request is answered, once.", "shape/*/answered", "shape/*/once", "resilience/*", "traffic/answered"
-    ),
-    said(
-        "8/high-byte-first", "Registers and values have their high byte first.", "shape/*/register", "motion/read_position/turn"
-    ),
-    said(
-        "8.1/reads",
-        "Registers are read by function 04.",
-        "modbus/function/other_reads",
-        "examples/read_*/1",
-        "resilience/reads/of-what-is-done",
-    ),
-    said(
-        "8.1/quantity", "Each is read with its own number of registers.", "modbus/quantity/others", "modbus/quantity/too_many"
-    ),
+    said("8/answered", "Every request is answered, once.",
+        "shape/*/answered", "shape/*/once", "resilience/*", "traffic/answered"),
+    said("8/high-byte-first", "Registers and values have their high byte first.",
+        "shape/*/register", "motion/read_position/turn"),
+    said("8.1/reads", "Registers are read by function 04.",
+        "modbus/function/other_reads", "examples/read_*/1", "resilience/reads/of-what-is-done"),
+    said("8.1/quantity", "Each is read with its own number of registers.",
+        "modbus/quantity/others", "modbus/quantity/too_many"),
     said("8.1/other-registers", "There are no registers but those.", "modbus/register/between", "modbus/register/high_byte"),
     *read(
         "8.1.1",
@@ -121,96 +104,62 @@ _READS = (
         "motion/read_status/behind-emergency",
     ),
     said("8.1.10/calibrating", "6: it is calibrating.", "motion/calibrate/status"),
-)
+)  # fmt: skip
 
 _WRITES = (
-    said(
-        "8.2/one", "One register is written by function 06 and echoed.", "modbus/write_one/echo", "modbus/function/other_write"
-    ),
+    said("8.2/one", "One register is written by function 06 and echoed.",
+        "modbus/write_one/echo", "modbus/function/other_write"),
     said("8.2/several", "Several are written by function 10h, answered by their number.", "modbus/write_many/echo"),
-    *_write(
-        "8.2.1",
-        "release_protection",
-        "3Dh with 1 ends the protection of a locked rotor.",
-        said("8.2.1/releases", "The motor moves again.", "motion/release_protection/*"),
-    ),
-    *_write(
-        "8.2.2",
-        "restore",
-        "3Fh with 1 puts every parameter back to its default.",
-        said("8.2.2/defaults", "Every parameter is as by default.", "read-back/restore/settings", "read-back/restore/link"),
-    ),
+    *_write("8.2.1", "release_protection",
+         "3Dh with 1 ends the protection of a locked rotor.",
+         said("8.2.1/releases", "The motor moves again.", "motion/release_protection/*")),
+    *_write("8.2.2", "restore",
+         "3Fh with 1 puts every parameter back to its default.",
+         said("8.2.2/defaults", "Every parameter is as by default.", "read-back/restore/settings", "read-back/restore/link")),
     *_write(
         "8.2.3",
         "restart",
         "41h with 1 starts the drive again.",
-        said(
-            "8.2.3/restarts",
-            "The drive starts again.",
-            "motion/restart/ends-motion*",
-            "timing/restart/*",
-            "read-back/restart/*",
-        ),
+        said("8.2.3/restarts", "The drive starts again.",
+            "motion/restart/ends-motion*", "timing/restart/*", "read-back/restart/*"),
     ),
-    *_write(
-        "8.2.4",
-        "calibrate",
-        "80h with 1 calibrates the encoder.",
-        said("8.2.4/calibrates", "The motor is calibrated.", "motion/calibrate/status"),
-    ),
+    *_write("8.2.4", "calibrate",
+         "80h with 1 calibrates the encoder.", said("8.2.4/calibrates", "The motor is calibrated.", "motion/calibrate/status")),
     *_write(
         "8.2.5",
         "set_work_mode",
         "82h sets the work mode, 0 to 5.",
-        said(
-            "8.2.5/effect",
-            "In modes 3 to 5 the bus moves the motor, in the others pulses.",
-            "read-back/set_work_mode/effect",
-            "motion/*/pulse-mode",
-        ),
+        said("8.2.5/effect", "In modes 3 to 5 the bus moves the motor, in the others pulses.",
+            "read-back/set_work_mode/effect", "motion/*/pulse-mode"),
     ),
     *_write("8.2.6", "set_current", "83h sets the working current in mA."),
-    *_write(
-        "8.2.7",
-        "set_holding_current",
-        "9Bh sets the holding current, 0 to 8.",
-        unseen("8.2.7/percent", "0 is 10 percent, each step 10 more, but in vFOC.", CURRENT_UNSEEN),
-    ),
+    *_write("8.2.7", "set_holding_current",
+         "9Bh sets the holding current, 0 to 8.",
+         unseen("8.2.7/percent", "0 is 10 percent, each step 10 more, but in vFOC.", CURRENT_UNSEEN)),
     *_write("8.2.8", "set_subdivision", "84h sets the subdivision in two bytes."),
     *_write("8.2.9", "set_enable_level", "85h sets the level of En: low, high, always."),
     *_write("8.2.10", "set_direction", "86h sets the direction: 0 CW, 1 CCW."),
-    *_write(
-        "8.2.11",
-        "set_screen_off",
-        "87h switches the display's going dark off (0) or on (1).",
-        unseen("8.2.11/dark", "The display goes dark after 15 seconds; a key wakes it up.", DISPLAY),
-    ),
+    *_write("8.2.11", "set_screen_off",
+         "87h switches the display's going dark off (0) or on (1).",
+         unseen("8.2.11/dark", "The display goes dark after 15 seconds; a key wakes it up.", DISPLAY)),
     *_write("8.2.12", "set_protection", "88h switches the rotor's protection off (0) or on (1)."),
     *_write("8.2.13", "set_interpolation", "89h switches interpolation off (0) or on (1)."),
     *_write("8.2.14", "set_baud_rate", "8Ah sets the baud rate, 1 to 7."),
     *_write("8.2.15", "set_address", "8Bh sets the address."),
-    *_write(
-        "8.2.16",
-        "set_modbus",
-        "8Eh switches Modbus-RTU off (0) or on (1).",
-        said("8.2.16/speaks", "With 0 the drive speaks its native frames again.", "ranges/set_modbus/modbus/listed"),
-    ),
+    *_write("8.2.16", "set_modbus",
+         "8Eh switches Modbus-RTU off (0) or on (1).",
+         said("8.2.16/speaks", "With 0 the drive speaks its native frames again.", "ranges/set_modbus/modbus/listed")),
     *_write("8.2.17", "set_key_lock", "8Fh unlocks (0) or locks (1) the keys."),
-    *_write(
-        "8.2.18",
-        "set_zero",
-        "92h with 1 makes the present place zero.",
-        said("8.2.18/zero", "The present place is zero.", "motion/set_zero/*"),
-        said("8.2.18/stands", "The motor does not move.", "motion/set_zero/stands"),
-    ),
+    *_write("8.2.18", "set_zero",
+         "92h with 1 makes the present place zero.", said("8.2.18/zero", "The present place is zero.", "motion/set_zero/*"),
+         said("8.2.18/stands", "The motor does not move.", "motion/set_zero/stands")),
     *_write(
         "8.2.19",
         "enable",
         "F3h enables (1) or disables (0) the motor.",
         said("8.2.19/off", "With 0 the motor lets go.", "motion/enable/off-ends-mo*", "motion/enable/is-read"),
-        said(
-            "8.2.19/on", "With 1 it holds.", "motion/enable/is-read", "motion/enable/on-holds-here", "read-back/enable/effect"
-        ),
+        said("8.2.19/on", "With 1 it holds.",
+            "motion/enable/is-read", "motion/enable/on-holds-here", "read-back/enable/effect"),
         said("8.2.19/serial", "It works in serial modes alone.", "motion/enable/pulse-mode"),
         said("8.2.19/motion", "A disabled motor is not turned by any motion command.", "motion/*/disabled"),
     ),
@@ -222,31 +171,21 @@ _WRITES = (
     ),
     *_write("8.2.21", "set_limit_remap", "9Eh switches the remapped ports off (0) or on (1)."),
     *_write_many("8.2.22", "set_zero_mode", "9Ah sets mode, zero, speed and direction of the way back."),
-)
+)  # fmt: skip
 
 _MOTION = (
-    *_write(
-        "8.3.1",
-        "emergency_stop",
-        "F7h with 1 stops the motor at once.",
-        said("8.3.1/stops", "The motor stops at once.", "motion/emergency_stop/ends-*"),
-    ),
-    *_write(
-        "8.3.2",
-        "home",
-        "91h with 1 looks for home.",
-        said("8.3.2/homes", "Where homing ends is zero.", "motion/home/finds-switch-*", "motion/home/zero"),
-    ),
+    *_write("8.3.1", "emergency_stop",
+         "F7h with 1 stops the motor at once.",
+         said("8.3.1/stops", "The motor stops at once.", "motion/emergency_stop/ends-*")),
+    *_write("8.3.2", "home",
+         "91h with 1 looks for home.",
+         said("8.3.2/homes", "Where homing ends is zero.", "motion/home/finds-switch-*", "motion/home/zero")),
     *_write_many(
         "8.3.3.1",
         "run_speed",
         "F6h takes direction, acceleration and a speed of 0 to 3000.",
-        said(
-            "8.3.3.1/runs",
-            "The shaft turns at a fixed speed and acceleration.",
-            "motion/run_speed/speed-*",
-            "motion/run_speed/lasts",
-        ),
+        said("8.3.3.1/runs", "The shaft turns at a fixed speed and acceleration.",
+            "motion/run_speed/speed-*", "motion/run_speed/lasts"),
         said("8.3.3.1/way", "The direction is 0 CCW or 1 CW.", "motion/run_speed/opposite", "motion/run_speed/raises"),
         said("8.3.3.1/serial", "It needs a serial work mode.", "motion/run_speed/pulse-mode"),
     ),
@@ -255,49 +194,32 @@ _MOTION = (
         "8.3.3.3",
         "save_speed",
         "FFh keeps (C8h) or forgets (CAh) the run.",
-        said(
-            "8.3.3.3/save",
-            "A kept run begins when power comes on, either way.",
-            "read-back/save_speed/power",
-            "read-back/save_speed/restart",
-            "read-back/save_speed/as-it-was",
-            "read-back/save_speed/no-sooner",
-        ),
+        said("8.3.3.3/save", "A kept run begins when power comes on, either way.",
+            "read-back/save_speed/power", "read-back/save_speed/restart", "read-back/save_speed/as-it-was",
+            "read-back/save_speed/no-sooner"),
         said("8.3.3.3/clean", "A forgotten run does not.", "read-back/save_speed/clean"),
     ),
     *_move(
         "8.3.4.1",
         "move_relative_pulses",
         "FDh",
-        said(
-            "8.3.4.1/way",
-            "The direction is 0 CCW or 1 CW.",
-            "motion/move_relative_pulses/opposite",
-            "motion/run_speed/same-sense",
-        ),
+        said("8.3.4.1/way", "The direction is 0 CCW or 1 CW.",
+            "motion/move_relative_pulses/opposite", "motion/run_speed/same-sense"),
     ),
     *_stop("8.3.4.2", "stop_relative_pulses", "FDh"),
     *_move("8.3.5.1", "move_absolute_pulses", "FEh"),
     *_stop("8.3.5.2", "stop_absolute_pulses", "FEh"),
-    *_move(
-        "8.3.6.1",
-        "move_relative_axis",
-        "F4h",
-        said("8.3.6.1/axis", "The axis is the value that 31h reads.", "motion/move_relative_axis/sign"),
-    ),
+    *_move("8.3.6.1", "move_relative_axis",
+         "F4h", said("8.3.6.1/axis", "The axis is the value that 31h reads.", "motion/move_relative_axis/sign")),
     *_stop("8.3.6.2", "stop_relative_axis", "F4h"),
     *_move(
         "8.3.7.1",
         "move_absolute_axis",
         "F5h",
-        said(
-            "8.3.7.1/axis",
-            "The axis is the value that 31h reads.",
-            "motion/move_absolute_axis/sign",
-            "motion/move_absolute_axis/reads-as-asked",
-        ),
+        said("8.3.7.1/axis", "The axis is the value that 31h reads.",
+            "motion/move_absolute_axis/sign", "motion/move_absolute_axis/reads-as-asked"),
     ),
     *_stop("8.3.7.2", "stop_absolute_axis", "F5h"),
-)
+)  # fmt: skip
 
 STATEMENTS = (*SHARED, *RAMPS, *_READS, *_WRITES, *_MOTION)

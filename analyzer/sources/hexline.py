@@ -154,6 +154,9 @@ _TWO_WORDS = re.compile(r"[^\W\d_]+ [^\W\d_]+ $")
 #: Words of a sentence, and how many of them are one.
 _PLAIN_WORD = re.compile(r"[^\W\d_]{3,}[.!?]?")
 _SENTENCE_WORDS = 3
+#: Groups of items that are times, with the kind of each; those that are words of who sent.
+_KINDS_OF_TIME = {kind: kind for kind in STAMPS} | dict.fromkeys(("millis", "counted", "leading"), "millis")
+_SAID = {"host": "host", "drive": "drive", "shell": "sent"}
 _BRACKETS = {"[": "]", "{": "}", "(": ")"}
 _CLOSERS = " ]})>\"'□`"
 _ITEM_LIMIT = 10
@@ -444,20 +447,16 @@ class _Peeler:
         for group, value in found.groupdict().items():
             if value is None:
                 continue
-            if group in STAMPS:
+            if kind := _KINDS_OF_TIME.get(group):
                 if self.stamp.kind:
                     return False
-                self.stamp = Stamp(group, value)
-            elif group in ("millis", "counted", "leading"):
-                if self.stamp.kind:
-                    return False
-                self.stamp = Stamp("millis", value)
+                self.stamp = Stamp(kind, value)
             elif group in ("word", "assist", "call"):
                 self.words.append(value.lower())
                 if value.lower() in SPEAKERS and found[0].lstrip().startswith("["):
                     self.tags.append(value.lower())
-            elif group in ("host", "drive"):
-                self.words.append(group)
+            elif group in _SAID:
+                self.words.append(_SAID[group])
             elif group == "form":
                 self.ascii = value.upper() == "ASCII"
             elif group in ("sign", "letter"):
@@ -468,8 +467,6 @@ class _Peeler:
                 self.number = int(value)
             elif group in ("label", "bullet"):
                 self.declared = True
-            elif group == "shell":
-                self.words.append("sent")
             elif group == "variable":
                 self.declared = True
                 self.declaration = found[0].strip(" =")

@@ -64,8 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     endpoint = profile.endpoint(place)
     dialects = {change.address: dialect_of(change) for change in changes}
     for dialect in dialects.values():
-        if dialect.bus != endpoint.bus_kind:
-            raise UsageError(f"{dialect.name} is a dialect of {dialect.bus}, and {endpoint.text} is a {endpoint.bus_kind} bus")
+        endpoint.check_dialect(dialect)
     addresses = frozenset(dialects)
     found: list[str] = []
     # Reads by this gate; what is put back, and nothing else, passes another one.

@@ -114,8 +114,7 @@ def dialects_on(endpoint: Endpoint, text: str | None = None) -> list[Dialect]:
         return every
     chosen = [registry.get(name.strip()) for name in text.split(",")]
     for dialect in chosen:
-        if dialect.bus != endpoint.bus_kind:
-            raise UsageError(f"{dialect.name} is a dialect of {dialect.bus}, and {endpoint.text} is a {endpoint.bus_kind} bus")
+        endpoint.check_dialect(dialect)
     return chosen
 
 

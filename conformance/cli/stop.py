@@ -21,7 +21,7 @@ from analyzer.catalogue import Dialect
 from analyzer.cli.boundary import report
 from analyzer.cli.frame import parse_target
 from analyzer.dialects import drive_name
-from analyzer.errors import ServotapError, UsageError
+from analyzer.errors import ServotapError
 from analyzer.live import endpoint as endpoints
 from analyzer.live import profile
 from analyzer.values import addresses as addresses_of
@@ -88,8 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     if place is not None and not named:
         named = [(each.dialect, each.entry.address) for each in place.drives]
     for dialect, _ in named:
-        if dialect.bus != endpoint.bus_kind:
-            raise UsageError(f"{dialect.name} is a dialect of {dialect.bus}, and {endpoint.text} is a {endpoint.bus_kind} bus")
+        endpoint.check_dialect(dialect)
     endpoint = at_own_rate(endpoint, named[0][0]) if named else endpoint.at(rates[0]) if len(rates) > 1 else endpoint
     addresses = addresses_of(arguments.addresses, "--addresses", min(d.addresses[0] for d in dialects))
     stand: list[str] = []

@@ -112,10 +112,6 @@ def _twice(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgo
     return (outgoing, outgoing)
 
 
-def _noisy(drive: Drive, command: Command, outgoing: Outgoing) -> Iterable[Outgoing]:
-    return (replace(outgoing, data=NOISE), outgoing)
-
-
 def _asleep() -> Say:
     """Lose the first reply after a pause."""
     last_ns = 0
@@ -211,12 +207,8 @@ LINK: Rows = {
         Row("checksum-missing", "replies end without a checksum", check(-1, lambda c: b""), EVERY),
         Row("checksum-doubled", "the checksum stands twice", check(-1, lambda c: c + c), EVERY),
         Row("checksum-zero", "the checksum is always 0", check(-1, lambda c: bytes(len(c))), EVERY),
-        Row(
-            "checksum-inverted",
-            "the checksum is sent as its complement",
-            check(-1, lambda c: bytes(b ^ 0xFF for b in c)),
-            EVERY,
-        ),
+        Row("checksum-inverted", "the checksum is sent as its complement",
+            check(-1, lambda c: bytes(b ^ 0xFF for b in c)), EVERY),
         Row("flaky-checksum", "every fifth reply has a flipped bit", every(5, _flipped), EVERY),
         Row("checksum-without-head", "the checksum leaves the head out", check(-1, _added(-0xFB)), NATIVE),
         Row("checksum-without-id", "the checksum leaves the ID out", frames(_without_id), CAN),
@@ -224,16 +216,10 @@ LINK: Rows = {
         Row("lk-data-sum-wrong", "the sum of a reply's data is one too high", check(1, _added(1))),
         Row("lk-head-sum-wrong", "the sum of a reply's head is one too high", check(0, _added(1))),
         Row("lk-data-sum-missing", "replies with data have no sum behind them", check(1, lambda c: b"")),
-        Row(
-            "lk-data-sum-of-nothing",
-            "replies without data carry a data sum of 00",
-            whole(lambda f: f if len(f) > LK_HEAD else f + b"\0"),
-        ),
-        Row(
-            "lk-data-sum-with-head",
-            "the sum of the data takes in the head",
-            whole(lambda f: f[:-1] + bytes((sum8(f[:-1]),)) if len(f) > LK_HEAD else f),
-        ),
+        Row("lk-data-sum-of-nothing", "replies without data carry a data sum of 00",
+            whole(lambda f: f if len(f) > LK_HEAD else f + b"\0")),
+        Row("lk-data-sum-with-head", "the sum of the data takes in the head",
+            whole(lambda f: f[:-1] + bytes((sum8(f[:-1]),)) if len(f) > LK_HEAD else f)),
         Row("lk-head-sum-without-start", "the sum of the head leaves out the 3E", check(0, _added(-0x3E))),
     ),
     "time": (Row("late-reply", "every reply comes two seconds late", frames(_late(LATE_NS)), EVERY),),
@@ -246,7 +232,8 @@ LINK: Rows = {
     "shape": (
         Row("doubled-reply", "every reply is sent twice", frames(_twice), EVERY),
         Row("half-frame", "of every reply only the first half is sent", whole(lambda f: f[: len(f) // 2]), EVERY),
-        Row("spurious-bytes", "three bytes of noise come before every reply", frames(_noisy), EVERY),
+        Row("spurious-bytes", "three bytes of noise come before every reply",
+            frames(lambda drive, command, outgoing: (replace(outgoing, data=NOISE), outgoing)), EVERY),
         Row("trailing-byte", "a zero byte comes behind every reply", whole(lambda f: f + b"\0"), EVERY),
         Row("echo", "the request is repeated before every reply", Change(_echo), EVERY),
         Row("pause-in-frame", "every reply stops for 40 ms in its middle", frames(_halting), SERIAL + LK),
@@ -263,70 +250,41 @@ LINK: Rows = {
     ),
     "reply head": (Row("lk-reply-start-wrong", "replies begin with 3D", _lk_head(0, lambda _: 0x3D)),),
     "address": (
-        Row(
-            "wrong-reply-address",
-            "replies carry an address one too high",
-            bodies(lambda b: byte(1 if b[0] == 0xFB else 0, one_up)(b)),
-            SERIAL,
-        ),
+        Row("wrong-reply-address", "replies carry an address one too high",
+            bodies(lambda b: byte(1 if b[0] == 0xFB else 0, one_up)(b)), SERIAL),
         Row("wrong-reply-id", "replies carry an ID one too high", _under_id(one_up), CAN),
         Row("reply-under-id-0", "replies carry the ID 0", _under_id(lambda _: 0), CAN),
     ),
     "reply address": (Row("lk-reply-address-wrong", "replies carry the next higher address", _lk_head(2, one_up)),),
     "code": (Row("wrong-reply-code", "replies carry a code (Modbus: function) one too high", frames(_next_code)),),
     "reply code": (
-        Row(
-            "lk-reply-code-wrong",
-            "motion commands are answered with the code of 0x9C instead of their own",
-            _lk_head(1, lambda _: 0x9C, LK_MOTIONS),
-        ),
-        Row(
-            "lk-echo-code-wrong",
-            "0x80, 0x81, 0x88, 0x93 and 0x95 are answered with the next higher code",
-            _lk_head(1, one_up, LK_ECHOED),
-        ),
+        Row("lk-reply-code-wrong", "motion commands are answered with the code of 0x9C instead of their own",
+            _lk_head(1, lambda _: 0x9C, LK_MOTIONS)),
+        Row("lk-echo-code-wrong", "0x80, 0x81, 0x88, 0x93 and 0x95 are answered with the next higher code",
+            _lk_head(1, one_up, LK_ECHOED)),
     ),
     "length": (
         Row("reply-too-short", "replies lack their last byte of data", bodies(lambda b: b[:-1])),
         Row("reply-too-long", "replies have a byte of data more", bodies(lambda b: b + b"\0")),
-        Row(
-            "reply-padded",
-            "replies are filled up to eight bytes behind their checksum",
-            whole(lambda f: f.ljust(CAN_LONGEST, b"\0")),
-            CAN,
-        ),
+        Row("reply-padded", "replies are filled up to eight bytes behind their checksum",
+            whole(lambda f: f.ljust(CAN_LONGEST, b"\0")), CAN),
     ),
     "reply length": (
         Row("lk-reply-length-wrong", "the length of a reply counts the data sum too", _lk_head(3, lambda n: n + 1 if n else n)),
-        Row(
-            "lk-reply-short",
-            "replies to motion commands lack the last byte of their data",
-            _lk_data(lambda d: d[:-1], LK_MOTIONS),
-        ),
+        Row("lk-reply-short", "replies to motion commands lack the last byte of their data",
+            _lk_data(lambda d: d[:-1], LK_MOTIONS)),
     ),
     "reply layout": (
-        Row(
-            "lk-motion-reply-empty",
-            "motion commands are answered with a head alone, without the state",
-            _lk_data(lambda d: b"", LK_MOTIONS),
-        ),
-        Row(
-            "lk-set-position-reply-empty",
-            "0x95 is answered with a head alone instead of an echo",
-            _lk_data(lambda d: b"", Verb.OTHER),
-        ),
-        Row(
-            "lk-echo-with-status",
-            "0x80, 0x81, 0x88 and 0x93 are answered with a data byte 00 instead of an echo",
-            _lk_data(lambda d: d or b"\0"),
-        ),
-        Row(
-            "lk-parameter-bytes-shifted",
-            "the values that 0xC0 and 0xC1 answer stand one byte too early",
-            _lk_data(lambda d: d[:1] + d[2:] + b"\0", (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER)),
-        ),
+        Row("lk-motion-reply-empty", "motion commands are answered with a head alone, without the state",
+            _lk_data(lambda d: b"", LK_MOTIONS)),
+        Row("lk-set-position-reply-empty", "0x95 is answered with a head alone instead of an echo",
+            _lk_data(lambda d: b"", Verb.OTHER)),
+        Row("lk-echo-with-status", "0x80, 0x81, 0x88 and 0x93 are answered with a data byte 00 instead of an echo",
+            _lk_data(lambda d: d or b"\0")),
+        Row("lk-parameter-bytes-shifted", "the values that 0xC0 and 0xC1 answer stand one byte too early",
+            _lk_data(lambda d: d[:1] + d[2:] + b"\0", (Verb.READ_PARAMETER, Verb.WRITE_PARAMETER))),
     ),
-}
+}  # fmt: skip
 
 # --- numbers ---------------------------------------------------------------------------------------------------------
 
@@ -399,46 +357,33 @@ NUMBER: Rows = {
     "sign": (
         Row("negative-positions-cut", "positions below zero are taken for zero", asked("position", at_least(0))),
         Row("lk-asked-speed-sign-lost", "0xA2 runs clockwise, for both signs", asked("speed", without_sign)),
-        Row(
-            "lk-increment-sign-lost", "0xA7 and 0xA8 go clockwise, for both signs", asked("position", without_sign, INCREMENTS)
-        ),
+        Row("lk-increment-sign-lost", "0xA7 and 0xA8 go clockwise, for both signs",
+            asked("position", without_sign, INCREMENTS)),
         Row("lk-temperature-unsigned", "temperatures below zero are answered as 0", reply("temperature", at_least(0))),
     ),
     "width": (
-        Row(
-            "position-16-bit",
-            "moves by the encoder keep only 16 bits of the position",
-            asked("position", low_bits(16), (Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS)),
-        ),
+        Row("position-16-bit", "moves by the encoder keep only 16 bits of the position",
+            asked("position", low_bits(16), (Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS))),
         Row("pulses-16-bit", "FD keeps only 16 bits of the pulses", asked("pulses", low_bits(16))),
         Row("speed-8-bit", "speeds keep only their low byte", asked("speed", low_bits(8))),
         Row("speed-12-bit", "of a speed above 4095 motions keep 12 bits", asked("speed", low_bits(12))),
         Row("speed-15-bit", "of a speed above 32767 motions keep 15 bits", asked("speed", low_bits(15))),
         Row("home-speed-low-byte", "90 stores only the low byte of the speed", stored("home_speed", low_bits(8))),
-        Row(
-            "lk-position-int32",
-            "0x92 answers only the lower 32 bits of the angle",
-            reply("position", half_signed, Verb.READ_POSITION),
-        ),
-        Row(
-            "lk-target-int32",
-            "0xA3 and 0xA4 take only the lower 32 bits of the angle",
-            asked("position", half_signed, MULTI_TURN),
-        ),
+        Row("lk-position-int32", "0x92 answers only the lower 32 bits of the angle",
+            reply("position", half_signed, Verb.READ_POSITION)),
+        Row("lk-target-int32", "0xA3 and 0xA4 take only the lower 32 bits of the angle",
+            asked("position", half_signed, MULTI_TURN)),
         Row("lk-asked-speed-24-bit", "0xA2 takes only the lower 24 bits of the speed", asked("speed", low_bits(24))),
         Row("lk-max-speed-24-bit", "moves keep only 24 bits of max_speed", asked("max_speed", low_bits(24))),
         Row("lk-asked-speed-int16", "0xA2 takes only the lower 16 bits of the speed", asked("speed", half_signed)),
-        Row(
-            "lk-parameter-int16", "0xC1 takes only the lower 16 bits of limits and ramps", asked(WIDE_PARAMETERS, low_bits(16))
-        ),
+        Row("lk-parameter-int16", "0xC1 takes only the lower 16 bits of limits and ramps",
+            asked(WIDE_PARAMETERS, low_bits(16))),
     ),
     "scale": (
-        Row(
-            "angle-error-in-counts", "the angle error is in counts of the encoder", reply("angle_error", scaled(COUNTS, 51200))
-        ),
-        Row(
-            "position-in-pulses", "31 shows pulses of 3200 a turn", reply("position", scaled(3200, COUNTS), Verb.READ_POSITION)
-        ),
+        Row("angle-error-in-counts", "the angle error is in counts of the encoder",
+            reply("angle_error", scaled(COUNTS, 51200))),
+        Row("position-in-pulses", "31 shows pulses of 3200 a turn",
+            reply("position", scaled(3200, COUNTS), Verb.READ_POSITION)),
         Row("position-offset", "31 shows 100 counts too many", reply("position", plus(100), Verb.READ_POSITION)),
         Row("move-pulses-doubled", "FD moves by twice the pulses", asked("pulses", scaled(2))),
         Row("speed-5-percent-high", "F6 turns five per cent too fast", asked("speed", scaled(21, 20), Verb.RUN_SPEED)),
@@ -450,7 +395,7 @@ NUMBER: Rows = {
         Row("lk-torque-half", "replies have half the torque current", reply(TORQUE, scaled(1, 2))),
         Row("lk-max-speed-tenfold", "max_speed is taken in 0.1 deg/s", asked("max_speed", tenfold)),
     ),
-}
+}  # fmt: skip
 
 # --- limits and choices ----------------------------------------------------------------------------------------------
 
@@ -460,37 +405,24 @@ LIMIT: Rows = {
         Row("current-one-more", "83 accepts one mA more than the highest", limit("current", one_more)),
         Row("current-zero-refused", "83 refuses 0 mA", limit("current", lowest_refused)),
         Row("current-unlimited", "83 accepts any current", limit("current", unlimited)),
-        Row(
-            "current-clipped",
-            "83 cuts a current that is too high and says success",
-            together(limit("current", unlimited), stored("current", to_highest)),
-        ),
+        Row("current-clipped", "83 cuts a current that is too high and says success",
+            together(limit("current", unlimited), stored("current", to_highest))),
         Row("home-speed-one-more", "90 accepts 3001 rpm", limit("home_speed", one_more)),
         Row("home-speed-highest-refused", "90 refuses 3000 rpm", limit("home_speed", highest_refused)),
         Row("home-current-unlimited", "94 (CAN: 93) accepts any current", limit("home_current", unlimited)),
         Row("zero-speed-5", "9A accepts the speed 5", limit("zero_speed", one_more)),
-        Row(
-            "zero-speed-5-at-corners",
-            "9A accepts the speed 5 where it sets a zero counter-clockwise",
-            limit("zero_speed", one_more, {"set_zero": 1, "zero_direction": 1}),
-        ),
-        Row(
-            "home-direction-2-at-corners",
-            "90 accepts the direction 2 for homing without a switch",
-            limit("home_direction", accepts(2), {"home_mode": 1}),
-            CAN,
-        ),
+        Row("zero-speed-5-at-corners", "9A accepts the speed 5 where it sets a zero counter-clockwise",
+            limit("zero_speed", one_more, {"set_zero": 1, "zero_direction": 1})),
+        Row("home-direction-2-at-corners", "90 accepts the direction 2 for homing without a switch",
+            limit("home_direction", accepts(2), {"home_mode": 1}), CAN),
         Row("zero-speed-4-refused", "9A refuses the speed 4", limit("zero_speed", highest_refused)),
         Row("stall-tolerance-one-more", "89 accepts 8000h", limit("stall_tolerance", one_more)),
         Row("stall-tolerance-highest-refused", "89 refuses 7FFFh", limit("stall_tolerance", highest_refused)),
         Row("address-0-accepted", "8B accepts the address of all drives", limit("new_address", accepts(0))),
         Row("address-248-accepted", "8B accepts an address that Modbus reserves", limit("new_address", accepts(248))),
         Row("group-0-accepted", "8D accepts the address of all drives", limit("group_address", accepts(0))),
-        Row(
-            "acceleration-256-accepted",
-            "moves accept an acceleration of 256 and take it for 0",
-            together(limit("acceleration", accepts(256)), asked("acceleration", low_bits(8))),
-        ),
+        Row("acceleration-256-accepted", "moves accept an acceleration of 256 and take it for 0",
+            together(limit("acceleration", accepts(256)), asked("acceleration", low_bits(8)))),
         Row("speed-2800-at-most", "3000 rpm is run at 2800", asked("speed", at_most(2800))),
         Row("address-highest-refused", "8B refuses the highest address", limit("new_address", highest_refused), TELLING),
         Row("address-beyond-7ff", "8B accepts 800h", limit("new_address", one_more), CAN),
@@ -498,11 +430,8 @@ LIMIT: Rows = {
     ),
     "choice": (
         Row("work-mode-6-accepted", "82 accepts a mode that is not listed", limit("work_mode", accepts(6))),
-        Row(
-            "holding-current-0-refused",
-            "9B refuses 0 (10 %), as the manual's head has it",
-            limit("holding_current", refuses(0)),
-        ),
+        Row("holding-current-0-refused", "9B refuses 0 (10 %), as the manual's head has it",
+            limit("holding_current", refuses(0))),
         Row("holding-current-8-refused", "9B refuses 8 (90 %)", limit("holding_current", refuses(8))),
         Row("holding-current-9-accepted", "9B accepts 9", limit("holding_current", accepts(9))),
         Row("enable-always-refused", "85 refuses 2 (always)", limit("enable_level", refuses(2))),
@@ -540,10 +469,9 @@ LIMIT: Rows = {
     ),
     "choices": (
         Row("lk-direction-any", "0xA5 and 0xA6 take any direction but 0 for counter-clockwise", limit("direction", unlimited)),
-        Row(
-            "lk-direction-not-1", "0xA5 and 0xA6 do not obey counter-clockwise", limit("direction", refuses(SpinDirection.CCW))
-        ),
+        Row("lk-direction-not-1", "0xA5 and 0xA6 do not obey counter-clockwise",
+            limit("direction", refuses(SpinDirection.CCW))),
     ),
-}
+}  # fmt: skip
 
 FAULTS = (*faults(LINK), *_wrong_numbers(), *faults(NUMBER, LIMIT))

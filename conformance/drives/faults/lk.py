@@ -11,7 +11,7 @@ from analyzer.protocols.lk_rs485 import ERROR_BITS, BrakeControl, BrakeState, Mo
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Hooks, Outgoing, Request, Values
 from conformance.drives.faults.generic import LK_MOTIONS
-from conformance.drives.faults.lk_behaviour import acting, at_power_up, backwards, lk, nothing, replaced, turns
+from conformance.drives.faults.lk_behaviour import acting, at_power_up, backwards, lk, nothing, replaced, turns, undone
 from conformance.drives.faults.numbers import always, exchanged, swap_bytes
 from conformance.drives.faults.places import (
     LK,
@@ -201,12 +201,12 @@ def _flags_read_away(drive: Drive, command: Command, asked: Values, values: Valu
 def _telling_cleared_flags(hooks: Hooks) -> None:
     flags: set[str] = set()
 
-    def clear(drive: LkDrive, old: Act, request: Request) -> None:
+    def clear(old: Act, drive: LkDrive, request: Request) -> None:
         flags.clear()
         flags.update(drive.errors)
         old(drive, request)
 
-    replaced("clear_errors", lambda old: lambda drive, request: clear(drive, old, request)).install(hooks)
+    replaced("clear_errors", clear).install(hooks)
     told = _read(lambda drive, values: values | {name: 1 for name in flags if name in values}, Verb.CLEAR_ERRORS)
     told.install(hooks)
 
@@ -240,7 +240,7 @@ def _brake_told_on(hooks: Hooks) -> None:
 def _torque_told_on(hooks: Hooks) -> None:
     told: list[int] = []
 
-    def stop(drive: LkDrive, old: Act, request: Request) -> None:
+    def stop(old: Act, drive: LkDrive, request: Request) -> None:
         told[:] = [round(drive.motor.torque)] if isinstance(drive.motor.goal, Torque) else told
         old(drive, request)
 
@@ -249,7 +249,7 @@ def _torque_told_on(hooks: Hooks) -> None:
             told.clear()
         return values
 
-    replaced("stop", lambda old: lambda drive, request: stop(drive, old, request)).install(hooks)
+    replaced("stop", stop).install(hooks)
     hooks.request.append(watch)
     name = "torque_current"
     tell = _read(lambda drive, values: values | {name: told[0]} if told and name in values else values, Verb.READ_STATE_2)
@@ -300,13 +300,10 @@ def _position_kept(hooks: Hooks) -> None:
     together(acting("set_position", remember, after=True), at_power_up(powered))(hooks)
 
 
-def _dropping_turns(old: Act) -> Act:
-    def act(drive: LkDrive, request: Request) -> None:
-        if turns(drive):
-            drive.motor.clear_turns()
-        old(drive, request)
-
-    return act
+def _dropping_turns(old: Act, drive: LkDrive, request: Request) -> None:
+    if turns(drive):
+        drive.motor.clear_turns()
+    old(drive, request)
 
 
 def _forgetting(name: str, **values: int) -> Change:
@@ -315,39 +312,22 @@ def _forgetting(name: str, **values: int) -> Change:
 
 ROWS: Rows = {
     "addressing": (
-        Row(
-            "lk-answers-other-address",
-            "requests to any address are obeyed and answered",
-            _hearing(lambda d, f, m: f.checksum_ok and m.form is not None),
-        ),
-        Row(
-            "lk-answers-address-0",
-            "address 0 is taken for a broadcast, obeyed and answered",
-            _hearing(lambda d, f, m: f.checksum_ok and m.form is not None and m.address == 0),
-        ),
-        Row(
-            "lk-obeys-other-address",
-            "requests to any address are obeyed, and its own alone are answered",
-            _unanswered(_hearing(lambda d, f, m: f.checksum_ok and m.form is not None)),
-        ),
+        Row("lk-answers-other-address", "requests to any address are obeyed and answered",
+            _hearing(lambda d, f, m: f.checksum_ok and m.form is not None)),
+        Row("lk-answers-address-0", "address 0 is taken for a broadcast, obeyed and answered",
+            _hearing(lambda d, f, m: f.checksum_ok and m.form is not None and m.address == 0)),
+        Row("lk-obeys-other-address", "requests to any address are obeyed, and its own alone are answered",
+            _unanswered(_hearing(lambda d, f, m: f.checksum_ok and m.form is not None))),
     ),
     "checksum": (
-        Row(
-            "lk-answers-wrong-data-sum", "requests are obeyed and answered although the sum of their data is wrong", _broken(1)
-        ),
-        Row(
-            "lk-answers-wrong-head-sum", "requests are obeyed and answered although the sum of their head is wrong", _broken(0)
-        ),
-        Row(
-            "lk-obeys-wrong-data-sum",
-            "requests are obeyed, and not answered, although the sum of their data is wrong",
-            _unanswered(_broken(1)),
-        ),
-        Row(
-            "lk-obeys-wrong-head-sum",
-            "requests are obeyed, and not answered, although the sum of their head is wrong",
-            _unanswered(_broken(0)),
-        ),
+        Row("lk-answers-wrong-data-sum", "requests are obeyed and answered although the sum of their data is wrong",
+            _broken(1)),
+        Row("lk-answers-wrong-head-sum", "requests are obeyed and answered although the sum of their head is wrong",
+            _broken(0)),
+        Row("lk-obeys-wrong-data-sum", "requests are obeyed, and not answered, although the sum of their data is wrong",
+            _unanswered(_broken(1))),
+        Row("lk-obeys-wrong-head-sum", "requests are obeyed, and not answered, although the sum of their head is wrong",
+            _unanswered(_broken(0))),
     ),
     "checksum of one": (
         Row("lk-stop-unchecked", "0x81 is obeyed although the sum of its head is wrong", _unchecked(0, "stop")),
@@ -355,107 +335,61 @@ ROWS: Rows = {
         Row("lk-clear-errors-unchecked", "0x9B is obeyed although the sum of its head is wrong", _unchecked(0, "clear_errors")),
     ),
     "unknown code": (
-        Row(
-            "lk-answers-unknown-code",
-            "a code that no command has is echoed",
-            _hearing(lambda d, f, m: f.checksum_ok and _own(d, m) and m.command is None),
-        ),
+        Row("lk-answers-unknown-code", "a code that no command has is echoed",
+            _hearing(lambda d, f, m: f.checksum_ok and _own(d, m) and m.command is None)),
     ),
     "length": (
-        Row(
-            "lk-answers-wrong-length",
-            "a known code with a wrong length is echoed",
-            _hearing(lambda d, f, m: f.checksum_ok and _own(d, m) and m.command is not None and m.form is None),
-        ),
+        Row("lk-answers-wrong-length", "a known code with a wrong length is echoed",
+            _hearing(lambda d, f, m: f.checksum_ok and _own(d, m) and m.command is not None and m.form is None)),
     ),
     "off": (
-        Row(
-            "lk-silent-while-off",
-            "motion commands are not answered while the motor is off",
-            result(lambda drive, command, asked, values: values if lk(drive).motor.on else None, LK_MOTIONS),
-        ),
+        Row("lk-silent-while-off", "motion commands are not answered while the motor is off",
+            result(lambda drive, command, asked, values: values if lk(drive).motor.on else None, LK_MOTIONS)),
         Row("lk-state-always-on", "the motor is reported on while it is off", reply("state", always(MotorState.ON))),
     ),
     "reply layout": (
-        Row(
-            "lk-state-1-swapped",
-            "0x9A and 0x9B answer current and voltage in each other's place",
-            _read(lambda d, v: {"voltage": v["current"], "current": v["voltage"]}, *STATE_1),
-        ),
+        Row("lk-state-1-swapped", "0x9A and 0x9B answer current and voltage in each other's place",
+            _read(lambda d, v: {"voltage": v["current"], "current": v["voltage"]}, *STATE_1)),
         Row("lk-state-2-cold", "0x9C tells the temperature 0", reply("temperature", always(0), Verb.READ_STATE_2)),
         Row("lk-state-3-cold", "0x9D tells the temperature 0", reply("temperature", always(0), Verb.READ_STATE_3)),
         Row("lk-motion-cold", "motion commands tell the temperature 0", reply("temperature", always(0), LK_MOTIONS)),
-        Row(
-            "lk-motion-temperature-first",
-            "motion commands tell the temperature of the first one",
-            Change(_first_temperature, LK),
-        ),
-        Row(
-            "lk-motion-encoder-stale",
-            "motion commands to a turning shaft tell the encoder value where it stood",
-            _told_of_rest("encoder"),
-        ),
-        Row(
-            "lk-motion-current-stale",
-            "motion commands to a turning shaft tell the torque current that it had when it stood",
-            _told_of_rest("torque_current"),
-        ),
+        Row("lk-motion-temperature-first", "motion commands tell the temperature of the first one",
+            Change(_first_temperature, LK)),
+        Row("lk-motion-encoder-stale", "motion commands to a turning shaft tell the encoder value where it stood",
+            _told_of_rest("encoder")),
+        Row("lk-motion-current-stale", "motion commands to a turning shaft tell the torque current that it had when it stood",
+            _told_of_rest("torque_current")),
         Row("lk-motion-speed-0", "motion commands tell the speed 0", reply("speed", always(0), LK_MOTIONS)),
-        Row(
-            "lk-motion-encoder-raw",
-            "motion commands tell the encoder half a turn on",
-            _read(lambda d, v: {"encoder": (v["encoder"] + d.motor.encoder_scale // 2) % d.motor.encoder_scale}, *LK_MOTIONS),
-        ),
+        Row("lk-motion-encoder-raw", "motion commands tell the encoder half a turn on",
+            _read(lambda d, v: {"encoder": (v["encoder"] + d.motor.encoder_scale // 2) % d.motor.encoder_scale}, *LK_MOTIONS)),
         Row("lk-cleared-no-voltage", "0x9B tells the voltage 0", reply("voltage", always(0), Verb.CLEAR_ERRORS)),
         Row("lk-supply-current-swapped", "0x9A tells the current high byte first", reply("current", swap_bytes, STATE_1)),
     ),
     "error flags": (
-        Row(
-            "lk-error-bits-shifted",
-            "each error flag is shown one bit too high",
-            _read(lambda d, v: {name: v[low] for name, low in zip(FLAGS, FLAGS[1:] + FLAGS[:1], strict=True)}, *STATE_1),
-        ),
+        Row("lk-error-bits-shifted", "each error flag is shown one bit too high",
+            _read(lambda d, v: {name: v[low] for name, low in zip(FLAGS, FLAGS[1:] + FLAGS[:1], strict=True)}, *STATE_1)),
         Row("lk-error-bits-hidden", "error flags are never shown", reply(FLAGS, always(0), STATE_1)),
         Row("lk-error-bits-frozen", "an error flag that was shown once is shown for ever", Change(_shown_for_ever, LK)),
-        Row(
-            "lk-clear-errors-always",
-            "0x9B clears flags whose cause lasts",
-            acting("clear_errors", lambda drive, request: drive.errors.clear(), after=True),
-        ),
+        Row("lk-clear-errors-always", "0x9B clears flags whose cause lasts",
+            acting("clear_errors", lambda drive, request: drive.errors.clear(), after=True)),
         Row("lk-clear-errors-never", "0x9B clears nothing", acting("clear_errors", nothing)),
     ),
     "encoder": (
-        Row(
-            "lk-encoder-not-offset",
-            "0x90 answers the raw value in place of the difference",
-            _read(lambda d, v: {"encoder": d.motor.encoder_raw}, Verb.READ_ENCODER),
-        ),
-        Row(
-            "lk-encoder-offset-added", "0x90 adds the offset instead of taking it away", _read(_offset_added, Verb.READ_ENCODER)
-        ),
-        Row(
-            "lk-encoder-coarse",
-            "motion commands and 0x9C answer the encoder with two bits fewer",
-            reply("encoder", lambda v, field: v >> 2, (Verb.READ_STATE_2, *LK_MOTIONS)),
-        ),
+        Row("lk-encoder-not-offset", "0x90 answers the raw value in place of the difference",
+            _read(lambda d, v: {"encoder": d.motor.encoder_raw}, Verb.READ_ENCODER)),
+        Row("lk-encoder-offset-added", "0x90 adds the offset instead of taking it away",
+            _read(_offset_added, Verb.READ_ENCODER)),
+        Row("lk-encoder-coarse", "motion commands and 0x9C answer the encoder with two bits fewer",
+            reply("encoder", lambda v, field: v >> 2, (Verb.READ_STATE_2, *LK_MOTIONS))),
     ),
     "range": (
-        Row(
-            "lk-single-turn-36000",
-            "0x94 tells 36000 in place of 0",
-            _read(lambda d, v: {"angle": v["angle"] or 36_000}, Verb.READ_SINGLE_TURN),
-        ),
-        Row(
-            "lk-single-turn-36000-turned",
-            "0x94 tells 36000 in place of 0 where the shaft has made turns",
-            _read(_whole_turn_told, Verb.READ_SINGLE_TURN),
-        ),
+        Row("lk-single-turn-36000", "0x94 tells 36000 in place of 0",
+            _read(lambda d, v: {"angle": v["angle"] or 36_000}, Verb.READ_SINGLE_TURN)),
+        Row("lk-single-turn-36000-turned", "0x94 tells 36000 in place of 0 where the shaft has made turns",
+            _read(_whole_turn_told, Verb.READ_SINGLE_TURN)),
         Row("lk-single-turn-runs-on", "0x94 counts on past 359.99 degrees", _read(_running_on, Verb.READ_SINGLE_TURN)),
-        Row(
-            "lk-single-turn-shifted",
-            "0x94 tells an angle a quarter of a turn on",
-            _read(lambda d, v: {"angle": (v["angle"] + 9_000) % 36_000}, Verb.READ_SINGLE_TURN),
-        ),
+        Row("lk-single-turn-shifted", "0x94 tells an angle a quarter of a turn on",
+            _read(lambda d, v: {"angle": (v["angle"] + 9_000) % 36_000}, Verb.READ_SINGLE_TURN)),
     ),
     "position": (
         Row("lk-position-single-turn", "0x92 answers the angle within the turn", _read(_within_turn, Verb.READ_POSITION)),
@@ -464,167 +398,92 @@ ROWS: Rows = {
         Row("lk-clear-turns-ignored", "0x93 is echoed and does nothing", acting("clear_turns", nothing)),
     ),
     "read state 1": (
-        Row(
-            "lk-off-while-turning",
-            "0x9A tells a motor that turns as off",
-            _read(lambda d, v: {"state": MotorState.OFF} if d.motor.motion.speed else {}, *STATE_1),
-        ),
-        Row(
-            "lk-stalled-while-turning",
-            "0x9A tells a motor that turns as stalled",
-            _read(lambda d, v: {"stalled": 1} if d.motor.motion.speed else {}, *STATE_1),
-        ),
+        Row("lk-off-while-turning", "0x9A tells a motor that turns as off",
+            _read(lambda d, v: {"state": MotorState.OFF} if d.motor.motion.speed else {}, *STATE_1)),
+        Row("lk-stalled-while-turning", "0x9A tells a motor that turns as stalled",
+            _read(lambda d, v: {"stalled": 1} if d.motor.motion.speed else {}, *STATE_1)),
     ),
     "moving": (
-        Row(
-            "lk-reads-silent-moving",
-            "reads are not answered while the shaft turns",
-            result(lambda drive, command, asked, values: None if lk(drive).motor.motion.speed else values, LK_READS),
-        ),
-        Row(
-            "lk-reads-unfit-moving",
-            "reads are answered by a head alone while the shaft turns",
-            frames(_head_alone_moving, LK_READS),
-        ),
+        Row("lk-reads-silent-moving", "reads are not answered while the shaft turns",
+            result(lambda drive, command, asked, values: None if lk(drive).motor.motion.speed else values, LK_READS)),
+        Row("lk-reads-unfit-moving", "reads are answered by a head alone while the shaft turns",
+            frames(_head_alone_moving, LK_READS)),
     ),
     "phase currents": (
-        Row(
-            "lk-phases-in-step",
-            "0x9D answers the same current for all phases",
-            _read(lambda d, v: dict.fromkeys(("phase_b_current", "phase_c_current"), v["phase_a_current"]), Verb.READ_STATE_3),
-        ),
+        Row("lk-phases-in-step", "0x9D answers the same current for all phases",
+            _read(lambda d, v: dict.fromkeys(("phase_b_current", "phase_c_current"), v["phase_a_current"]), Verb.READ_STATE_3)),
     ),
     "zero": (
-        Row(
-            "lk-zero-not-raw",
-            "0x19 answers the encoder counted from the old zero",
-            _read(lambda d, v: {"encoder_zero": d.motor.encoder}, Verb.SET_ZERO),
-        ),
+        Row("lk-zero-not-raw", "0x19 answers the encoder counted from the old zero",
+            _read(lambda d, v: {"encoder_zero": d.motor.encoder}, Verb.SET_ZERO)),
         Row("lk-zero-at-once", "0x19 moves the zero at once", acting("set_zero", _zero_now, after=True)),
         Row("lk-zero-not-told", "0x90 always tells the offset 0", reply("encoder_offset", always(0))),
         Row("lk-zero-lost", "the zero of 0x19 is not there after power-up", unstored("encoder_zero")),
     ),
     "parameters": (
-        Row(
-            "lk-parameter-other",
-            "0xC0 answers for the next parameter of the table",
-            result(_other_parameter, Verb.READ_PARAMETER),
-        ),
+        Row("lk-parameter-other", "0xC0 answers for the next parameter of the table",
+            result(_other_parameter, Verb.READ_PARAMETER)),
         Row("lk-gains-swapped", "0xC0 and 0xC1 answer kp and ki in each other's place", _read(_gains_exchanged, *PARAMETERS)),
-        Row(
-            "lk-parameter-write-zeros",
-            "0xC1 answers zeros instead of the values after writing",
-            _read(lambda d, v: dict.fromkeys(v.keys() - {"parameter"}, 0), Verb.WRITE_PARAMETER),
-        ),
-        Row(
-            "lk-parameter-not-stored",
-            "0xC1 answers the old values and keeps them",
-            storing(lambda drive, name, value: None if name in lk(drive).parameters else (name, value)),
-        ),
+        Row("lk-parameter-write-zeros", "0xC1 answers zeros instead of the values after writing",
+            _read(lambda d, v: dict.fromkeys(v.keys() - {"parameter"}, 0), Verb.WRITE_PARAMETER)),
+        Row("lk-parameter-not-stored", "0xC1 answers the old values and keeps them",
+            storing(lambda drive, name, value: None if name in lk(drive).parameters else (name, value))),
         Row("lk-parameter-elsewhere", "0xC1 stores each value in the next one's place", storing(_next_parameter)),
     ),
     "brake": (
-        Row(
-            "lk-brake-state-inverted",
-            "0x8C answers the opposite of the brake's state",
-            reply("brake_state", exchanged(BrakeState.POWER_OFF, BrakeState.RELEASED)),
-        ),
+        Row("lk-brake-state-inverted", "0x8C answers the opposite of the brake's state",
+            reply("brake_state", exchanged(BrakeState.POWER_OFF, BrakeState.RELEASED))),
         Row("lk-brake-state-unlisted", "0x8C answers a state of the brake that is not listed", reply("brake_state", always(5))),
     ),
     "limits": (
-        Row(
-            "lk-torque-without-sign",
-            "0x9C tells the torque, or the power, without its sign",
-            reply(("torque_current", "power"), lambda value, field: abs(value), Verb.READ_STATE_2),
-        ),
+        Row("lk-torque-without-sign", "0x9C tells the torque, or the power, without its sign",
+            reply(("torque_current", "power"), lambda value, field: abs(value), Verb.READ_STATE_2)),
     ),
     "power": (
         Row("lk-set-position-kept", "what 0x95 set survives the power", Change(_position_kept, LK)),
-        Row(
-            "lk-zero-short",
-            "the zero that 0x19 stores lacks its highest bit",
-            storing(lambda drive, name, value: (name, value & 0x1FFF) if name == "encoder_zero" else (name, value)),
-        ),
+        Row("lk-zero-short", "the zero that 0x19 stores lacks its highest bit",
+            storing(lambda drive, name, value: (name, value & 0x1FFF) if name == "encoder_zero" else (name, value))),
         Row("lk-parameter-survives", "what 0xC1 wrote survives the power", storing(_kept_parameter)),
     ),
     "state": (
-        Row(
-            "lk-reads-silent-while-off",
-            "0x92 and 0x94 are not answered while the motor is off",
-            _silent(lambda drive: not drive.motor.on, Verb.READ_POSITION, Verb.READ_SINGLE_TURN),
-        ),
-        Row(
-            "lk-parameters-silent-while-turning",
-            "0xC0 is not answered while the shaft turns",
-            _silent(turns, Verb.READ_PARAMETER),
-        ),
-        Row(
-            "lk-reads-silent-in-error",
-            "0x90 is not answered while an error flag is set",
-            _silent(lambda drive: bool(drive.errors), Verb.READ_ENCODER),
-        ),
-        Row(
-            "lk-stop-drops-turns-of-a-run",
-            "0x81 drops the counted turns while the shaft turns",
-            replaced("stop", _dropping_turns),
-        ),
-        Row(
-            "lk-off-drops-turns-of-a-run",
-            "0x80 drops the counted turns while the shaft turns",
-            replaced("motor_off", _dropping_turns),
-        ),
-        Row(
-            "lk-turns-kept-while-turning",
-            "0x93 does nothing while the shaft turns",
-            replaced("clear_turns", lambda old: lambda drive, request: None if turns(drive) else old(drive, request)),
-        ),
-        Row(
-            "lk-late-while-turning",
-            "replies come 30 ms late while the shaft turns",
-            Change(lambda hooks: hooks.reply.append(_late), LK),
-        ),
-        Row(
-            "lk-errors-kept-while-off",
-            "0x9B clears nothing while the motor is off",
-            replaced("clear_errors", lambda old: lambda drive, request: old(drive, request) if drive.motor.on else None),
-        ),
-        Row(
-            "lk-cleared-state-always-on",
-            "0x9B tells the state 00h of a motor that is off",
-            reply("state", always(MotorState.ON), Verb.CLEAR_ERRORS),
-        ),
-        Row(
-            "lk-single-turn-frozen-backwards",
-            "0x94 stays while the shaft turns counter-clockwise",
-            _stale(Verb.READ_SINGLE_TURN, backwards),
-        ),
+        Row("lk-reads-silent-while-off", "0x92 and 0x94 are not answered while the motor is off",
+            _silent(lambda drive: not drive.motor.on, Verb.READ_POSITION, Verb.READ_SINGLE_TURN)),
+        Row("lk-parameters-silent-while-turning", "0xC0 is not answered while the shaft turns",
+            _silent(turns, Verb.READ_PARAMETER)),
+        Row("lk-reads-silent-in-error", "0x90 is not answered while an error flag is set",
+            _silent(lambda drive: bool(drive.errors), Verb.READ_ENCODER)),
+        Row("lk-stop-drops-turns-of-a-run", "0x81 drops the counted turns while the shaft turns",
+            replaced("stop", _dropping_turns)),
+        Row("lk-off-drops-turns-of-a-run", "0x80 drops the counted turns while the shaft turns",
+            replaced("motor_off", _dropping_turns)),
+        Row("lk-turns-kept-while-turning", "0x93 does nothing while the shaft turns",
+            undone("clear_turns", lambda drive, _: turns(drive))),
+        Row("lk-late-while-turning", "replies come 30 ms late while the shaft turns",
+            Change(lambda hooks: hooks.reply.append(_late), LK)),
+        Row("lk-errors-kept-while-off", "0x9B clears nothing while the motor is off",
+            undone("clear_errors", lambda drive, _: not drive.motor.on)),
+        Row("lk-cleared-state-always-on", "0x9B tells the state 00h of a motor that is off",
+            reply("state", always(MotorState.ON), Verb.CLEAR_ERRORS)),
+        Row("lk-single-turn-frozen-backwards", "0x94 stays while the shaft turns counter-clockwise",
+            _stale(Verb.READ_SINGLE_TURN, backwards)),
         Row("lk-encoder-frozen-turning", "0x90 stays while the shaft turns", _stale(Verb.READ_ENCODER, turns)),
         Row("lk-gains-lost-by-stop", "0x81 sets the speed gains back", _forgetting("stop", speed_kp=50, speed_ki=20)),
         Row("lk-gains-lost-by-off", "0x80 sets the angle gains back", _forgetting("motor_off", angle_kp=100, angle_ki=20)),
         Row("lk-limit-lost-by-clearing", "0x9B sets the speed limit back", _forgetting("clear_errors", speed_limit=72_000)),
         Row("lk-cleared-flags-told", "0x9B is answered with the flags that it has cleared", Change(_telling_cleared_flags, LK)),
-        Row(
-            "lk-motion-tells-last-read",
-            "motions are answered with the speed and the encoder value that 0x9C told last",
-            Change(_motion_tells_last_read, LK),
-        ),
+        Row("lk-motion-tells-last-read", "motions are answered with the speed and the encoder value that 0x9C told last",
+            Change(_motion_tells_last_read, LK)),
         Row("lk-brake-reads-on-after-motion", "after a motion 0x8C tells a brake that holds", Change(_brake_told_on, LK)),
         Row("lk-torque-told-after-stop", "after 0x81 0x9C tells the torque of before", Change(_torque_told_on, LK)),
-        Row(
-            "lk-phases-told-while-off",
-            "off, 0x9D tells the currents of before",
-            _stale(Verb.READ_STATE_3, lambda d: not d.motor.on),
-        ),
+        Row("lk-phases-told-while-off", "off, 0x9D tells the currents of before",
+            _stale(Verb.READ_STATE_3, lambda d: not d.motor.on)),
         Row("lk-voltage-capped", "0x9A tells 25 V at most", _capped("voltage", 2_500, Verb.READ_STATE_1)),
         Row("lk-temperature-capped", "0x9C tells 63 degrees at most", _capped("temperature", 63, Verb.READ_STATE_2)),
         Row("lk-flags-read-away", "0x9A clears the flags that it tells", result(_flags_read_away, Verb.READ_STATE_1)),
-        Row(
-            "lk-clear-turns-to-zero",
-            "0x93 sets the position to 0",
-            acting("clear_turns", lambda drive, request: drive.motor.set_position(0.0)),
-        ),
+        Row("lk-clear-turns-to-zero", "0x93 sets the position to 0",
+            acting("clear_turns", lambda drive, request: drive.motor.set_position(0.0))),
         Row("lk-phases-doubled", "0x9D tells phase currents in half the unit", result(_phases_doubled, Verb.READ_STATE_3)),
     ),
-}
+}  # fmt: skip
 
 FAULTS = faults(ROWS)

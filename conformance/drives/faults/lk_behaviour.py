@@ -12,11 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import cast
 
 from analyzer.protocols.lk_rs485 import DIALECT
 from conformance.drives.drive import Drive, Request
-from conformance.drives.faults.places import LK, Change, together
+from conformance.drives.faults.places import LK, Change
 from conformance.drives.lk.drive import ACTS, Act, LkDrive
 from conformance.drives.lk.motor import Goal, LkMotor, Torque
 
@@ -51,22 +52,31 @@ def at_power_up(change: Callable[[LkDrive], None]) -> Change:
     return Change(lambda hooks: hooks.powered.append(lambda drive: change(lk(drive))), LK)
 
 
-def replaced(name: str, make: Callable[[Act], Act]) -> Change:
-    """Change what a command does; `make` is given what it does by the manual."""
-    return tuned(lambda drive: drive.acts.update({name: make(drive.acts[name])}))
+def replaced(names: str | tuple[str, ...], act: Callable[[Act, LkDrive, Request], None]) -> Change:
+    """Change what commands do. `act` gets what the command does by the manual, the drive and the request."""
+    commands = (names,) if isinstance(names, str) else names
+    return tuned(lambda drive: drive.acts.update({name: partial(act, drive.acts[name]) for name in commands}))
 
 
-def acting(name: str, act: Act, *, after: bool = False) -> Change:
-    """Let a command do something else, or something more after what the manual says."""
+def undone(names: str | tuple[str, ...], when: Callable[[LkDrive, Request], bool]) -> Change:
+    """Answer commands in a condition, and do nothing."""
 
-    def make(old: Act) -> Act:
-        def both(drive: LkDrive, request: Request) -> None:
+    def act(old: Act, drive: LkDrive, request: Request) -> None:
+        if not when(drive, request):
             old(drive, request)
-            act(drive, request)
 
-        return both if after else act
+    return replaced(names, act)
 
-    return replaced(name, make)
+
+def acting(names: str | tuple[str, ...], act: Act, *, after: bool = False) -> Change:
+    """Let commands do something else, or something more after what the manual says."""
+
+    def both(old: Act, drive: LkDrive, request: Request) -> None:
+        if after:
+            old(drive, request)
+        act(drive, request)
+
+    return replaced(names, both)
 
 
 def moving(names: tuple[str, ...], act: Act, *, after: bool = False) -> Change:
@@ -76,7 +86,7 @@ def moving(names: tuple[str, ...], act: Act, *, after: bool = False) -> Change:
         if after or drive.obeys:
             act(drive, request)
 
-    return together(*(acting(name, obedient, after=after) for name in names))
+    return acting(names, obedient, after=after)
 
 
 def nothing(drive: LkDrive, request: Request) -> None:

@@ -30,17 +30,14 @@ _MOVES = (*MULTI_TURN, *SINGLE_TURN, *INCREMENTS)
 def _steeper(names: tuple[str, ...], times: float, when: Callable[[LkDrive], bool]) -> Change:
     """Let motion commands begin by another ramp in a condition."""
 
-    def make(old: Act) -> Act:
-        def act(drive: LkDrive, request: Request) -> None:
-            motor, kept = drive.motor, drive.motor.limits
-            if when(drive):
-                motor.limits = replace(kept, acceleration=kept.acceleration * times)
-            old(drive, request)
-            motor.limits = kept
+    def act(old: Act, drive: LkDrive, request: Request) -> None:
+        motor, kept = drive.motor, drive.motor.limits
+        if when(drive):
+            motor.limits = replace(kept, acceleration=kept.acceleration * times)
+        old(drive, request)
+        motor.limits = kept
 
-        return act
-
-    return together(*(replaced(name, make) for name in names))
+    return replaced(names, act)
 
 
 def _turning(drive: LkDrive) -> bool:
@@ -113,10 +110,6 @@ def _keeps_faster(drive: LkDrive) -> None:
     drive.motor.go = faster  # type: ignore[method-assign]
 
 
-def _letting_go(drive: LkDrive, request: Request) -> None:
-    drive.motor.hold(braked=False)
-
-
 # --- what is told -----------------------------------------------------------------------------------------------------
 
 
@@ -127,21 +120,11 @@ def _install_off_forgotten(hooks: Hooks) -> None:
         stands = turned and abs(lk(drive).motor.motion.speed) < 1
         return values | {"state": int(MotorState.ON)} if stands else values
 
-    def off(old: Act) -> Act:
-        def act(drive: LkDrive, request: Request) -> None:
-            turned[:] = [True] if _turning(drive) else []
-            old(drive, request)
+    def switch(old: Act, drive: LkDrive, request: Request) -> None:
+        turned[:] = [True] if request.command.name == "motor_off" and _turning(drive) else []
+        old(drive, request)
 
-        return act
-
-    def on(old: Act) -> Act:
-        def act(drive: LkDrive, request: Request) -> None:
-            turned.clear()
-            old(drive, request)
-
-        return act
-
-    together(replaced("motor_off", off), replaced("motor_on", on), result(tell, _STATE_1))(hooks)
+    together(replaced(("motor_off", "motor_on"), switch), result(tell, _STATE_1))(hooks)
 
 
 _off_forgotten = Change(_install_off_forgotten, LK)
@@ -176,15 +159,12 @@ def _raw_of_before(drive: LkDrive) -> None:
 def _clearing(change: Callable[[LkDrive, set[str]], set[str]]) -> Change:
     """Let 0x9B leave other flags; `change` is given those of before."""
 
-    def make(old: Act) -> Act:
-        def act(drive: LkDrive, request: Request) -> None:
-            before = set(drive.errors)
-            old(drive, request)
-            drive.errors = change(drive, before)
+    def act(old: Act, drive: LkDrive, request: Request) -> None:
+        before = set(drive.errors)
+        old(drive, request)
+        drive.errors = change(drive, before)
 
-        return act
-
-    return replaced("clear_errors", make)
+    return replaced("clear_errors", act)
 
 
 def _lowest_alone(drive: Drive, command: Command, asked: Values, values: Values) -> Values:
@@ -220,34 +200,25 @@ def _speed_of_16_bits(drive: Drive, command: Command, sent: Values, values: Valu
     return values | {"speed": int(tenths / 10)}
 
 
-def _held_in_new_count(old: Act) -> Act:
+def _held_in_new_count(old: Act, drive: LkDrive, request: Request) -> None:
     """Let a shaft at rest go to the number of the place that it holds, in the count that 95 sets."""
-
-    def act(drive: LkDrive, request: Request) -> None:
-        motor = drive.motor
-        goal, before = motor.goal, motor.origin
-        old(drive, request)
-        if isinstance(goal, Position) and drive.obeys and not motor.motion.speed:
-            motor.go(replace(goal, angle=goal.angle + motor.origin - before))
-
-    return act
+    motor = drive.motor
+    goal, before = motor.goal, motor.origin
+    old(drive, request)
+    if isinstance(goal, Position) and drive.obeys and not motor.motion.speed:
+        motor.go(replace(goal, angle=goal.angle + motor.origin - before))
 
 
 CONDITIONS: Rows = {
     "within a range": (
-        Row(
-            "lk-high-speed-limits-ignored",
-            "a speed limit above 30 rpm has no effect",
-            _limits(lambda limits: replace(limits, speed=limits.speed if limits.speed <= 180 else 720.0)),
-        ),
-        Row(
-            "lk-wide-angle-limits-ignored",
-            "an angle limit of more than a turn has no effect",
-            _limits(lambda limits: replace(limits, angle=limits.angle if limits.angle <= 360 else 1e9)),
-        ),
+        Row("lk-high-speed-limits-ignored", "a speed limit above 30 rpm has no effect",
+            _limits(lambda limits: replace(limits, speed=limits.speed if limits.speed <= 180 else 720.0))),
+        Row("lk-wide-angle-limits-ignored", "an angle limit of more than a turn has no effect",
+            _limits(lambda limits: replace(limits, angle=limits.angle if limits.angle <= 360 else 1e9))),
     ),
     "brake": tuple(
-        Row(f"lk-{kind}-release-brake", f"{text} releases a brake that holds", moving(names, _letting_go, after=True))
+        Row(f"lk-{kind}-release-brake", f"{text} releases a brake that holds",
+            moving(names, lambda drive, request: drive.motor.hold(braked=False), after=True))
         for kind, text, names in (
             ("runs", "a run at a speed", ("run_speed",)),
             ("moves", "a move over several turns", MULTI_TURN),
@@ -255,62 +226,38 @@ CONDITIONS: Rows = {
         )
     ),
     "what is told": (
-        Row(
-            "lk-off-at-rest-told-on",
-            "0x9A tells a motor as on that was switched off as it turned, once it stands",
-            _off_forgotten,
-        ),
+        Row("lk-off-at-rest-told-on", "0x9A tells a motor as on that was switched off as it turned, once it stands",
+            _off_forgotten),
         Row("lk-speed-of-16-bits", "speeds above 3276 deg/s are told with the other sign", result(_speed_of_16_bits)),
         Row("lk-on-while-turning", "0x9A tells a motor that is off as on while it turns", result(_on_while_it_turns, _STATE_1)),
         Row("lk-offset-of-next", "0x90 tells the offset of 0x19 before it is used", result(_offset_of_next, Verb.READ_ENCODER)),
         Row("lk-zero-raw-stale", "0x19 is answered with the raw value that 0x90 told last", tuned(_raw_of_before)),
     ),
     "new count": (
-        Row(
-            "lk-held-in-new-count",
-            "0x95 turns a shaft that holds a place to the place of that number",
-            replaced("set_position", _held_in_new_count),
-        ),
+        Row("lk-held-in-new-count", "0x95 turns a shaft that holds a place to the place of that number",
+            replaced("set_position", _held_in_new_count)),
     ),
     "clear errors": (
-        Row(
-            "lk-short-circuit-stays",
-            "0x9B never clears the short circuit",
-            _clearing(lambda d, b: d.errors | b & {"short_circuit"}),
-        ),
-        Row(
-            "lk-high-voltage-cleared",
-            "0x9B clears the high voltage that lasts",
-            _clearing(lambda drive, before: drive.errors - {"high_voltage"}),
-        ),
-        Row(
-            "lk-several-stay",
-            "0x9B clears nothing where several flags are set",
-            _clearing(lambda drive, before: before if len(before) > 1 else drive.errors),
-        ),
+        Row("lk-short-circuit-stays", "0x9B never clears the short circuit",
+            _clearing(lambda d, b: d.errors | b & {"short_circuit"})),
+        Row("lk-high-voltage-cleared", "0x9B clears the high voltage that lasts",
+            _clearing(lambda drive, before: drive.errors - {"high_voltage"})),
+        Row("lk-several-stay", "0x9B clears nothing where several flags are set",
+            _clearing(lambda drive, before: before if len(before) > 1 else drive.errors)),
         Row("lk-lowest-flag-alone", "of several flags the lowest is told", result(_lowest_alone, _STATE_1)),
         Row("lk-silent-when-stalled", "a stalled motor answers 0x9A and 0x9B alone", _silent_with("stalled")),
     ),
     "ramp": (Row("lk-newer-keeps-faster", "a motion that takes over from a faster one keeps its speed", tuned(_keeps_faster)),),
     "one slope": (
         Row("lk-changed-move-steep", "a move that changes another motion has twice the ramp", _steeper(_MOVES, 2.0, _turning)),
-        Row(
-            "lk-changed-run-flat",
-            "a run that changes another motion has half of the ramp",
-            _steeper(("run_speed",), 0.5, _turning),
-        ),
-        Row(
-            "lk-moves-bend",
-            "in the second half of its rise the speed of a move rises twice as fast",
-            tuned(_bending(Position, 0.7, 1.75, _rises)),
-        ),
-        Row(
-            "lk-runs-bend",
-            "in the second half of its rise the speed of a run rises slowly",
-            tuned(_bending(Speed, 1.2, 0.6, _rises)),
-        ),
+        Row("lk-changed-run-flat", "a run that changes another motion has half of the ramp",
+            _steeper(("run_speed",), 0.5, _turning)),
+        Row("lk-moves-bend", "in the second half of its rise the speed of a move rises twice as fast",
+            tuned(_bending(Position, 0.7, 1.75, _rises))),
+        Row("lk-runs-bend", "in the second half of its rise the speed of a run rises slowly",
+            tuned(_bending(Speed, 1.2, 0.6, _rises))),
         Row("lk-moves-end-soft", "a move comes to its end by a third of the ramp", tuned(_bending(Position, 1.0, 0.3, _falls))),
     ),
-}
+}  # fmt: skip
 
 FAULTS = faults(CONDITIONS)

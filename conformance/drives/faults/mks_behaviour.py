@@ -1,6 +1,7 @@
 """How an MKS drive can misbehave: makers of changes to what it does, keeps and tells.
 
-    wrapped(of, wrap), before(of, act)  what the drive does with some commands
+    wrapped(of, act), before(of, act)   what the drive does with some commands
+    overridden("complete", act)         what a method of the drive does
     completing(2, at=half_way)          how and when a move ends
 
 Rules kept here:
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 from analyzer.catalogue import Command, Verb
@@ -24,6 +26,8 @@ from conformance.drives.mks.paths import Number, ramp_step_ns, size
 from conformance.drives.mks.responders import MksResponder
 from conformance.drives.mks.settings import SETTINGS
 
+#: What is done round a behaviour of the manual: it gets that behaviour, the drive and the request.
+Around = Callable[[Behaviour, MksCore, Request], Values | None]
 #: The moves to a position.
 MOVES = MOTIONS - {Verb.RUN_SPEED}
 OK: Values = {"status": int(mks_shared.Success.SUCCESS)}
@@ -80,21 +84,26 @@ def turn_bus_motion(drive: MksCore) -> None:
 # --- what it does ----------------------------------------------------------------------------------------------------
 
 
-def wrapped(of: Of, wrap: Callable[[Behaviour], Behaviour]) -> Change:
-    """Put another behaviour round that of these commands."""
-    verbs = {of} if isinstance(of, Verb) else of
+def wrapped(of: Of, act: Around) -> Change:
+    """Do something round what the manual says for these commands."""
+    return tuned(lambda drive: enclose(drive, of, act), having(of))
 
-    def change(drive: MksCore) -> None:
-        for verb in verbs:
-            if verb in drive.behaviours:
-                drive.behaviours[verb] = wrap(drive.behaviours[verb])
 
-    return tuned(change, having(of))
+def enclose(drive: MksCore, of: Of, act: Around) -> None:
+    """Put something round what a drive does for these commands, where it has them."""
+    for verb in {of} if isinstance(of, Verb) else of:
+        if verb in drive.behaviours:
+            drive.behaviours[verb] = partial(act, drive.behaviours[verb])
+
+
+def overridden(method: str, act: Callable[..., Any], dialects: tuple[str, ...] = having(())) -> Change:
+    """Do something round a method of the drive. `act` gets the method, the drive, and what the method is called with."""
+    return tuned(lambda drive: setattr(drive, method, partial(act, getattr(drive, method), drive)), dialects)
 
 
 def instead(of: Of, behaviour: Behaviour) -> Change:
     """Do something else for these commands."""
-    return wrapped(of, lambda _: behaviour)
+    return wrapped(of, lambda _, drive, request: behaviour(drive, request))
 
 
 def lying(of: Of) -> Change:
@@ -105,14 +114,11 @@ def lying(of: Of) -> Change:
 def before(of: Of, act: Callable[[MksCore, Request], Values | None]) -> Change:
     """Do something before what the manual says; an answer stands in for the manual's behaviour."""
 
-    def wrap(behaviour: Behaviour) -> Behaviour:
-        def both(drive: MksCore, request: Request) -> Values | None:
-            early = act(drive, request)
-            return behaviour(drive, request) if early is None else early
+    def both(behaviour: Behaviour, drive: MksCore, request: Request) -> Values | None:
+        early = act(drive, request)
+        return behaviour(drive, request) if early is None else early
 
-        return both
-
-    return wrapped(of, wrap)
+    return wrapped(of, both)
 
 
 def with_state(of: Of, when: Callable[[Values], bool] = lambda values: True, **state: bool) -> Change:
@@ -130,16 +136,13 @@ def with_state(of: Of, when: Callable[[Values], bool] = lambda values: True, **s
 def ended(script: Callable[[MksCore, Request], Script], of: Collection[Verb] = MOVES) -> Change:
     """Let moves (or stops) that have begun go on by another script."""
 
-    def wrap(behaviour: Behaviour) -> Behaviour:
-        def act(drive: MksCore, request: Request) -> Values | None:
-            answer = behaviour(drive, request)
-            if drive.task is not None and drive.task.request is request:
-                drive.begin(Activity.MOVE if request.command.verb in MOVES else Activity.STOP, script(drive, request), request)
-            return answer
+    def act(behaviour: Behaviour, drive: MksCore, request: Request) -> Values | None:
+        answer = behaviour(drive, request)
+        if drive.task is not None and drive.task.request is request:
+            drive.begin(Activity.MOVE if request.command.verb in MOVES else Activity.STOP, script(drive, request), request)
+        return answer
 
-        return act
-
-    return wrapped(of, wrap)
+    return wrapped(of, act)
 
 
 # --- where moves end -------------------------------------------------------------------------------------------------
@@ -152,21 +155,17 @@ def _pace(drive: MksCore, request: Request) -> tuple[Number, int]:
     return drive.real_speed(speed), drive.ramp(request.values["acceleration"])
 
 
-def as_command(verb: Verb) -> Callable[[Behaviour], Behaviour]:
+def as_command(verb: Verb) -> Around:
     """Move to where another command of the same values would."""
-    target = TARGETS[verb]
 
-    def wrap(behaviour: Behaviour) -> Behaviour:
-        def act(drive: MksCore, request: Request) -> Values | None:
-            aimed, at_ns = target(drive, request), drive.now_ns
-            answer = behaviour(drive, request)
-            if drive.task is not None and drive.task.request is request and request.values["speed"]:
-                drive.motor.move(at_ns, aimed, *_pace(drive, request))
-            return answer
+    def act(behaviour: Behaviour, drive: MksCore, request: Request) -> Values | None:
+        aimed, at_ns = TARGETS[verb](drive, request), drive.now_ns
+        answer = behaviour(drive, request)
+        if drive.task is not None and drive.task.request is request and request.values["speed"]:
+            drive.motor.move(at_ns, aimed, *_pace(drive, request))
+        return answer
 
-        return act
-
-    return wrap
+    return act
 
 
 def landing(*offsets: int) -> Change:
@@ -198,29 +197,13 @@ def landing_above(speed: int, offset: int) -> Change:
     return ended(script)
 
 
-def at_speed_as_sent(behaviour: Behaviour) -> Behaviour:
-    """Move at the speed as sent, at any subdivision."""
-
-    def act(drive: MksCore, request: Request) -> Values | None:
-        law, drive.real_speed = drive.real_speed, lambda speed: speed  # type: ignore[method-assign]
-        answer = behaviour(drive, request)
-        drive.real_speed = law  # type: ignore[method-assign]
-        return answer
-
-    return act
-
-
-def without_sense(behaviour: Behaviour) -> Behaviour:
+def without_sense(behaviour: Behaviour, drive: MksCore, request: Request) -> Values | None:
     """Move as if the direction were not turned by its setting."""
-
-    def act(drive: MksCore, request: Request) -> Values | None:
-        setting = drive.settings["motor_direction"]
-        drive.settings["motor_direction"] = int(mks_shared.ConfigDirection.CW)
-        answer = behaviour(drive, request)
-        drive.settings["motor_direction"] = setting
-        return answer
-
-    return act
+    setting = drive.settings["motor_direction"]
+    drive.settings["motor_direction"] = int(mks_shared.ConfigDirection.CW)
+    answer = behaviour(drive, request)
+    drive.settings["motor_direction"] = setting
+    return answer
 
 
 def refuse_in_open_loop(drive: MksCore, request: Request) -> Values | None:
@@ -228,16 +211,12 @@ def refuse_in_open_loop(drive: MksCore, request: Request) -> Values | None:
     return None if drive.motor.closed_loop else drive.refused(request)
 
 
-def endless_at_zero(behaviour: Behaviour) -> Behaviour:
+def endless_at_zero(behaviour: Behaviour, drive: MksCore, request: Request) -> Values | None:
     """Tell no end of a move by nothing."""
-
-    def act(drive: MksCore, request: Request) -> Values | None:
-        answer = behaviour(drive, request)
-        if drive.motor.settled <= drive.now_ns:
-            drive.drop()
-        return answer
-
-    return act
+    answer = behaviour(drive, request)
+    if drive.motor.settled <= drive.now_ns:
+        drive.drop()
+    return answer
 
 
 def only_runs(drive: MksCore, request: Request) -> Values | None:
@@ -253,23 +232,25 @@ def coarse(drive: Drive, command: Command, values: Values) -> Values:
     return values | {"pulses": values["pulses"] * 5 // 4} if is_25 else values
 
 
-def moving_by(**laws: Any) -> Change:
-    """Let moves to a position go by other laws than runs: attributes of `MksState`."""
+def as_given(value: int) -> int:
+    """Return a speed, or a highest one, as it was given: a law that changes nothing."""
+    return value
 
-    def wrap(behaviour: Behaviour) -> Behaviour:
-        def act(drive: MksCore, request: Request) -> Values | None:
-            kept = {name: getattr(drive, name) for name in laws}
-            for name, law in laws.items():
+
+def by_laws(of: Of, when: Callable[[MksCore], bool] = lambda drive: True, **laws: Any) -> Change:
+    """Do some commands by other laws than all else, where a condition holds: attributes of `MksState`."""
+
+    def act(behaviour: Behaviour, drive: MksCore, request: Request) -> Values | None:
+        kept = {name: getattr(drive, name) for name in laws} if when(drive) else {}
+        for name in kept:
+            setattr(drive, name, laws[name])
+        try:
+            return behaviour(drive, request)
+        finally:
+            for name, law in kept.items():
                 setattr(drive, name, law)
-            try:
-                return behaviour(drive, request)
-            finally:
-                for name, law in kept.items():
-                    setattr(drive, name, law)
 
-        return act
-
-    return wrapped(MOVES, wrap)
+    return wrapped(of, act)
 
 
 def refuse_newer(drive: MksCore, request: Request) -> Values | None:
@@ -316,24 +297,21 @@ def emergency_ramp(drive: MksCore, request: Request) -> Values:
     return dict(OK)
 
 
-def coasting(behaviour: Behaviour) -> Behaviour:
+def coasting(behaviour: Behaviour, drive: MksCore, request: Request) -> Values | None:
     """Answer a stop, and go on for two seconds before it."""
 
-    def coast(drive: MksCore, request: Request) -> Script:
+    def coast() -> Script:
         end_ns = drive.now_ns + COAST_NS
         yield lambda: end_ns
         drive.motor.run(drive.now_ns, 0, drive.ramp(request.values["acceleration"]))
         yield lambda: drive.motor.settled
         drive.finish(COMPLETE)
 
-    def act(drive: MksCore, request: Request) -> Values | None:
-        rpm = drive.motor.speed(drive.now_ns)
-        answer = behaviour(drive, request)
-        drive.motor.run(drive.now_ns, rpm, 0)
-        drive.begin(Activity.STOP, coast(drive, request), request)
-        return answer
-
-    return act
+    rpm = drive.motor.speed(drive.now_ns)
+    answer = behaviour(drive, request)
+    drive.motor.run(drive.now_ns, rpm, 0)
+    drive.begin(Activity.STOP, coast(), request)
+    return answer
 
 
 def ignore_clean(drive: MksCore, request: Request) -> Values | None:
@@ -433,22 +411,19 @@ def homing_by(change: Callable[[Mapping[str, int]], Mapping[str, int]]) -> Chang
 def when_home(after: Callable[[MksCore], None]) -> Change:
     """Do something more when home is found."""
 
-    def wrap(behaviour: Behaviour) -> Behaviour:
-        def script(drive: MksCore, task: Task) -> Script:
-            yield task.wait
-            yield from task.script
-            after(drive)
+    def script(drive: MksCore, task: Task) -> Script:
+        yield task.wait
+        yield from task.script
+        after(drive)
 
-        def act(drive: MksCore, request: Request) -> Values | None:
-            answer = behaviour(drive, request)
-            task = drive.task
-            if task is not None and task.request is request:
-                drive.begin(Activity.HOME, script(drive, task), request)
-            return answer
+    def act(behaviour: Behaviour, drive: MksCore, request: Request) -> Values | None:
+        answer = behaviour(drive, request)
+        task = drive.task
+        if task is not None and task.request is request:
+            drive.begin(Activity.HOME, script(drive, task), request)
+        return answer
 
-        return act
-
-    return wrapped(Verb.HOME, wrap)
+    return wrapped(Verb.HOME, act)
 
 
 def lose_zero(drive: MksCore) -> None:
@@ -604,15 +579,12 @@ def no_subdivision(drive: MksCore, code: int, values: Values) -> Values:
 def retuned(verb: Verb) -> Change:
     """Let a setting change what the drive listens to."""
 
-    def wrap(behaviour: Behaviour) -> Behaviour:
-        def act(drive: MksCore, request: Request) -> Values | None:
-            answer = behaviour(drive, request)
-            drive.tune()
-            return answer
+    def act(behaviour: Behaviour, drive: MksCore, request: Request) -> Values | None:
+        answer = behaviour(drive, request)
+        drive.tune()
+        return answer
 
-        return act
-
-    return wrapped(verb, wrap)
+    return wrapped(verb, act)
 
 
 def restore_running(drive: MksCore, request: Request) -> Values:
@@ -631,6 +603,11 @@ def both_ports(drive: MksCore, request: Request) -> None:
 def keep_ports(drive: MksCore, request: Request) -> Values | None:
     """Leave written ports as they are when they are given back."""
     return None if request.values["alm_mask"] or request.values["pend_mask"] else dict(OK)
+
+
+def leave_group(drive: MksCore, request: Request) -> None:
+    """Take the drive out of its group."""
+    drive.settings["group_address"] = 0
 
 
 def store_refused(drive: Drive, command: Command, values: Values, wanted: bool) -> bool:

@@ -15,8 +15,39 @@ from analyzer.link import WRITE_ONE
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
-from conformance.drives.faults.mks_behaviour import OK, before, clinging, forgetful, mks, tuned, when_home, with_state, wrapped
-from conformance.drives.faults.mks_frames import own, slots
+from conformance.drives.faults.mks_behaviour import (
+    MOVES,
+    OK,
+    as_given,
+    before,
+    by_laws,
+    clinging,
+    enclose,
+    forgetful,
+    hold,
+    leave_group,
+    mks,
+    overridden,
+    tuned,
+    turns,
+    when_home,
+    with_state,
+    wrapped,
+)
+from conformance.drives.faults.mks_frames import (
+    Whom,
+    answering,
+    deaf_to,
+    for_all,
+    hearing,
+    is_setting,
+    of,
+    own,
+    package,
+    slots,
+    to_group,
+    to_next,
+)
 from conformance.drives.faults.places import (
     CAN,
     CAN_LONGEST,
@@ -28,7 +59,6 @@ from conformance.drives.faults.places import (
     Of,
     Row,
     Rows,
-    answered,
     body_of,
     every,
     faults,
@@ -46,13 +76,14 @@ from conformance.drives.mks.paths import Phase
 from conformance.drives.mks.state import way_of
 
 Condition = Callable[[MksCore], bool]
+#: The method of a drive that tells the end of a motion.
+Tell = Callable[[Request, Values], None]
 #: How long a drive is deaf after motion, and the pause after which it loses a request.
 _DEAF_NS, _PAUSE_NS = 3_000_000_000, 20_000_000_000
 #: Speeds beyond which a fault of a fast shaft holds (rpm).
 _FAST, _VERY_FAST = 500, 1000
 _VERY_SLOW, _CRAWLS = 5, 30
 _BY_COUNTS = frozenset({Verb.MOVE_RELATIVE_AXIS, Verb.MOVE_ABSOLUTE_AXIS})
-_MOVES = MOTIONS - {Verb.RUN_SPEED}
 _ENDS = STOPS | {Verb.EMERGENCY_STOP}
 _BITS = 16
 #: The highest number of a byte, and by how many counts a count of pulses is off.
@@ -65,10 +96,6 @@ def _rpm(drive: MksCore) -> float:
     return float(drive.motor.speed(drive.now_ns))
 
 
-def _turns(drive: MksCore) -> bool:
-    return _rpm(drive) != 0
-
-
 def _rises(drive: MksCore) -> bool:
     return drive.motor.phase(drive.now_ns) is Phase.SPEEDING_UP
 
@@ -79,14 +106,6 @@ def _falls(drive: MksCore) -> bool:
 
 def _faster(rpm: float) -> Condition:
     return lambda drive: abs(_rpm(drive)) > rpm
-
-
-def _off(drive: MksCore) -> bool:
-    return not drive.enabled
-
-
-def _below_zero(drive: MksCore) -> bool:
-    return drive.axis < -2 * drive.counts_per_turn
 
 
 def _full_and_fast(drive: MksCore) -> bool:
@@ -171,12 +190,6 @@ def _unchecked(of: Of, to_all: bool = False) -> Change:
     return taken(accept)
 
 
-def _setting_of_another(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-    setting = message.command is not None and message.command.verb.value.startswith("set_")
-    near = message.address == drive.address + 1
-    return wanted or (frame.checksum_ok and setting and near and mks(drive).responder.understands(message))
-
-
 def _run_by_one(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
     """Begin a run by a write of its register by function 06h, and answer as the manual says."""
     core, data = mks(drive), frame.data
@@ -186,12 +199,7 @@ def _run_by_one(drive: Drive, frame: Frame, message: Message, wanted: bool) -> b
     return wanted
 
 
-def _answers_group(drive: Drive, message: Message, wanted: bool) -> bool:
-    motion = message.command is not None and message.command.verb in MOTIONS
-    return wanted or (motion and message.address == drive.settings.get("group_address"))
-
-
-def _newest_is(drive: Drive, to: Callable[[Drive, Message], bool]) -> Callable[[], bool]:
+def _newest_is(drive: MksCore, to: Whom) -> Callable[[], bool]:
     """Return a question: whether the newest request was sent so."""
     so = False
 
@@ -204,7 +212,7 @@ def _newest_is(drive: Drive, to: Callable[[Drive, Message], bool]) -> Callable[[
     return lambda: so
 
 
-def _asked_to(to: Callable[[Drive, Message], bool], of: Of, change: Callable[[Values], Values]) -> Change:
+def _asked_to(to: Whom, of: Of, change: Callable[[Values], Values]) -> Change:
     """Change some requests that were sent so, and no others."""
     verbs = {of} if isinstance(of, Verb) else of
 
@@ -215,24 +223,12 @@ def _asked_to(to: Callable[[Drive, Message], bool], of: Of, change: Callable[[Va
     return tuned(install)
 
 
-def _is_for_all(drive: Drive, message: Message) -> bool:
-    return message.address == drive.dialect.broadcast
-
-
-def _is_for_group(drive: Drive, message: Message) -> bool:
-    return bool(message.address) and message.address == drive.settings.get("group_address") != drive.address
-
-
-def _obey_without_check(drive: MksCore) -> None:
+def _obey_without_check(receive: Callable[..., list[Outgoing]], drive: MksCore, frame: Frame, t_ns: int) -> list[Outgoing]:
     """Halt at a frame of the code of the emergency stop alone."""
-    code, take = drive.dialect.by_verb[Verb.EMERGENCY_STOP].code, drive.receive
-
-    def receive(frame: Frame, t_ns: int) -> list[Outgoing]:
-        if frame.data == bytes((code,)) and frame.can is not None and frame.can.id == drive.address:
-            frame = replace(frame, data=drive.dialect.link.completed(frame.data, frame.can.id), checksum_ok=True)
-        return take(frame, t_ns)
-
-    drive.receive = receive  # type: ignore[method-assign]
+    code = drive.dialect.by_verb[Verb.EMERGENCY_STOP].code
+    if frame.data == bytes((code,)) and frame.can is not None and frame.can.id == drive.address:
+        frame = replace(frame, data=drive.dialect.link.completed(frame.data, frame.can.id), checksum_ok=True)
+    return receive(frame, t_ns)
 
 
 def _deaf_after_motion(drive: MksCore) -> None:
@@ -241,7 +237,7 @@ def _deaf_after_motion(drive: MksCore) -> None:
 
     def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
         nonlocal turned_ns
-        if _turns(drive):
+        if turns(drive):
             turned_ns = drive.now_ns
             return wanted
         return wanted and (turned_ns is None or drive.now_ns - turned_ns > _DEAF_NS)
@@ -286,7 +282,7 @@ def _deaf_after_exception(drive: MksCore) -> None:
     drive.hooks.accept.append(accept)
 
 
-def _lost_if_sent(to: Callable[[Drive, Message], bool], only: str = "") -> Change:
+def _lost_if_sent(to: Whom, only: str = "") -> Change:
     """Lose settings by a restart that were sent so, and keep others. `only`: but one."""
 
     def change(drive: MksCore) -> None:
@@ -302,16 +298,10 @@ def _lost_if_sent(to: Callable[[Drive, Message], bool], only: str = "") -> Chang
 
 
 def _to_group(of: Of, change: Callable[[Values], Values]) -> Change:
-    return Change(_asked_to(_is_for_group, of, change).install, having(Verb.SET_GROUP_ADDRESS))
+    return Change(_asked_to(to_group, of, change).install, having(Verb.SET_GROUP_ADDRESS))
 
 
-def _in_a_package(drive: Drive, message: Message) -> bool:
-    return message.command is not None and message.command.slots is not None
-
-
-def _made_ready_by(
-    to: Callable[[Drive, Message], bool], of: Of, ready: Callable[[MksCore], object]
-) -> Callable[[MksCore], None]:
+def _made_ready_by(to: Whom, of: Of, ready: Callable[[MksCore], object]) -> Callable[[MksCore], None]:
     """Let the drive do what is sent so, even where it would refuse."""
     verbs = {of} if isinstance(of, Verb) else of
 
@@ -328,17 +318,12 @@ def _made_ready_by(
     return install
 
 
-def _switch_on(drive: MksCore) -> None:
-    drive.memory.enabled = True
-    drive.grip()
-
-
 def _unprotect(drive: MksCore) -> None:
     drive.memory.protected = False
     drive.grip()
 
 
-def _guards(to: Callable[[Drive, Message], bool]) -> Callable[[MksCore], None]:
+def _guards(to: Whom) -> Callable[[MksCore], None]:
     """Have no protection while a motion is under way that was sent so."""
 
     def install(drive: MksCore) -> None:
@@ -355,7 +340,7 @@ def _guards(to: Callable[[Drive, Message], bool]) -> Callable[[MksCore], None]:
 
 
 def _answers_enabling_in_slots(drive: MksCore) -> None:
-    so, obey = _newest_is(drive, _in_a_package), drive.obey
+    so, obey = _newest_is(drive, package), drive.obey
 
     def aloud(request: Request) -> None:
         request.answered |= so() and request.command.verb is Verb.ENABLE
@@ -367,12 +352,11 @@ def _answers_enabling_in_slots(drive: MksCore) -> None:
 def _heard_by_group(bit: int) -> Change:
     """Hear another group address that differs in one bit."""
 
-    def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-        group = drive.settings.get("group_address")
-        near = group and message.address == group ^ 1 << bit != drive.address
-        return wanted or bool(frame.checksum_ok and near and mks(drive).responder.understands(message))
+    def near(drive: MksCore, message: Message) -> bool:
+        group = drive.settings.get("group_address", 0)
+        return bool(group) and message.address == group ^ 1 << bit != drive.address
 
-    return Change(taken(accept).install, having(Verb.SET_GROUP_ADDRESS))
+    return Change(hearing(near).install, having(Verb.SET_GROUP_ADDRESS))
 
 
 def _deaf_to_all_when_moved(drive: MksCore) -> None:
@@ -382,7 +366,7 @@ def _deaf_to_all_when_moved(drive: MksCore) -> None:
     def accept(_: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
         nonlocal begun
         begun = begun or drive.address
-        return wanted and (drive.address == begun or not _is_for_all(drive, message))
+        return wanted and (drive.address == begun or not for_all(drive, message))
 
     drive.hooks.accept.append(accept)
     drive.hooks.powered.append(lambda _: forget())
@@ -394,16 +378,16 @@ def _deaf_to_all_when_moved(drive: MksCore) -> None:
 
 def _group_unheard(group: int) -> Change:
     """Keep a group's address, and do not hear it."""
-    deaf = taken(lambda d, f, message, wanted: wanted and not (_is_for_group(d, message) and message.address == group))
+    deaf = deaf_to(lambda drive, message: to_group(drive, message) and message.address == group)
     return Change(deaf.install, having(Verb.SET_GROUP_ADDRESS))
 
 
-def _end_untold_behind(to: Callable[[Drive, Message], bool]) -> Change:
+def _end_untold_behind(to: Whom) -> Change:
     """Forget during a motion who is to be told its end when a frame is sent so."""
 
     def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
         task = mks(drive).task
-        if task is not None and task.request is not None and to(drive, message):
+        if task is not None and task.request is not None and to(mks(drive), message):
             task.request.answered = False
         return wanted
 
@@ -431,55 +415,31 @@ def _silent_when(when: Condition, of: Of) -> Change:
     return frames(change, of)
 
 
-def _unanswered_and_turning(drive: MksCore) -> bool:
-    return not drive.settings["respond"] and _turns(drive)
-
-
 HEARING: Rows = {
     "deaf": (
         Row("deaf-after-motion", "after a motion nothing is heard for three seconds", tuned(_deaf_after_motion)),
-        Row(
-            "deaf-to-all-when-moved",
-            "a drive that was given another address does not hear all drives' until a restart",
-            tuned(_deaf_to_all_when_moved),
-        ),
-        Row(
-            "end-untold-behind-all",
-            "a broadcast in a motion silences the reply at its end",
-            _end_untold_behind(_is_for_all),
-            TELLING,
-        ),
-        Row(
-            "end-untold-behind-group",
-            "a frame to the group in a motion silences the reply at its end",
-            _end_untold_behind(_is_for_group),
-            TELLING,
-        ),
-        Row(
-            "end-untold-behind-other",
-            "a frame to another drive in a motion silences the reply at its end",
+        Row("deaf-to-all-when-moved", "a drive that was given another address does not hear all drives' until a restart",
+            tuned(_deaf_to_all_when_moved)),
+        Row("end-untold-behind-all", "a broadcast in a motion silences the reply at its end",
+            _end_untold_behind(for_all), TELLING),
+        Row("end-untold-behind-group", "a frame to the group in a motion silences the reply at its end",
+            _end_untold_behind(to_group), TELLING),
+        Row("end-untold-behind-other", "a frame to another drive in a motion silences the reply at its end",
             _end_untold_behind(lambda drive, message: message.address not in (drive.address, drive.dialect.broadcast)),
-            TELLING,
-        ),
+            TELLING),
         Row("highest-group-unheard", "the group FF is stored, and not heard", _group_unheard(0xFF), NATIVE),
         Row("highest-group-id-unheard", "the group 7FF is stored, and not heard", _group_unheard(0x7FF), CAN),
         Row("lowest-group-unheard", "the group 1 is stored, and not heard", _group_unheard(1)),
         Row("deaf-after-refusal", "the request behind a refused one is ignored", tuned(_deaf_after_refusal)),
-        Row(
-            "deaf-after-exception",
-            "the request behind an exception, or behind FF FF for a parameter, is ignored",
-            tuned(_deaf_after_exception),
-            MODBUS + CAN,
-        ),
+        Row("deaf-after-exception", "the request behind an exception, or behind FF FF for a parameter, is ignored",
+            tuned(_deaf_after_exception), MODBUS + CAN),
         Row("deaf-after-long-pause", "the first request after 20 s of silence is lost", tuned(_deaf_after_a_pause)),
-        Row("silent-below-zero", "31 is not answered below -2 turns", _silent_when(_below_zero, Verb.READ_POSITION)),
-        Row(
-            "status-silent-with-respond-0",
-            "with respond 0 F1 is not answered while the shaft turns",
-            _silent_when(_unanswered_and_turning, Verb.READ_STATUS),
-            TELLING,
-        ),
-        Row("silent-disabled", "motion is not answered while the motor is off", _silent_when(_off, MOTIONS), NATIVE),
+        Row("silent-below-zero", "31 is not answered below -2 turns",
+            _silent_when(lambda drive: drive.axis < -2 * drive.counts_per_turn, Verb.READ_POSITION)),
+        Row("status-silent-with-respond-0", "with respond 0 F1 is not answered while the shaft turns",
+            _silent_when(lambda drive: not drive.settings["respond"] and turns(drive), Verb.READ_STATUS), TELLING),
+        Row("silent-disabled", "motion is not answered while the motor is off",
+            _silent_when(lambda drive: not drive.enabled, MOTIONS), NATIVE),
         Row("every-150th-lost", "every 150th reply is lost", every(150, lambda d, c, o: ())),
     ),
     "checksum": (
@@ -489,80 +449,41 @@ HEARING: Rows = {
         Row("crc-first-byte", "only the first byte of the CRC counts", _take(lambda got, right: got[0] == right[0]), MODBUS),
         Row("crc-swapped", "a CRC with its bytes swapped passes too", _take(lambda got, right: got == right[::-1]), MODBUS),
         Row("home-unchecked", "91 is executed with any checksum", _unchecked(Verb.HOME)),
-        Row(
-            "broadcast-counts-halved",
-            "F4 to all drives goes half as far",
-            _asked_to(_is_for_all, Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"position": values["position"] // 2}),
-        ),
-        Row(
-            "broadcast-move-at-once",
-            "FE to all drives has no ramp",
-            _asked_to(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, lambda values: values | {"acceleration": 0}),
-        ),
-        Row(
-            "broadcast-one-way",
-            "F6 to all drives turns the shaft one way alone",
-            _asked_to(_is_for_all, Verb.RUN_SPEED, lambda values: values | {"direction": 0}),
-        ),
-        Row(
-            "off-obeys-all",
-            "F4 to all drives is executed by a motor that is off",
-            tuned(_made_ready_by(_is_for_all, Verb.MOVE_RELATIVE_AXIS, _switch_on)),
-        ),
-        Row(
-            "protected-obeys-all",
-            "FE to all drives is executed by a motor that is protected",
-            tuned(_made_ready_by(_is_for_all, Verb.MOVE_ABSOLUTE_PULSES, _unprotect), having(Verb.RELEASE_PROTECTION)),
-        ),
-        Row("unguarded-by-all", "a motion to all drives is not protected against a locked rotor", tuned(_guards(_is_for_all))),
-        Row(
-            "subdivision-of-all-answered",
-            "84 to all drives is answered",
-            answered(
-                lambda drive, message, wanted: wanted or (_is_for_all(drive, message) and _is(message, Verb.SET_SUBDIVISION))
-            ),
-            SERIAL,
-        ),
+        Row("broadcast-counts-halved", "F4 to all drives goes half as far",
+            _asked_to(for_all, Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"position": values["position"] // 2})),
+        Row("broadcast-move-at-once", "FE to all drives has no ramp",
+            _asked_to(for_all, Verb.MOVE_ABSOLUTE_PULSES, lambda values: values | {"acceleration": 0})),
+        Row("broadcast-one-way", "F6 to all drives turns the shaft one way alone",
+            _asked_to(for_all, Verb.RUN_SPEED, lambda values: values | {"direction": 0})),
+        Row("off-obeys-all", "F4 to all drives is executed by a motor that is off",
+            tuned(_made_ready_by(for_all, Verb.MOVE_RELATIVE_AXIS, hold))),
+        Row("protected-obeys-all", "FE to all drives is executed by a motor that is protected",
+            tuned(_made_ready_by(for_all, Verb.MOVE_ABSOLUTE_PULSES, _unprotect), having(Verb.RELEASE_PROTECTION))),
+        Row("unguarded-by-all", "a motion to all drives is not protected against a locked rotor", tuned(_guards(for_all))),
+        Row("subdivision-of-all-answered", "84 to all drives is answered",
+            answering(of(for_all, Verb.SET_SUBDIVISION)), SERIAL),
         Row("broadcast-unchecked", "motion to all drives is executed with any checksum", _unchecked(MOTIONS, True)),
         Row("stop-unchecked", "F7 is executed with any checksum", _unchecked(Verb.EMERGENCY_STOP)),
     ),
-    "address": (Row("sets-for-next", "settings of the next higher address are stored too", taken(_setting_of_another)),),
+    "address": (Row("sets-for-next", "settings of the next higher address are stored too",
+                    hearing(lambda drive, message: to_next(drive, message) and is_setting(message))),),
     "function": (Row("run-by-06", "a write of F6 by 06h begins a run", taken(_run_by_one), MODBUS),),
     "group": (
-        Row(
-            "group-without-ramp",
-            "motion to the group has no ramp",
-            _to_group(MOTIONS, lambda values: values | {"acceleration": 0}),
-        ),
-        Row(
-            "group-pulses-byte",
-            "FD to the group has the low byte of its pulses",
-            _to_group(Verb.MOVE_RELATIVE_PULSES, lambda values: values | {"pulses": values["pulses"] & 0xFF}),
-        ),
-        Row(
-            "group-speed-byte",
-            "F4 to the group has the low byte of its speed",
-            _to_group(Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"speed": values["speed"] & 0xFF}),
-        ),
-        Row(
-            "group-answered-backwards",
-            "FD to the group is answered where it turns the shaft clockwise",
-            answered(
-                lambda drive, message, wanted: (
-                    wanted
-                    or (
-                        _is_for_group(drive, message) and _is(message, Verb.MOVE_RELATIVE_PULSES) and _backwards(message.values)
-                    )
-                )
-            ),
-            TELLING,
-        ),
+        Row("group-without-ramp", "motion to the group has no ramp",
+            _to_group(MOTIONS, lambda values: values | {"acceleration": 0})),
+        Row("group-pulses-byte", "FD to the group has the low byte of its pulses",
+            _to_group(Verb.MOVE_RELATIVE_PULSES, lambda values: values | {"pulses": values["pulses"] & 0xFF})),
+        Row("group-speed-byte", "F4 to the group has the low byte of its speed",
+            _to_group(Verb.MOVE_RELATIVE_AXIS, lambda values: values | {"speed": values["speed"] & 0xFF})),
+        Row("group-answered-backwards", "FD to the group is answered where it turns the shaft clockwise",
+            answering(lambda d, m: of(to_group, Verb.MOVE_RELATIVE_PULSES)(d, m) and _backwards(m.values)), TELLING),
         Row("hears-bad-group-bit-7", "a group address whose highest bit in a byte differs is obeyed", _heard_by_group(7)),
         Row("hears-bad-group-bit-4", "a group address that differs by 10h is obeyed", _heard_by_group(4)),
-        Row("group-motion-answered", "motion to the group is answered", answered(_answers_group), NATIVE),
+        Row("group-motion-answered", "motion to the group is answered", answering(of(to_group, *MOTIONS)), NATIVE),
     ),
-    "length": (Row("emergency-without-check", "F7 is obeyed without its check", tuned(_obey_without_check), CAN),),
-}
+    "length": (Row("emergency-without-check", "F7 is obeyed without its check",
+                   overridden("receive", _obey_without_check), CAN),),
+}  # fmt: skip
 
 
 # --- what it tells ----------------------------------------------------------------------------------------------------
@@ -615,55 +536,36 @@ TOLD: Rows = {
     "order": (Row("respond-behind-active", "00 8C tells active first", result(_respond_and_active, Verb.READ_PARAMETER), CAN),),
     "frozen": (
         Row("carry-frozen-when-fast", "30 stays above 500 rpm", stale_when(_faster(_FAST), Verb.READ_ENCODER_CARRY)),
-        Row("pulses-counted-at-rest", "33 counts when the motion is over", stale_when(_turns, Verb.READ_PULSES)),
+        Row("pulses-counted-at-rest", "33 counts when the motion is over", stale_when(turns, Verb.READ_PULSES)),
     ),
     "status": (
         Row("fast-status-2", "F1 reads 2 at full speed above 500 rpm", told_when(_full_and_fast, Verb.READ_STATUS, status=2)),
-        Row(
-            "open-status-0",
-            "F1 reads 0 while the shaft turns in an open mode",
-            told_when(lambda drive: "open" in drive.mode and _turns(drive), Verb.READ_STATUS, status=0),
-        ),
-        Row(
-            "slower-status-2",
-            "F1 reads 2 while a run goes over to a lower speed",
-            told_when(_slows_to_a_speed, Verb.READ_STATUS, status=2),
-        ),
-        Row(
-            "falling-pulses-full",
-            "F1 reads 4 while a move by FE slows down",
-            told_when(_moving_by(Verb.MOVE_ABSOLUTE_PULSES, _falls), Verb.READ_STATUS, status=4),
-        ),
-        Row(
-            "rising-pulses-stopped",
-            "F1 reads 1 while a move by FD speeds up",
-            told_when(_moving_by(Verb.MOVE_RELATIVE_PULSES, _rises), Verb.READ_STATUS, status=1),
-        ),
+        Row("open-status-0", "F1 reads 0 while the shaft turns in an open mode",
+            told_when(lambda drive: "open" in drive.mode and turns(drive), Verb.READ_STATUS, status=0)),
+        Row("slower-status-2", "F1 reads 2 while a run goes over to a lower speed",
+            told_when(_slows_to_a_speed, Verb.READ_STATUS, status=2)),
+        Row("falling-pulses-full", "F1 reads 4 while a move by FE slows down",
+            told_when(_moving_by(Verb.MOVE_ABSOLUTE_PULSES, _falls), Verb.READ_STATUS, status=4)),
+        Row("rising-pulses-stopped", "F1 reads 1 while a move by FD speeds up",
+            told_when(_moving_by(Verb.MOVE_RELATIVE_PULSES, _rises), Verb.READ_STATUS, status=1)),
         Row("in-place-on-its-way", "PEND is 1 on the way of F4 and F5", result(_in_place_on_its_way, Verb.READ_IO), CAN),
-        Row("off-while-turning", "3A reads 0 while the shaft turns", told_when(_turns, Verb.READ_ENABLED, enabled=0)),
-        Row("protected-while-turning", "3E reads 1 while the shaft turns", told_when(_turns, Verb.READ_PROTECTION, status=1)),
+        Row("off-while-turning", "3A reads 0 while the shaft turns", told_when(turns, Verb.READ_ENABLED, enabled=0)),
+        Row("protected-while-turning", "3E reads 1 while the shaft turns", told_when(turns, Verb.READ_PROTECTION, status=1)),
     ),
     "scale": (
         Row("error-counts-turns", "39 tells the turns made", result(_whole_turns, Verb.READ_ANGLE_ERROR)),
-        Row(
-            "slow-speed-zero",
-            "32 tells 0 below 5 rpm",
-            result(lambda d, c, q, found: {"speed": 0} if abs(found["speed"]) < _VERY_SLOW else found, Verb.READ_SPEED),
-        ),
-        Row(
-            "slow-speed-tenfold",
-            "32 tells tenths of a rpm below 20 rpm",
-            result(
-                lambda d, c, q, found: {"speed": found["speed"] * 10} if abs(found["speed"]) < 20 else found, Verb.READ_SPEED
-            ),
-        ),
+        Row("slow-speed-zero", "32 tells 0 below 5 rpm",
+            result(lambda d, c, q, found: {"speed": 0} if abs(found["speed"]) < _VERY_SLOW else found, Verb.READ_SPEED)),
+        Row("slow-speed-tenfold", "32 tells tenths of a rpm below 20 rpm",
+            result(lambda d, c, q, found: {"speed": found["speed"] * 10} if abs(found["speed"]) < 20 else found,
+                Verb.READ_SPEED)),
     ),
-    "ports": (Row("ports-given-back-by-moves", "a move gives written ports back", before(_MOVES, _give_ports_back), CAN),),
+    "ports": (Row("ports-given-back-by-moves", "a move gives written ports back", before(MOVES, _give_ports_back), CAN),),
     "reply layout": (
         Row("speed-long-after-restart", "32 is answered with four bytes more after a restart", tuned(_long_speed), CAN),
     ),
     "reply checksum": (Row("zero-check-sent-1", "a checksum that is 0 is sent as 1", frames(_zero_check), NATIVE),),
-}
+}  # fmt: skip
 
 
 # --- what it does -----------------------------------------------------------------------------------------------------
@@ -679,9 +581,7 @@ def _latched(drive: MksCore) -> None:
         return values
 
     drive.hooks.request.append(watch)
-    for verb in MOTIONS & drive.behaviours.keys():
-        obey = drive.behaviours[verb]
-        drive.behaviours[verb] = lambda core, asked, obey=obey: core.refused(asked) if latched else obey(core, asked)  # type: ignore[misc]
+    enclose(drive, MOTIONS, lambda obey, core, request: core.refused(request) if latched else obey(core, request))
 
 
 def _halt_first(drive: MksCore, request: Request) -> None:
@@ -719,21 +619,16 @@ def _as_sent_at_128(drive: Drive, command: Command, values: Values) -> Values:
 def _back_as(change: Callable[[MksCore], Mapping[str, int]]) -> Change:
     """Go back to the zero at power-on as though some settings were others."""
 
-    def tune(drive: MksCore) -> None:
-        power_on = drive.power_on
+    def other(power_on: Callable[[MksCore], None], drive: MksCore, _: MksCore) -> None:
+        changed = change(drive)
+        kept = {name: drive.settings[name] for name in changed}
+        drive.settings.update(changed)
+        try:
+            power_on(drive)
+        finally:
+            drive.settings.update(kept)
 
-        def other(drive: MksCore) -> None:
-            changed = change(drive)
-            kept = {name: drive.settings[name] for name in changed}
-            drive.settings.update(changed)
-            try:
-                power_on(drive)
-            finally:
-                drive.settings.update(kept)
-
-        drive.power_on = other
-
-    return Change(tuned(tune).install, having(Verb.SET_ZERO_MODE))
+    return overridden("power_on", other, having(Verb.SET_ZERO_MODE))
 
 
 def _back_with(name: str, change: Callable[[int], int]) -> Change:
@@ -753,21 +648,11 @@ def _near_by_quarters(drive: MksCore) -> Mapping[str, int]:
     return {"zero_mode": int(mks_shared.ZeroMode.DIRECTION), "zero_direction": _CLOCKWISE} if long else {}
 
 
-def _short_way_down(drive: MksCore) -> Mapping[str, int]:
-    """Turn clockwise to a zero that is less than a sixth of a turn above, whatever the direction is."""
-    return {"zero_direction": _CLOCKWISE} if _way_up(drive) < 1 / 6 else {}
-
-
 _CLOCKWISE = int(mks_shared.ConfigDirection.CW)
 
 
-def _at_a_limit(drive: MksCore) -> bool:
-    return drive.at_limit(1) or drive.at_limit(-1)
-
-
-def _slow_open_home(drive: MksCore) -> None:
-    held = drive.settings
-    drive.home_settings = lambda: held | {"home_speed": held["home_speed"] // 2} if "open" in drive.mode else held
+def _slow_open_home(held: Callable[[], Mapping[str, int]], drive: MksCore) -> Mapping[str, int]:
+    return {**held(), "home_speed": held()["home_speed"] // 2} if "open" in drive.mode else held()
 
 
 def _turned_by_setting(drive: Drive, command: Command, values: Values) -> Values:
@@ -859,16 +744,11 @@ def _runs_round(drive: MksCore) -> None:
     )
 
 
-def _once(drive: MksCore) -> None:
+def _once(power_on: Callable[[MksCore], None], drive: MksCore, _: MksCore) -> None:
     """Forget the saved run when it has begun."""
-    power_on = drive.power_on
-
-    def started(core: MksCore) -> None:
-        power_on(core)
-        if core.memory.run is not None:
-            core.settings["saved_run"] = 0
-
-    drive.power_on = started
+    power_on(drive)
+    if drive.memory.run is not None:
+        drive.settings["saved_run"] = 0
 
 
 def _stored_as(name: str, change: Callable[[int], int]) -> Change:
@@ -894,27 +774,17 @@ def _in_packages(change: Callable[[Values], Values], of: Verb, slots: Collection
         drive.hooks.slots.append(note)
         drive.hooks.request.append(apply)
 
-    return Change(tuned(install).install, NATIVE)
+    return tuned(install, NATIVE)
 
 
-def _left_elsewhere(drive: MksCore) -> None:
+def _left_elsewhere(way: Callable[[str], int], drive: MksCore, side: str) -> int:
     """Take the left to be clockwise, but for homing."""
-    way = drive.side_way
-    drive.side_way = lambda side: way(side) if drive.task is not None else (-1 if side == "left" else 1)  # type: ignore[method-assign]
+    return way(side) if drive.task is not None else -1 if side == "left" else 1
 
 
 def _limits_passed(when: Callable[[MksCore, str], bool]) -> Change:
     """Have no limit on a side (`left`, `right`) in a condition."""
-
-    def install(drive: MksCore) -> None:
-        reached = drive._limit_time
-        drive._limit_time = lambda side: None if when(drive, side) else reached(side)  # type: ignore[method-assign]
-
-    return tuned(install)
-
-
-def _is(message: Message, verb: Verb) -> bool:
-    return message.command is not None and message.command.verb is verb
+    return overridden("_limit_time", lambda reached, drive, side: None if when(drive, side) else reached(side))
 
 
 def _backwards(values: Values) -> bool:
@@ -922,24 +792,20 @@ def _backwards(values: Values) -> bool:
     return values.get("direction") == mks_shared.MotionDirection.CW or values.get("position", 0) < 0
 
 
-def _fast(values: Values) -> bool:
-    return bool(values["speed"] > _FAST)
-
-
-def _taking_up(behaviour: Behaviour) -> Behaviour:
+def _taking_up(drive: MksCore) -> None:
     """Begin the move again that was under way when the motor was switched off."""
     ended: list[Request] = []
 
-    def act(drive: MksCore, request: Request) -> Values | None:
+    def act(enable: Behaviour, core: MksCore, request: Request) -> Values | None:
         if not request.values["enabled"]:
-            ended[:] = [drive.task.request] if drive.task is not None and drive.task.request is not None else []
-            return behaviour(drive, request)
-        result = behaviour(drive, request)
-        if ended and ended[0].command.verb in _MOVES:
-            drive.behaviours[ended[0].command.verb](drive, ended.pop())
+            ended[:] = [core.task.request] if core.task is not None and core.task.request is not None else []
+            return enable(core, request)
+        result = enable(core, request)
+        if ended and ended[0].command.verb in MOVES:
+            core.behaviours[ended[0].command.verb](core, ended.pop())
         return result
 
-    return act
+    enclose(drive, Verb.ENABLE, act)
 
 
 def _halted_run_taken_up(drive: MksCore) -> None:
@@ -948,12 +814,12 @@ def _halted_run_taken_up(drive: MksCore) -> None:
     halt, enable = drive.behaviours[Verb.EMERGENCY_STOP], drive.behaviours[Verb.ENABLE]
 
     def halting(core: MksCore, request: Request) -> Values | None:
-        halted[:] = [core.memory.run] if core.memory.run and _turns(core) else []
+        halted[:] = [core.memory.run] if core.memory.run and turns(core) else []
         return halt(core, request)
 
     def enabling(core: MksCore, request: Request) -> Values | None:
         told = enable(core, request)
-        if halted and request.values["enabled"] and core.ready and not _turns(core):
+        if halted and request.values["enabled"] and core.ready and not turns(core):
             begin_run(core, *halted.pop())
         return told
 
@@ -974,35 +840,17 @@ def _turned(drive: MksCore, speed: int) -> int:
     return -speed if drive.settings["motor_direction"] else speed
 
 
-def _unlimited_while_turning(behaviour: Behaviour) -> Behaviour:
-    def act(drive: MksCore, request: Request) -> Values | None:
-        highest = drive.highest_speed
-        if "close" in drive.mode and _turns(drive):
-            drive.highest_speed = lambda declared: declared  # type: ignore[method-assign]
-        result = behaviour(drive, request)
-        drive.highest_speed = highest  # type: ignore[method-assign]
-        return result
-
-    return act
-
-
-def _open_enables(drive: MksCore) -> None:
-    change = drive.behaviours[Verb.SET_WORK_MODE]
-
-    def act(core: MksCore, request: Request) -> Values | None:
-        result = change(core, request)
-        if "open" in core.mode:
-            core.memory.enabled = True
-            core.grip()
-        return result
-
-    drive.behaviours[Verb.SET_WORK_MODE] = act
+def _open_enables(change: Behaviour, drive: MksCore, request: Request) -> Values | None:
+    result = change(drive, request)
+    if "open" in drive.mode:
+        hold(drive)
+    return result
 
 
 def _halted_back(drive: MksCore, request: Request) -> None:
     """Halt a shaft at once that a move to a place behind it is to turn round."""
     ahead = (request.values["position"] - drive.pulses) * drive.pulse_counts
-    if _turns(drive) and ahead * _rpm(drive) < 0:
+    if turns(drive) and ahead * _rpm(drive) < 0:
         drive.motor.halt(drive.now_ns)
 
 
@@ -1026,19 +874,9 @@ def _disabled_later(drive: MksCore, request: Request) -> Values | None:
     return dict(OK) if not request.values["enabled"] and drive.doing(Activity.MOVE) else None
 
 
-def _deaf_to_group(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-    """Hear no move by the group while the shaft turns."""
-    moves = any(_is(message, verb) for verb in _MOVES)
-    return wanted and not (moves and _is_for_group(drive, message) and _turns(mks(drive)))
-
-
-def _deaf_homing(verb: Verb, shared: Callable[[Drive, Message], bool]) -> Change:
-    """Hear a command that several drives get not while homing."""
-    return taken(
-        lambda drive, frame, message, wanted: (
-            wanted and not (_is(message, verb) and shared(drive, message) and mks(drive).doing(Activity.HOME))
-        )
-    )
+def _deaf_homing(to: Whom) -> Change:
+    """Do not hear these frames while homing."""
+    return deaf_to(lambda drive, message: to(drive, message) and drive.doing(Activity.HOME))
 
 
 def _asked_of(drive: MksCore) -> tuple[int | None, int | None]:
@@ -1059,10 +897,6 @@ def _by_pulses(drive: MksCore) -> bool:
     return request is not None and request.command.verb is Verb.MOVE_RELATIVE_PULSES
 
 
-def _capped(value: int) -> int:
-    return min(value, 2900)
-
-
 def _homes_back(drive: MksCore) -> bool:
     """Say whether homing turns the shaft away from home."""
     return drive.doing(Activity.HOME) and _rpm(drive) * way_of(drive.settings["home_direction"]) < 0
@@ -1075,26 +909,16 @@ def _homes_by_wall(drive: MksCore) -> bool:
 def _told_to_all(of: Callable[[Request, Values], bool]) -> Change:
     """Tell the ends of some motions also where several drives were asked."""
 
-    def change(drive: MksCore) -> None:
-        complete = drive.complete
+    def tell(complete: Tell, drive: MksCore, request: Request, values: Values) -> None:
+        request.answered = request.answered or of(request, values)
+        complete(request, values)
 
-        def tell(request: Request, values: Values) -> None:
-            request.answered = request.answered or of(request, values)
-            complete(request, values)
-
-        drive.complete = tell  # type: ignore[method-assign]
-
-    return tuned(change, TELLING)
+    return overridden("complete", tell, TELLING)
 
 
-def _home_silenced(drive: MksCore) -> None:
+def _home_silenced(silenced: Callable[[Command], bool], drive: MksCore, command: Command) -> bool:
     """Take the replies of homing for those of a motion, which 8C silences."""
-    silenced = drive.silenced
-
-    def silences(command: Command) -> bool:
-        return silenced(command) or (command.verb is Verb.HOME and not drive.settings["respond"])
-
-    drive.silenced = silences  # type: ignore[method-assign]
+    return silenced(command) or (command.verb is Verb.HOME and not drive.settings["respond"])
 
 
 def _locked_by_restart(drive: MksCore) -> None:
@@ -1143,24 +967,16 @@ def _slow_after_homing(drive: MksCore) -> None:
     drive.hooks.request.append(ask)
 
 
-def _own_and_group_alone(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
-    return wanted and not (message.address == drive.dialect.broadcast and drive.settings.get("group_address"))
-
-
 def _tired(drive: MksCore) -> None:
     """Refuse motion when there were many."""
     begun = 0
 
-    def tire(obey: Behaviour) -> Behaviour:
-        def behave(core: MksCore, request: Request) -> Values | None:
-            nonlocal begun
-            begun += 1
-            return core.refused(request) if begun > _MANY else obey(core, request)
+    def tire(obey: Behaviour, core: MksCore, request: Request) -> Values | None:
+        nonlocal begun
+        begun += 1
+        return core.refused(request) if begun > _MANY else obey(core, request)
 
-        return behave
-
-    for verb in MOTIONS & drive.behaviours.keys():
-        drive.behaviours[verb] = tire(drive.behaviours[verb])
+    enclose(drive, MOTIONS, tire)
 
 
 def _hasty_lost(drive: MksCore) -> None:
@@ -1179,17 +995,12 @@ def _zero_not_cleaned(drive: MksCore, request: Request) -> Values | None:
     return dict(OK) if request.values["set_zero"] == mks_shared.ZeroPoint.CLEAN else None
 
 
-def _home_told(drive: MksCore) -> None:
+def _home_told(complete: Tell, drive: MksCore, request: Request, values: Values) -> None:
     """Tell the end of homing also where `active` is off."""
-    complete = drive.complete
-
-    def tell(request: Request, values: Values) -> None:
-        active = drive.settings.get("active", 1)
-        drive.settings["active"] = active or request.command.verb is Verb.HOME
-        complete(request, values)
-        drive.settings["active"] = active
-
-    drive.complete = tell  # type: ignore[method-assign]
+    active = drive.settings.get("active", 1)
+    drive.settings["active"] = active or request.command.verb is Verb.HOME
+    complete(request, values)
+    drive.settings["active"] = active
 
 
 def _of_old_zero(drive: Drive, command: Command, values: Values) -> Values:
@@ -1197,15 +1008,10 @@ def _of_old_zero(drive: Drive, command: Command, values: Values) -> Values:
     return values | {"position": values["position"] + 500} if _homed(mks(drive)) else values
 
 
-def _ccw_home_untold(drive: MksCore) -> None:
+def _ccw_home_untold(complete: Tell, drive: MksCore, request: Request, values: Values) -> None:
     """Do not tell the end of homing counter-clockwise."""
-    complete = drive.complete
-
-    def tell(request: Request, values: Values) -> None:
-        if request.command.verb is not Verb.HOME or drive.settings["home_direction"] != mks_shared.ConfigDirection.CCW:
-            complete(request, values)
-
-    drive.complete = tell  # type: ignore[method-assign]
+    if request.command.verb is not Verb.HOME or drive.settings["home_direction"] != mks_shared.ConfigDirection.CCW:
+        complete(request, values)
 
 
 def _untold(drive: MksCore, request: Request) -> None:
@@ -1215,11 +1021,6 @@ def _untold(drive: MksCore, request: Request) -> None:
 
 
 # --- in one condition of two --------------------------------------------------------------------------------------------
-
-
-def _above_127(drive: MksCore, request: Request) -> Values | None:
-    """Say that a stop by a steep ramp began, and do nothing."""
-    return dict(OK) if request.values["acceleration"] > _HALF_BYTE else None
 
 
 def _closed_clockwise(drive: MksCore) -> bool:
@@ -1232,10 +1033,6 @@ def _slow_emergency(drive: MksCore, request: Request) -> Values | None:
         return None
     begin_run(drive, 0, 0, _EASY)
     return dict(OK)
-
-
-def _leave_group(drive: MksCore, request: Request) -> None:
-    drive.settings["group_address"] = 0
 
 
 def _turned_open(drive: Drive, command: Command, values: Values) -> Values:
@@ -1254,27 +1051,21 @@ def _deaf_to_direction(drive: MksCore) -> None:
     )
 
 
-def _shortened(shorten: Callable[[MksCore, Frame], bytes], wanted: Callable[[Command], bool]) -> Callable[[MksCore], None]:
+def _shortened(shorten: Callable[[MksCore, Frame], bytes], wanted: Callable[[Command], bool]) -> Change:
     """Take CAN frames that are too long as what is left of them, where that is a command that is wanted."""
 
-    def install(drive: MksCore) -> None:
-        take = drive._take
+    def taken(take: Callable[[Frame], None], drive: MksCore, frame: Frame) -> None:
+        can = frame.can
+        if can is not None and len(frame.data) >= _LEAST_LONG:
+            data = shorten(drive, frame)
+            if data != frame.data and drive.dialect.link.fits(data, can.id):
+                shorter = replace(frame, data=data, can=replace(can, data=data), checksum_ok=True)
+                message = drive.responder.read(shorter)
+                if message.form is not None and message.command is not None and wanted(message.command):
+                    frame = shorter
+        take(frame)
 
-        def taken(frame: Frame) -> None:
-            can = frame.can
-            if can is not None and len(frame.data) >= _LEAST_LONG:
-                data = shorten(drive, frame)
-                if data != frame.data and drive.dialect.link.fits(data, can.id):
-                    shorter = replace(frame, data=data, can=replace(can, data=data), checksum_ok=True)
-                    message = drive.responder.read(shorter)
-                    if message.form is not None and message.command is not None and wanted(message.command):
-                        take(shorter)
-                        return
-            take(frame)
-
-        drive._take = taken  # type: ignore[method-assign]
-
-    return install
+    return overridden("_take", taken, CAN)
 
 
 def _byte_behind(drive: MksCore, frame: Frame) -> bytes:
@@ -1299,7 +1090,7 @@ def _echo_byte(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Outg
 def _exceptions_turning(drive: Drive, command: Command, outgoing: Outgoing) -> tuple[Outgoing]:
     """Tell exception 02 for 01 while the shaft turns."""
     body = body_of(drive, outgoing)
-    wrong = len(body) == _EXCEPTION and body[1] & 0x80 and body[2] == 1 and _turns(mks(drive))
+    wrong = len(body) == _EXCEPTION and body[1] & 0x80 and body[2] == 1 and turns(mks(drive))
     return (rebuilt(drive, outgoing, body[:2] + b"\2") if wrong else outgoing,)
 
 
@@ -1331,36 +1122,25 @@ _RESTORED = (
 
 DOING: Rows = {
     "disabled": (
-        Row(
-            "disabled-moves-backwards",
-            "motion backwards is obeyed while disabled",
-            with_state(MOTIONS, _backwards, enabled=True),
-        ),
-        Row("disabled-moves-fast", "motion above 500 rpm is obeyed while disabled", with_state(MOTIONS, _fast, enabled=True)),
+        Row("disabled-moves-backwards", "motion backwards is obeyed while disabled",
+            with_state(MOTIONS, _backwards, enabled=True)),
+        Row("disabled-moves-fast", "motion above 500 rpm is obeyed while disabled",
+            with_state(MOTIONS, lambda values: bool(values["speed"] > _FAST), enabled=True)),
         Row("zero-enables", "92 enables a motor that is off", with_state(Verb.SET_ZERO, enabled=True)),
-        Row(
-            "protected-moves-backwards",
-            "motion backwards is obeyed while protected",
-            with_state(MOTIONS, _backwards, protected=False),
-        ),
+        Row("protected-moves-backwards", "motion backwards is obeyed while protected",
+            with_state(MOTIONS, _backwards, protected=False)),
         Row("enabling-takes-up-halted", "F3 01 takes up a run that F7 ended", tuned(_halted_run_taken_up)),
-        Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", wrapped(Verb.ENABLE, _taking_up)),
+        Row("enabling-takes-up", "F3 01 takes up a move that F3 00 ended", tuned(_taking_up)),
     ),
     "turned": (
         Row("direction-after-restart", "86 turns F4 round from a restart on", _after_restart(_axis_turned), SERIAL),
-        Row("lock-in-open", "82 to the open mode enables the motor, whatever 8F says", tuned(_open_enables), CAN),
-        Row(
-            "direction-turns-speed",
-            "86 turns the speed that 32 tells",
-            result(lambda d, c, sent, found: found | {"speed": _turned(mks(d), found["speed"])}, Verb.READ_SPEED),
-            SERIAL,
-        ),
-        Row(
-            "close-unlimited-while-turning",
-            "F5 in the close mode turns at up to 3000 rpm where the shaft turns already",
-            wrapped(Verb.MOVE_ABSOLUTE_AXIS, _unlimited_while_turning),
-            SERIAL,
-        ),
+        Row("lock-in-open", "82 to the open mode enables the motor, whatever 8F says",
+            wrapped(Verb.SET_WORK_MODE, _open_enables), CAN),
+        Row("direction-turns-speed", "86 turns the speed that 32 tells",
+            result(lambda d, c, sent, found: found | {"speed": _turned(mks(d), found["speed"])}, Verb.READ_SPEED), SERIAL),
+        Row("close-unlimited-while-turning", "F5 in the close mode turns at up to 3000 rpm where the shaft turns already",
+            by_laws(Verb.MOVE_ABSOLUTE_AXIS, lambda drive: "close" in drive.mode and turns(drive), highest_speed=as_given),
+            SERIAL),
         Row("back-at-once", "FE back during FE halts the shaft first", before(Verb.MOVE_ABSOLUTE_PULSES, _halted_back)),
     ),
     "restored": tuple(
@@ -1378,54 +1158,38 @@ DOING: Rows = {
         Row("zero-not-cleaned", "9A does not clean the zero", before(Verb.SET_ZERO_MODE, _zero_not_cleaned)),
         Row("zero-direction-turned", "9A goes back the other way", _back_with("zero_direction", lambda v: 1 - v)),
         Row("zero-speed-fixed", "9A goes back at one speed", _back_with("zero_speed", lambda v: 2)),
-        Row(
-            "zero-off-ignored",
-            "9A goes back in zero mode 0 too",
-            _back_with("zero_mode", lambda v: v or int(mks_shared.ZeroMode.NEAR)),
-        ),
+        Row("zero-off-ignored", "9A goes back in zero mode 0 too",
+            _back_with("zero_mode", lambda v: v or int(mks_shared.ZeroMode.NEAR))),
         Row("zero-speed-4-as-3", "9A goes back at speed 4 as at speed 3", _back_with("zero_speed", lambda v: min(v, 3))),
-        Row(
-            "near-by-quarters",
-            "9A takes the longer way to a zero that is a quarter of a turn above and more",
-            _back_as(_near_by_quarters),
-        ),
-        Row("short-way-down", "9A goes clockwise to a zero that is a little above", _back_as(_short_way_down)),
-        Row("homing-always-told", "the end of homing is told with active 0 too", tuned(_home_told), NATIVE),
+        Row("near-by-quarters", "9A takes the longer way to a zero that is a quarter of a turn above and more",
+            _back_as(_near_by_quarters)),
+        Row("short-way-down", "9A goes clockwise to a zero that is a little above",
+            _back_as(lambda drive: {"zero_direction": _CLOCKWISE} if _way_up(drive) < 1 / 6 else {})),
+        Row("homing-always-told", "the end of homing is told with active 0 too", overridden("complete", _home_told), NATIVE),
     ),
     "stop": (
-        Row("steep-stop-ignored", "stops with an acceleration of 128 and more do nothing", before(STOPS, _above_127)),
+        Row("steep-stop-ignored", "stops with an acceleration of 128 and more do nothing",
+            before(STOPS, lambda drive, request: dict(OK) if request.values["acceleration"] > _HALF_BYTE else None)),
         Row("closed-cw-emergency-slow", "F7 is slow in a closed mode, clockwise", before(Verb.EMERGENCY_STOP, _slow_emergency)),
-        Row(
-            "closed-cw-emergency-ignored",
-            "F7 does nothing in a closed mode, clockwise",
-            undone_when(_closed_clockwise, Verb.EMERGENCY_STOP),
-        ),
-        Row("home-over-motion-undone", "91 says that it begins over a motion, and is lost", undone_when(_turns, Verb.HOME)),
-        Row("home-over-motion-refused", "91 is refused while the shaft turns", refused_when(_turns, Verb.HOME)),
+        Row("closed-cw-emergency-ignored", "F7 does nothing in a closed mode, clockwise",
+            undone_when(_closed_clockwise, Verb.EMERGENCY_STOP)),
+        Row("home-over-motion-undone", "91 says that it begins over a motion, and is lost", undone_when(turns, Verb.HOME)),
+        Row("home-over-motion-refused", "91 is refused while the shaft turns", refused_when(turns, Verb.HOME)),
         Row("fast-stop-ignored", "stops are ignored above 1000 rpm", undone_when(_faster(_VERY_FAST), _ENDS)),
         Row("fast-at-once-by-ramp", "stops with acceleration 0 are slow above 1000 rpm", request(_slow_when_fast, STOPS)),
-        Row(
-            "run-unstopped-by-fd",
-            "the stop of FD does not end a run of F6 that turns clockwise",
-            undone_when(
-                lambda drive: drive.memory.run is not None and drive.motor.speed(drive.now_ns) < 0, Verb.STOP_RELATIVE_PULSES
-            ),
-        ),
+        Row("run-unstopped-by-fd", "the stop of FD does not end a run of F6 that turns clockwise",
+            undone_when(lambda drive: drive.memory.run is not None and drive.motor.speed(drive.now_ns) < 0,
+                Verb.STOP_RELATIVE_PULSES)),
         Row("rising-stop-ignored", "stops are ignored while the shaft speeds up", undone_when(_rises, _ENDS)),
-        Row(
-            "falling-emergency-ignored", "F7 does nothing while the shaft slows down", undone_when(_falls, Verb.EMERGENCY_STOP)
-        ),
+        Row("falling-emergency-ignored", "F7 does nothing while the shaft slows down",
+            undone_when(_falls, Verb.EMERGENCY_STOP)),
         Row("falling-motion-undone", "motion is lost while the shaft slows down", undone_when(_falls, MOTIONS)),
         Row("emergency-latches", "after F7 motion is refused until the motor is enabled", tuned(_latched)),
     ),
     "enable": (
         Row("status-of-before-off", "behind F3 00 F1 tells what the shaft did before it", tuned(_status_of_before_off)),
-        Row(
-            "locked-keys-refuse-fe",
-            "settings that lock the keys leave FE refused",
-            refused_when(lambda drive: bool(drive.settings["key_lock"]), Verb.MOVE_ABSOLUTE_PULSES),
-            SERIAL,
-        ),
+        Row("locked-keys-refuse-fe", "settings that lock the keys leave FE refused",
+            refused_when(lambda drive: bool(drive.settings["key_lock"]), Verb.MOVE_ABSOLUTE_PULSES), SERIAL),
         Row("moves-stay-enabled", "F3 00 does nothing during a move", before(Verb.ENABLE, _disabled_later)),
         Row("enabling-stops", "F3 01 stops a shaft that turns", before(Verb.ENABLE, _halt_first)),
         Row("saving-stops", "FF C8 stops the shaft", before(Verb.SAVE_SPEED, _halted)),
@@ -1433,53 +1197,29 @@ DOING: Rows = {
     "zero": (Row("zero-low-word", "92 clears 16 bits of the position", before(Verb.SET_ZERO, _low_word)),),
     "target": (
         Row("no-ramp-goes-beyond", "FE without a ramp ends 60 pulses beyond", request(_beyond, Verb.MOVE_ABSOLUTE_PULSES)),
-        Row(
-            "f5-as-sent-at-128",
-            "at 128 subdivisions F5 has its speed as sent",
-            request(_as_sent_at_128, Verb.MOVE_ABSOLUTE_AXIS),
-        ),
-        Row(
-            "high-pulses-back",
-            "FD goes back where the top bit of its pulses is set",
-            Change(request(_back, Verb.MOVE_RELATIVE_PULSES).install, SERIAL),
-        ),
+        Row("f5-as-sent-at-128", "at 128 subdivisions F5 has its speed as sent",
+            request(_as_sent_at_128, Verb.MOVE_ABSOLUTE_AXIS)),
+        Row("high-pulses-back", "FD goes back where the top bit of its pulses is set",
+            request(_back, Verb.MOVE_RELATIVE_PULSES), SERIAL),
     ),
     "direction": (
-        Row(
-            "direction-turns-fe",
-            "86 turns moves by FE",
-            Change(request(_turned_by_setting, Verb.MOVE_ABSOLUTE_PULSES).install, SERIAL),
-        ),
+        Row("direction-turns-fe", "86 turns moves by FE",
+            request(_turned_by_setting, Verb.MOVE_ABSOLUTE_PULSES), SERIAL),
         Row("restart-turns-round", "after a restart F6 turns the other way", _after_restart(_runs_round)),
     ),
     "direction of the motor": (
-        Row(
-            "direction-turns-open-runs",
-            "86 turns runs in the open mode",
-            Change(request(_turned_open, Verb.RUN_SPEED).install, SERIAL),
-        ),
-        Row("direction-ends-motion", "86 stops the shaft", Change(before(Verb.SET_DIRECTION, _halted).install, SERIAL)),
+        Row("direction-turns-open-runs", "86 turns runs in the open mode",
+            request(_turned_open, Verb.RUN_SPEED), SERIAL),
+        Row("direction-ends-motion", "86 stops the shaft", before(Verb.SET_DIRECTION, _halted), SERIAL),
         Row("direction-lost-by-restart", "after a restart 86 turns no run", _after_restart(_deaf_to_direction), CAN),
     ),
     "frames": (
-        Row(
-            "long-setting-stored",
-            "settings with a byte behind their check are stored",
-            tuned(_shortened(_byte_behind, lambda command: command.verb.value.startswith("set_"))),
-            CAN,
-        ),
-        Row(
-            "long-run-executed",
-            "F6 with two bytes of data too many is executed",
-            tuned(_shortened(_two_bytes_more, lambda command: command.verb is Verb.RUN_SPEED)),
-            CAN,
-        ),
-        Row(
-            "long-settings-executed",
-            "settings with two bytes of data too many are stored",
-            tuned(_shortened(_two_bytes_more, lambda command: command.verb.value.startswith("set_"))),
-            CAN,
-        ),
+        Row("long-setting-stored", "settings with a byte behind their check are stored",
+            _shortened(_byte_behind, lambda command: command.verb.value.startswith("set_"))),
+        Row("long-run-executed", "F6 with two bytes of data too many is executed",
+            _shortened(_two_bytes_more, lambda command: command.verb is Verb.RUN_SPEED)),
+        Row("long-settings-executed", "settings with two bytes of data too many are stored",
+            _shortened(_two_bytes_more, lambda command: command.verb.value.startswith("set_"))),
         Row("current-echo-low-byte", "the echo of 83 has the low byte alone", frames(_echo_byte, Verb.SET_CURRENT), MODBUS),
         Row("exception-2-turning", "an unknown function gets exception 02 while turning", frames(_exceptions_turning), MODBUS),
     ),
@@ -1487,124 +1227,56 @@ DOING: Rows = {
         Row("restart-speed-as-sent", "after a restart no speed is one of the subdivision", _after_restart(_speeds_as_sent)),
         Row("fine-subdivision-lost", "after a restart subdivisions above 128 are 16", _after_restart(_coarse)),
         Row("home-speed-byte", "after a restart the home speed has its low byte alone", _after_restart(_slow_home), SERIAL),
-        Row("enable-level-forgotten", "a restart forgets the level of En", Change(forgetful("enable_level").install, SERIAL)),
-        Row("baud-rate-lost", "a restart loses the speed of the line", Change(forgetful("baud_rate").install, SERIAL)),
-        Row("dialect-lost", "a restart loses the dialect", Change(forgetful("modbus").install, NATIVE)),
+        Row("enable-level-forgotten", "a restart forgets the level of En", forgetful("enable_level"), SERIAL),
+        Row("baud-rate-lost", "a restart loses the speed of the line", forgetful("baud_rate"), SERIAL),
+        Row("dialect-lost", "a restart loses the dialect", forgetful("modbus"), NATIVE),
         Row("wide-address-lost", "a restart takes an ID above FFh for none", _after_restart(_address_unset), CAN),
-        Row(
-            "save-speed-without-direction",
-            "a kept run begins as it was sent, without what 86 says",
-            _after_restart(_run_without_direction),
-            CAN,
-        ),
+        Row("save-speed-without-direction", "a kept run begins as it was sent, without what 86 says",
+            _after_restart(_run_without_direction), CAN),
         Row("user-id-unset-lost", "a restart takes the number FFFFFFFFh for none", _after_restart(_number_unset), CAN),
-        Row("broadcast-settings-lost", "a restart loses what all drives were set to", _lost_if_sent(_is_for_all)),
-        Row(
-            "group-settings-lost",
-            "a restart loses what the group was set to",
-            Change(_lost_if_sent(_is_for_group).install, having(Verb.SET_GROUP_ADDRESS)),
-        ),
-        Row("package-settings-lost", "a restart loses what was set in a package", _lost_if_sent(_in_a_package), NATIVE),
-        Row(
-            "turning-deaf-to-all-off",
-            "F3 to all drives is not heard while a run turns the shaft",
-            taken(
-                lambda drive, frame, message, wanted: (
-                    wanted
-                    and not (_is(message, Verb.ENABLE) and _is_for_all(drive, message) and mks(drive).memory.run is not None)
-                )
-            ),
-        ),
-        Row(
-            "tolerance-of-all-lost",
-            "a stall tolerance that was set by a broadcast is lost by a restart",
-            Change(_lost_if_sent(_is_for_all, "stall_tolerance").install, CAN),
-        ),
-        Row(
-            "homing-deaf-to-stops-of-all",
-            "the emergency stop to all drives is not heard while homing",
-            _deaf_homing(Verb.EMERGENCY_STOP, _is_for_all),
-        ),
-        Row(
-            "homing-deaf-to-group-off",
-            "F3 by the group is not heard while homing",
-            Change(_deaf_homing(Verb.ENABLE, _is_for_group).install, having(Verb.SET_GROUP_ADDRESS)),
-        ),
-        Row(
-            "group-deaf-while-turning",
-            "a move by the group is not heard while the shaft turns",
-            Change(taken(_deaf_to_group).install, having(Verb.SET_GROUP_ADDRESS)),
-        ),
-        Row(
-            "protection-of-all-unheard",
-            "88 to all drives is not heard",
-            taken(
-                lambda drive, frame, message, wanted: (
-                    wanted and not (_is(message, Verb.SET_PROTECTION) and message.address == drive.dialect.broadcast)
-                )
-            ),
-            SERIAL,
-        ),
-        Row("saved-run-once", "a saved run begins at one power-on alone", tuned(_once)),
+        Row("broadcast-settings-lost", "a restart loses what all drives were set to", _lost_if_sent(for_all)),
+        Row("group-settings-lost", "a restart loses what the group was set to",
+            _lost_if_sent(to_group), having(Verb.SET_GROUP_ADDRESS)),
+        Row("package-settings-lost", "a restart loses what was set in a package", _lost_if_sent(package), NATIVE),
+        Row("turning-deaf-to-all-off", "F3 to all drives is not heard while a run turns the shaft",
+            deaf_to(lambda drive, message: of(for_all, Verb.ENABLE)(drive, message) and drive.memory.run is not None)),
+        Row("tolerance-of-all-lost", "a stall tolerance that was set by a broadcast is lost by a restart",
+            _lost_if_sent(for_all, "stall_tolerance"), CAN),
+        Row("homing-deaf-to-stops-of-all", "the emergency stop to all drives is not heard while homing",
+            _deaf_homing(of(for_all, Verb.EMERGENCY_STOP))),
+        Row("homing-deaf-to-group-off", "F3 by the group is not heard while homing",
+            _deaf_homing(of(to_group, Verb.ENABLE)), having(Verb.SET_GROUP_ADDRESS)),
+        Row("group-deaf-while-turning", "a move by the group is not heard while the shaft turns",
+            deaf_to(lambda drive, message: of(to_group, *MOVES)(drive, message) and turns(drive)),
+            having(Verb.SET_GROUP_ADDRESS)),
+        Row("protection-of-all-unheard", "88 to all drives is not heard", deaf_to(of(for_all, Verb.SET_PROTECTION)), SERIAL),
+        Row("saved-run-once", "a saved run begins at one power-on alone", overridden("power_on", _once)),
         Row("saved-ramp-lost", "a saved run begins without its ramp", _stored_as("saved_acceleration", lambda v: 0)),
         Row("saved-speed-byte", "a saved run has the low byte of its speed", _stored_as("saved_speed", lambda v: v & 0xFF)),
     ),
     "package": (
-        Row(
-            "package-without-ramp",
-            "a run in a package has no ramp",
-            _in_packages(lambda values: values | {"acceleration": 0}, Verb.RUN_SPEED),
-        ),
-        Row(
-            "package-stop-at-once",
-            "a stop of a run in a package has no ramp",
-            _in_packages(lambda values: values | {"acceleration": 0}, Verb.STOP_SPEED),
-        ),
-        Row(
-            "package-speed-byte",
-            "a move by counts in a package has the low byte of its speed",
-            _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.MOVE_RELATIVE_AXIS),
-        ),
-        Row(
-            "package-never-disables",
-            "F3 in a package always enables",
-            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE),
-        ),
-        Row(
-            "package-late-slots-one-way",
-            "FD behind the first slot of a package turns the shaft CW alone",
-            _in_packages(lambda values: values | {"direction": 1}, Verb.MOVE_RELATIVE_PULSES, range(2, 6)),
-        ),
-        Row(
-            "package-third-slot-turned",
-            "F6 in the third slot of a package turns the shaft the other way",
-            _in_packages(lambda values: values | {"direction": 1 - values["direction"]}, Verb.RUN_SPEED, (3,)),
-        ),
-        Row(
-            "package-last-slot-speed-byte",
-            "F6 in the last slot of a package has the low byte of its speed",
-            _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.RUN_SPEED, (5,)),
-        ),
-        Row(
-            "package-last-slot-pulses-byte",
-            "FD in the last slot of a package has the low byte of its pulses",
-            _in_packages(lambda values: values | {"pulses": values["pulses"] & 0xFF}, Verb.MOVE_RELATIVE_PULSES, (5,)),
-        ),
-        Row(
-            "package-second-slot-half-way",
-            "F5 in the second slot of a package goes to half of its place",
-            _in_packages(lambda values: values | {"position": values["position"] // 2}, Verb.MOVE_ABSOLUTE_AXIS, (2,)),
-        ),
-        Row(
-            "package-last-slot-subdivision",
-            "84 in the last slot of a package sets half of what it says",
-            _in_packages(lambda values: values | {"subdivision": values["subdivision"] // 2}, Verb.SET_SUBDIVISION, (5,)),
-        ),
-        Row(
-            "package-fourth-slot-enables",
-            "F3 in the fourth slot of a package always enables",
-            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE, (4,)),
-        ),
+        Row("package-without-ramp", "a run in a package has no ramp",
+            _in_packages(lambda values: values | {"acceleration": 0}, Verb.RUN_SPEED)),
+        Row("package-stop-at-once", "a stop of a run in a package has no ramp",
+            _in_packages(lambda values: values | {"acceleration": 0}, Verb.STOP_SPEED)),
+        Row("package-speed-byte", "a move by counts in a package has the low byte of its speed",
+            _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.MOVE_RELATIVE_AXIS)),
+        Row("package-never-disables", "F3 in a package always enables",
+            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE)),
+        Row("package-late-slots-one-way", "FD behind the first slot of a package turns the shaft CW alone",
+            _in_packages(lambda values: values | {"direction": 1}, Verb.MOVE_RELATIVE_PULSES, range(2, 6))),
+        Row("package-third-slot-turned", "F6 in the third slot of a package turns the shaft the other way",
+            _in_packages(lambda values: values | {"direction": 1 - values["direction"]}, Verb.RUN_SPEED, (3,))),
+        Row("package-last-slot-speed-byte", "F6 in the last slot of a package has the low byte of its speed",
+            _in_packages(lambda values: values | {"speed": values["speed"] & 0xFF}, Verb.RUN_SPEED, (5,))),
+        Row("package-last-slot-pulses-byte", "FD in the last slot of a package has the low byte of its pulses",
+            _in_packages(lambda values: values | {"pulses": values["pulses"] & 0xFF}, Verb.MOVE_RELATIVE_PULSES, (5,))),
+        Row("package-second-slot-half-way", "F5 in the second slot of a package goes to half of its place",
+            _in_packages(lambda values: values | {"position": values["position"] // 2}, Verb.MOVE_ABSOLUTE_AXIS, (2,))),
+        Row("package-last-slot-subdivision", "84 in the last slot of a package sets half of what it says",
+            _in_packages(lambda values: values | {"subdivision": values["subdivision"] // 2}, Verb.SET_SUBDIVISION, (5,))),
+        Row("package-fourth-slot-enables", "F3 in the fourth slot of a package always enables",
+            _in_packages(lambda values: values | {"enabled": 1}, Verb.ENABLE, (4,))),
         Row("package-enabling-answered", "F3 in a package is answered", tuned(_answers_enabling_in_slots), NATIVE),
         Row(
             "package-last-slot-unstopped",
@@ -1617,146 +1289,79 @@ DOING: Rows = {
                 ]
             ),
         ),
-        Row(
-            "pulse-mode-obeys-package",
-            "motion in a package is executed in a pulse mode",
-            Change(
-                tuned(_made_ready_by(_in_a_package, MOTIONS, lambda drive: drive.heedless.add("work_mode"))).install, NATIVE
-            ),
-        ),
-        Row(
-            "package-fourth-slot-unsigned",
-            "F4 in the fourth slot of a package has no sign",
-            _in_packages(lambda values: values | {"position": abs(values["position"])}, Verb.MOVE_RELATIVE_AXIS, (4,)),
-        ),
+        Row("pulse-mode-obeys-package", "motion in a package is executed in a pulse mode",
+            tuned(_made_ready_by(package, MOTIONS, lambda drive: drive.heedless.add("work_mode"))), NATIVE),
+        Row("package-fourth-slot-unsigned", "F4 in the fourth slot of a package has no sign",
+            _in_packages(lambda values: values | {"position": abs(values["position"])}, Verb.MOVE_RELATIVE_AXIS, (4,))),
     ),
     "limit": (
-        Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes", tuned(_left_elsewhere)),
-        Row(
-            "open-without-limits",
-            "end limits do nothing in the open mode",
-            _limits_passed(lambda drive, side: "open" in drive.mode),
-        ),
-        Row(
-            "stuck-at-limit", "FD away from a closed end limit is refused", refused_when(_at_a_limit, Verb.MOVE_RELATIVE_PULSES)
-        ),
-        Row(
-            "right-limit-passed",
-            "FD passes the right end limit",
-            _limits_passed(lambda drive, side: side == "right" and _by_pulses(drive)),
-        ),
-        Row(
-            "right-limit-passed-slowly",
-            "motion below 30 rpm passes the right end limit",
-            _limits_passed(lambda drive, side: side == "right" and _is_slow(drive)),
-        ),
-        Row(
-            "right-limit-told-complete",
-            "a move that the right end limit stops is told as complete",
-            tuned(_complete_at_right),
-            TELLING,
-        ),
-        Row(
-            "limits-passed-at-once",
-            "motion without a ramp passes the end limits",
-            _limits_passed(lambda drive, side: _asked_of(drive)[1] == 0),
-        ),
+        Row("left-is-clockwise", "the left end limit lies clockwise, however homing goes",
+            overridden("side_way", _left_elsewhere)),
+        Row("open-without-limits", "end limits do nothing in the open mode",
+            _limits_passed(lambda drive, side: "open" in drive.mode)),
+        Row("stuck-at-limit", "FD away from a closed end limit is refused",
+            refused_when(lambda drive: drive.at_limit(1) or drive.at_limit(-1), Verb.MOVE_RELATIVE_PULSES)),
+        Row("right-limit-passed", "FD passes the right end limit",
+            _limits_passed(lambda drive, side: side == "right" and _by_pulses(drive))),
+        Row("right-limit-passed-slowly", "motion below 30 rpm passes the right end limit",
+            _limits_passed(lambda drive, side: side == "right" and _is_slow(drive))),
+        Row("right-limit-told-complete", "a move that the right end limit stops is told as complete",
+            tuned(_complete_at_right), TELLING),
+        Row("limits-passed-at-once", "motion without a ramp passes the end limits",
+            _limits_passed(lambda drive, side: _asked_of(drive)[1] == 0)),
     ),
     "set": (
-        Row(
-            "calibration-goes-on",
-            "F7 says success while the motor calibrates, and does not end it",
-            undone_when(lambda drive: drive.doing(Activity.CALIBRATE), Verb.EMERGENCY_STOP),
-        ),
+        Row("calibration-goes-on", "F7 says success while the motor calibrates, and does not end it",
+            undone_when(lambda drive: drive.doing(Activity.CALIBRATE), Verb.EMERGENCY_STOP)),
         Row("zero-refused-while-off", "92 is refused while the motor is off", refused_when(_is_off, Verb.SET_ZERO)),
-        Row(
-            "setting-undone-while-off",
-            "84 says success and stores nothing while off",
-            undone_when(_is_off, Verb.SET_SUBDIVISION),
-        ),
-        Row("remap-refused-while-turning", "9E is refused while the shaft turns", refused_when(_turns, Verb.SET_LIMIT_REMAP)),
-        Row(
-            "group-left-by-address",
-            "a new address takes the drive out of its group",
-            before(Verb.SET_ADDRESS, _leave_group),
-            having(Verb.SET_GROUP_ADDRESS),
-        ),
-        Row(
-            "group-deaf-to-all",
-            "a drive in a group does not hear broadcasts",
-            Change(taken(_own_and_group_alone).install, having(Verb.SET_GROUP_ADDRESS)),
-        ),
+        Row("setting-undone-while-off", "84 says success and stores nothing while off",
+            undone_when(_is_off, Verb.SET_SUBDIVISION)),
+        Row("remap-refused-while-turning", "9E is refused while the shaft turns", refused_when(turns, Verb.SET_LIMIT_REMAP)),
+        Row("group-left-by-address", "a new address takes the drive out of its group",
+            before(Verb.SET_ADDRESS, leave_group), having(Verb.SET_GROUP_ADDRESS)),
+        Row("group-deaf-to-all", "a drive in a group does not hear broadcasts",
+            deaf_to(lambda drive, message: for_all(drive, message) and bool(drive.settings.get("group_address"))),
+            having(Verb.SET_GROUP_ADDRESS)),
     ),
     "update": (
-        Row("update-undone", "F5 while the shaft turns says success and is lost", undone_when(_turns, Verb.MOVE_ABSOLUTE_AXIS)),
-        Row("current-capped", "currents above 2900 mA are stored as 2900", Change(_stored_as("current", _capped).install, CAN)),
-        Row(
-            "tolerance-capped",
-            "stall tolerances above 360 degrees hold as that",
-            Change(_stored_as("stall_tolerance", lambda v: min(v, 200)).install, having(Verb.SET_STALL_TOLERANCE)),
-        ),
+        Row("update-undone", "F5 while the shaft turns says success and is lost", undone_when(turns, Verb.MOVE_ABSOLUTE_AXIS)),
+        Row("current-capped", "currents above 2900 mA are stored as 2900",
+            _stored_as("current", lambda value: min(value, 2900)), CAN),
+        Row("tolerance-capped", "stall tolerances above 360 degrees hold as that",
+            _stored_as("stall_tolerance", lambda v: min(v, 200)), having(Verb.SET_STALL_TOLERANCE)),
     ),
     "homed": (
         Row("slow-run-after-homing", "the first run after 91 has the home speed at most", tuned(_slow_after_homing)),
-        Row("open-home-slow", "91 turns at half of its speed in the open mode", tuned(_slow_open_home)),
-        Row(
-            "homing-back-as-stopped", "F1 says stopped on homing's way back", told_when(_homes_back, Verb.READ_STATUS, status=1)
-        ),
+        Row("open-home-slow", "91 turns at half of its speed in the open mode", overridden("home_settings", _slow_open_home)),
+        Row("homing-back-as-stopped", "F1 says stopped on homing's way back",
+            told_when(_homes_back, Verb.READ_STATUS, status=1)),
         Row("fe-of-old-zero", "FE behind homing counts from another zero", request(_of_old_zero, Verb.MOVE_ABSOLUTE_PULSES)),
-        Row(
-            "refusals-need-active",
-            "a motion that is refused is not answered with active 0",
+        Row("refusals-need-active", "a motion that is refused is not answered with active 0",
             result(lambda d, c, sent, found: found if found["status"] or mks(d).settings["active"] else None, MOTIONS),
-            TELLING,
-        ),
-        Row(
-            "homing-untold-behind-setting",
-            "the end of homing is not told when 83 comes on the way",
-            before(Verb.SET_CURRENT, _untold),
-            TELLING,
-        ),
-        Row("homing-ccw-untold", "the end of homing counter-clockwise is not told", tuned(_ccw_home_untold), TELLING),
-        Row(
-            "home-zero-at-wall",
-            "homing to an obstacle zeroes the encoder and leaves the count of pulses",
-            when_home(_pulses_beside),
-            TELLING,
-        ),
+            TELLING),
+        Row("homing-untold-behind-setting", "the end of homing is not told when 83 comes on the way",
+            before(Verb.SET_CURRENT, _untold), TELLING),
+        Row("homing-ccw-untold", "the end of homing counter-clockwise is not told",
+            overridden("complete", _ccw_home_untold), TELLING),
+        Row("home-zero-at-wall", "homing to an obstacle zeroes the encoder and leaves the count of pulses",
+            when_home(_pulses_beside), TELLING),
         Row("homing-ccw-lets-go", "homing counter-clockwise lets the shaft go at its end", when_home(_let_go_ccw)),
-        Row(
-            "home-by-wall-unstopped",
-            "F7 says success and does not end homing without a switch",
-            Change(undone_when(_homes_by_wall, Verb.EMERGENCY_STOP).install, TELLING),
-        ),
-        Row(
-            "home-by-wall-as-stopped",
-            "F1 says stopped while homing without a switch",
-            Change(told_when(_homes_by_wall, Verb.READ_STATUS, status=1).install, TELLING),
-        ),
-        Row("respond-silences-home", "91 is not answered with respond 0", tuned(_home_silenced, TELLING)),
+        Row("home-by-wall-unstopped", "F7 says success and does not end homing without a switch",
+            undone_when(_homes_by_wall, Verb.EMERGENCY_STOP), TELLING),
+        Row("home-by-wall-as-stopped", "F1 says stopped while homing without a switch",
+            told_when(_homes_by_wall, Verb.READ_STATUS, status=1), TELLING),
+        Row("respond-silences-home", "91 is not answered with respond 0", overridden("silenced", _home_silenced, TELLING)),
         Row("lock-by-restart", "41 holds the shaft, whatever 8F says", tuned(_locked_by_restart, CAN)),
-        Row(
-            "home-told-by-all",
-            "the end of homing is told though all drives or a group were asked",
-            _told_to_all(lambda request, values: request.command.verb is Verb.HOME),
-        ),
-        Row(
-            "failure-told-by-all",
-            "a move that fails says 0 though all drives or a group were asked",
-            _told_to_all(lambda request, values: request.command.verb in MOTIONS and not values["status"]),
-        ),
-        Row(
-            "limit-told-by-all",
-            "a move that a limit ends says 3 though all drives or a group were asked",
-            _told_to_all(lambda request, values: values["status"] == mks_shared.RunStatus.LIMIT_STOP),
-        ),
-        Row(
-            "ramp-told-by-all",
-            "a stop by a ramp tells its end though all drives or a group were asked",
-            _told_to_all(lambda request, values: request.command.verb in STOPS and bool(request.values["acceleration"])),
-        ),
+        Row("home-told-by-all", "the end of homing is told though all drives or a group were asked",
+            _told_to_all(lambda request, values: request.command.verb is Verb.HOME)),
+        Row("failure-told-by-all", "a move that fails says 0 though all drives or a group were asked",
+            _told_to_all(lambda request, values: request.command.verb in MOTIONS and not values["status"])),
+        Row("limit-told-by-all", "a move that a limit ends says 3 though all drives or a group were asked",
+            _told_to_all(lambda request, values: values["status"] == mks_shared.RunStatus.LIMIT_STOP)),
+        Row("ramp-told-by-all", "a stop by a ramp tells its end though all drives or a group were asked",
+            _told_to_all(lambda request, values: request.command.verb in STOPS and bool(request.values["acceleration"]))),
         Row("zero-status-2-after-homing", "3B reads 2 after homing", told_when(_homed, Verb.READ_ZERO_STATUS, status=2)),
     ),
-}
+}  # fmt: skip
 
 FAULTS = faults(HEARING, TOLD, DOING)

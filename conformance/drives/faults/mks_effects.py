@@ -12,12 +12,11 @@ from fractions import Fraction
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
-from analyzer.layout import Field
 from analyzer.link import READS
 from analyzer.protocols import mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Outgoing, Request, Values
-from conformance.drives.faults.mks_behaviour import homing_by, mks, tuned
+from conformance.drives.faults.mks_behaviour import before, enclose, homing_by, mks, overridden, tuned, wrapped
 from conformance.drives.faults.numbers import swap_bytes
 from conformance.drives.faults.places import (
     CAN,
@@ -34,6 +33,7 @@ from conformance.drives.faults.places import (
     stored,
     storing,
     taken,
+    together,
 )
 from conformance.drives.mks.core import MOTIONS, Activity, Behaviour, MksCore
 from conformance.drives.mks.motion import begin_run, set_zero
@@ -56,7 +56,7 @@ def _reading(verb: Verb, act: Callable[[MksCore], None]) -> Change:
 
         drive.hooks.accept.append(accept)
 
-    return Change(tuned(install).install, tuple(name for name in having(verb) if name in (*CAN, *MODBUS)))
+    return tuned(install, tuple(name for name in having(verb) if name in (*CAN, *MODBUS)))
 
 
 def _read_code(frame: Frame) -> int | None:
@@ -108,101 +108,67 @@ def _taking_up_run(drive: MksCore) -> None:
 # --- a shaft that is let go -------------------------------------------------------------------------------------------
 
 
-def _keeping_torque(drive: MksCore) -> None:
+def _keeping_torque(_: object, drive: MksCore) -> None:
     """End what is under way, say that the drive is protected, and hold the shaft."""
-
-    def protect() -> None:
-        drive.memory.protected = True
-        drive.motor.settle(drive.now_ns)
-        drive.memory.run = None
-        drive.finish(None)
-
-    drive.protect = protect  # type: ignore[method-assign]
+    drive.memory.protected = True
+    drive.motor.settle(drive.now_ns)
+    drive.memory.run = None
+    drive.finish(None)
 
 
-def _going_on(drive: MksCore) -> None:
-    """Say that the drive is protected, and drive the shaft on; 3D and 88 end that."""
-
-    def protect() -> None:
-        drive.memory.protected = True
-        drive.heedless.add("protection")
-        drive.finish(None)
-
-    def noticed(behaviour: Behaviour) -> Behaviour:
-        def act(core: MksCore, request: Request) -> Values | None:
-            core.heedless.discard("protection")
-            return behaviour(core, request)
-
-        return act
-
-    drive.protect = protect  # type: ignore[method-assign]
-    for verb in (Verb.RELEASE_PROTECTION, Verb.SET_PROTECTION):
-        drive.behaviours[verb] = noticed(drive.behaviours[verb])
+def _going_on(_: object, drive: MksCore) -> None:
+    """Say that the drive is protected, and drive the shaft on."""
+    drive.memory.protected = True
+    drive.heedless.add("protection")
+    drive.finish(None)
 
 
 def _taking_up(drive: MksCore) -> None:
     """Turn on to where the shaft was going when 3D ends the protection."""
     wanted: list[Number] = []
-    protect, release = drive.protect, drive.behaviours[Verb.RELEASE_PROTECTION]
+    protect = drive.protect
 
     def protect_later() -> None:
         wanted[:] = [drive.motor.wanted(drive.motor.settled)]
         protect()
 
-    def act(core: MksCore, request: Request) -> Values | None:
+    def act(release: Behaviour, core: MksCore, request: Request) -> Values | None:
         answer = release(core, request)
         if wanted and core.ready:
             core.motor.move(core.now_ns, wanted.pop(), 120, 0)
         return answer
 
     drive.protect = protect_later  # type: ignore[method-assign]
-    drive.behaviours[Verb.RELEASE_PROTECTION] = act
+    enclose(drive, Verb.RELEASE_PROTECTION, act)
 
 
-def _gripping(of: Callable[[MksCore], bool]) -> Callable[[MksCore], None]:
-    """Return a change by which a drive that tells a motor as disabled holds its shaft, in a condition."""
+def _gripping(of: Callable[[MksCore], bool]) -> Change:
+    """Let a drive that tells a motor as disabled hold its shaft, in a condition."""
 
-    def change(drive: MksCore) -> None:
-        grip = drive.grip
+    def held(grip: Callable[[], None], drive: MksCore) -> None:
+        grip()
+        if not drive.enabled and of(drive):
+            drive.motor.hold(drive.now_ns)
 
-        def held() -> None:
-            grip()
-            if not drive.enabled and of(drive):
-                drive.motor.hold(drive.now_ns)
-
-        drive.grip = held  # type: ignore[method-assign]
-
-    return change
+    return overridden("grip", held)
 
 
 # --- end limits -------------------------------------------------------------------------------------------------------
 
 
-def _limits_by_low_pins(drive: MksCore) -> None:
+def _limits_by_low_pins(effective: Callable[[str], bool], drive: MksCore, side: str) -> bool:
     """Take a low pin for the end stop at both levels of home_trigger, except while homing."""
-    effective = drive.effective
-
-    def low(side: str) -> bool:
-        return effective(side) if drive.doing(Activity.HOME) else drive.side_wired(side) and drive.level(side) == 0
-
-    drive.effective = low  # type: ignore[method-assign]
+    return effective(side) if drive.doing(Activity.HOME) else drive.side_wired(side) and drive.level(side) == 0
 
 
-def _closed_start_by_low_pins(drive: MksCore) -> None:
+def _closed_start_by_low_pins(home: Behaviour, drive: MksCore, request: Request) -> Values | None:
     """Take a low pin for the end stop at both levels of home_trigger, where homing begins at it."""
-    effective, home = drive.effective, drive.behaviours[Verb.HOME]
-    begins = False
-
-    def act(core: MksCore, request: Request) -> Values | None:
-        nonlocal begins
-        begins = True
-        try:
-            return home(core, request)
-        finally:
-            begins = False
-
-    drive.effective = lambda side: drive.level(side) == 0 if begins else effective(side)  # type: ignore[method-assign]
-    drive.behaviours[Verb.HOME] = act
+    effective = drive.effective
+    drive.effective = lambda side: drive.level(side) == 0  # type: ignore[method-assign]
+    try:
+        return home(drive, request)
+    finally:
+        drive.effective = effective  # type: ignore[method-assign]
 
 
 # --- a threshold within a range ---------------------------------------------------------------------------------------
@@ -280,10 +246,6 @@ def _unwatched(verb: Verb) -> Change:
     return Change(lambda hooks: hooks.request.append(ask), having(verb))
 
 
-def _low_byte_first(value: int, field: Field) -> int:
-    return turned if field.allows(turned := swap_bytes(value, field)) else value
-
-
 def _far_above(drive: Drive, command: Command, values: Values) -> Values:
     """Take a place in the lower half of what its field holds below 0 for one above."""
     half = 1 << command.request_forms[0].layout.named["position"].bit_width - 2
@@ -293,31 +255,27 @@ def _far_above(drive: Drive, command: Command, values: Values) -> Values:
 def _waiting_for_enable(drive: MksCore) -> None:
     """Refuse motion behind 3D until the motor is enabled, which 3A tells that it is."""
     waits = False
-    release, enable = drive.behaviours[Verb.RELEASE_PROTECTION], drive.behaviours[Verb.ENABLE]
 
-    def let_wait(core: MksCore, request: Request) -> Values | None:
+    def let_wait(release: Behaviour, core: MksCore, request: Request) -> Values | None:
         nonlocal waits
         waits = waits or core.memory.protected
         return release(core, request)
 
-    def end_wait(core: MksCore, request: Request) -> Values | None:
+    def end_wait(enable: Behaviour, core: MksCore, request: Request) -> Values | None:
         nonlocal waits
         waits = waits and not request.values["enabled"]
         return enable(core, request)
 
-    def begin(behaviour: Behaviour) -> Behaviour:
-        return lambda core, request: core.refused(request) if waits else behaviour(core, request)
-
-    drive.behaviours |= {verb: begin(drive.behaviours[verb]) for verb in MOTIONS}
-    drive.behaviours |= {Verb.RELEASE_PROTECTION: let_wait, Verb.ENABLE: end_wait}
+    enclose(drive, MOTIONS, lambda begin, core, request: core.refused(request) if waits else begin(core, request))
+    enclose(drive, Verb.RELEASE_PROTECTION, let_wait)
+    enclose(drive, Verb.ENABLE, end_wait)
 
 
 def _turning_back(drive: MksCore) -> None:
     """Turn the shaft back to where it was disabled when it is enabled."""
     left: list[Number] = []
-    enable = drive.behaviours[Verb.ENABLE]
 
-    def act(core: MksCore, request: Request) -> Values | None:
+    def act(enable: Behaviour, core: MksCore, request: Request) -> Values | None:
         if not request.values["enabled"]:
             left[:] = [core.motor.position(core.now_ns)]
         answer = enable(core, request)
@@ -325,7 +283,7 @@ def _turning_back(drive: MksCore) -> None:
             core.motor.jump(core.now_ns, left.pop() - core.motor.position(core.now_ns))
         return answer
 
-    drive.behaviours[Verb.ENABLE] = act
+    enclose(drive, Verb.ENABLE, act)
 
 
 EFFECTS: Rows = {
@@ -334,106 +292,62 @@ EFFECTS: Rows = {
         Row("read-of-zero-sets-zero", "a read of 92 sets the zero", _reading(Verb.SET_ZERO, set_zero)),
         Row("read-of-stop-stops", "a read of F7 stops the motor", _reading(Verb.EMERGENCY_STOP, _halt)),
         Row("read-of-home-turns", "a read of 91 turns the shaft", _reading(Verb.HOME, _turn_home)),
-        Row(
-            "address-told-by-9-bits",
-            "00 8B tells the low 9 bits of the address",
-            result(_told_by_nine_bits, Verb.READ_PARAMETER),
-            CAN,
-        ),
+        Row("address-told-by-9-bits", "00 8B tells the low 9 bits of the address",
+            result(_told_by_nine_bits, Verb.READ_PARAMETER), CAN),
     ),
     "restart": (
         Row("closed-run-taken-up", "a run in the closed mode begins again behind a restart", tuned(_taking_up_run, SERIAL)),
     ),
     "completion": (
-        Row(
-            "completion-cut",
-            "what tells the end of a motion lacks its last two bytes",
-            _last_words(lambda data: data[:-2]),
-            NATIVE,
-        ),
-        Row(
-            "completion-of-noise",
-            "the end of a motion is told by noise",
-            _last_words(lambda data: bytes(b ^ 0x55 for b in data)),
-            NATIVE,
-        ),
+        Row("completion-cut", "what tells the end of a motion lacks its last two bytes",
+            _last_words(lambda data: data[:-2]), NATIVE),
+        Row("completion-of-noise", "the end of a motion is told by noise",
+            _last_words(lambda data: bytes(b ^ 0x55 for b in data)), NATIVE),
     ),
     "within a range": (
         Row("division-from-50", "PEND divides the pulses from a period of 50 on", _division(lambda n: n if n >= 50 else 0)),
-        Row(
-            "division-not-above-5000",
-            "PEND divides no pulses by more than 5000",
-            _division(lambda n: n if 100 <= n <= 5000 else 0),
-        ),
-        Row(
-            "division-of-16-bits",
-            "PEND divides pulses by 16 bits of the period",
-            _division(lambda n: n & 0xFFFF if n >= 100 else 0),
-        ),
+        Row("division-not-above-5000", "PEND divides no pulses by more than 5000",
+            _division(lambda n: n if 100 <= n <= 5000 else 0)),
+        Row("division-of-16-bits", "PEND divides pulses by 16 bits of the period",
+            _division(lambda n: n & 0xFFFF if n >= 100 else 0)),
         Row("division-above-100", "PEND divides no pulses by 100", _division(lambda n: n if n > 100 else 0)),
-        Row(
-            "division-of-positive",
-            "PEND divides the pulses of one way alone",
-            _division(lambda n: n if n >= 100 else 0, lambda pulses: max(pulses, 0)),
-        ),
-        Row(
-            "current-of-steps",
-            "currents of 256 to 1023 mA are stored as 256",
-            Change(storing(_in_steps, "current").install, CAN),
-        ),
-        Row(
-            "slow-homing-capped",
-            "91 turns at the home speed, but at 1000 rpm at most",
-            homing_by(lambda settings: {"home_speed": min(settings["home_speed"], 1000)}),
-        ),
-        Row(
-            "home-backs-off-half-a-turn",
-            "from a closed end stop homing goes back half a turn, whatever the return angle is",
-            Change(
-                homing_by(lambda s: {} if s["home_mode"] else {"return_angle": mks_shared.COUNTS_PER_TURN // 2}).install, CAN
-            ),
-        ),
-        Row(
-            "home-backs-off-16-bits",
-            "from a closed end stop homing goes back by the low 16 bits of the return angle",
-            Change(homing_by(lambda s: {} if s["home_mode"] else {"return_angle": s["return_angle"] & 0xFFFF}).install, CAN),
-        ),
+        Row("division-of-positive", "PEND divides the pulses of one way alone",
+            _division(lambda n: n if n >= 100 else 0, lambda pulses: max(pulses, 0))),
+        Row("current-of-steps", "currents of 256 to 1023 mA are stored as 256",
+            storing(_in_steps, "current"), CAN),
+        Row("slow-homing-capped", "91 turns at the home speed, but at 1000 rpm at most",
+            homing_by(lambda settings: {"home_speed": min(settings["home_speed"], 1000)})),
+        Row("home-backs-off-half-a-turn", "from a closed end stop homing goes back half a turn, whatever the return angle is",
+            homing_by(lambda s: {} if s["home_mode"] else {"return_angle": mks_shared.COUNTS_PER_TURN // 2}), CAN),
+        Row("home-backs-off-16-bits", "from a closed end stop homing goes back by the low 16 bits of the return angle",
+            homing_by(lambda s: {} if s["home_mode"] else {"return_angle": s["return_angle"] & 0xFFFF}), CAN),
         Row("small-tolerance-coarse", "stall tolerances below 72 degrees hold as that", _tolerance(72, max)),
         Row("great-tolerance-capped", "stall tolerances above 1800 degrees hold as that", _tolerance(1800, min)),
-        Row(
-            "widest-below-is-above",
-            "absolute moves take a place that is widest below 0 for one above",
-            request(_far_above, (Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_ABSOLUTE_AXIS)),
-        ),
-        Row(
-            "home-speed-low-first",
-            "90 stores the speed low byte first, where that is within its range",
-            stored("home_speed", _low_byte_first),
-        ),
+        Row("widest-below-is-above", "absolute moves take a place that is widest below 0 for one above",
+            request(_far_above, (Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_ABSOLUTE_AXIS))),
+        Row("home-speed-low-first", "90 stores the speed low byte first, where that is within its range",
+            stored("home_speed", lambda value, field: turned if field.allows(turned := swap_bytes(value, field)) else value)),
         Row("high-groups-deaf", "a group above 7Fh is not heard", taken(_deaf_to_high_groups), having(Verb.SET_GROUP_ADDRESS)),
     ),
     "limits": (
-        Row("limits-by-low-pins", "end limits hold where a pin is low, at any home_trigger", tuned(_limits_by_low_pins)),
-        Row(
-            "closed-start-by-low-pin",
-            "homing leaves an end stop first whose pin is low, at any home_trigger",
-            tuned(_closed_start_by_low_pins),
-        ),
+        Row("limits-by-low-pins", "end limits hold where a pin is low, at any home_trigger",
+            overridden("effective", _limits_by_low_pins)),
+        Row("closed-start-by-low-pin", "homing leaves an end stop first whose pin is low, at any home_trigger",
+            wrapped(Verb.HOME, _closed_start_by_low_pins)),
     ),
     "let go": (
-        Row("protected-keeps-torque", "3E reads 1 and the motor holds the shaft", tuned(_keeping_torque)),
-        Row("protected-goes-on", "3E reads 1 and the motor turns the shaft on", tuned(_going_on)),
+        Row("protected-keeps-torque", "3E reads 1 and the motor holds the shaft", overridden("protect", _keeping_torque)),
+        Row("protected-goes-on", "3E reads 1 and the motor turns the shaft on",
+            together(overridden("protect", _going_on),
+                before((Verb.RELEASE_PROTECTION, Verb.SET_PROTECTION), lambda drive, _: drive.heedless.discard("protection")))),
         Row("fe-unwatched", "the protection does not watch FE", _unwatched(Verb.MOVE_ABSOLUTE_PULSES)),
         Row("enabling-turns-back", "F3 01 turns the shaft back to where F3 00 let it go", tuned(_turning_back)),
         Row("release-needs-enabling", "behind 3D motion is refused until F3 01, though 3A reads 1", tuned(_waiting_for_enable)),
         Row("release-takes-up", "3D takes up the motion that the protection ended", tuned(_taking_up)),
-        Row("disabled-keeps-torque", "3A reads 0 and the motor holds the shaft", tuned(_gripping(lambda drive: drive.by_bus))),
-        Row(
-            "en-pin-keeps-torque",
-            "3A reads 0 and the motor holds the shaft at the En pin's other level",
-            tuned(_gripping(lambda drive: not drive.by_bus)),
-        ),
+        Row("disabled-keeps-torque", "3A reads 0 and the motor holds the shaft", _gripping(lambda drive: drive.by_bus)),
+        Row("en-pin-keeps-torque", "3A reads 0 and the motor holds the shaft at the En pin's other level",
+            _gripping(lambda drive: not drive.by_bus)),
     ),
-}
+}  # fmt: skip
 
 FAULTS = faults(EFFECTS)

@@ -45,9 +45,14 @@ def own(drive: MksCore, message: Message) -> bool:
     return message.address == drive.address
 
 
+def for_all(drive: MksCore, message: Message) -> bool:
+    """Say whether a frame has the address of all drives, as packages have."""
+    return message.address == drive.dialect.broadcast
+
+
 def to_all(drive: MksCore, message: Message) -> bool:
     """Say whether a frame is a broadcast."""
-    return message.address == drive.dialect.broadcast and not package(drive, message)
+    return for_all(drive, message) and not package(drive, message)
 
 
 def stop_of_all(drive: MksCore, message: Message) -> bool:
@@ -96,6 +101,11 @@ def package(drive: MksCore, message: Message) -> bool:
 def to_one(drive: MksCore, message: Message) -> bool:
     """Say whether a frame is for one drive, this or another."""
     return not (to_all(drive, message) or to_group(drive, message) or package(drive, message))
+
+
+def is_setting(message: Message) -> bool:
+    """Say whether a frame is one that sets something."""
+    return message.command is not None and message.command.verb.value.startswith("set_")
 
 
 def motion_of_another(drive: MksCore, message: Message) -> bool:

@@ -16,8 +16,22 @@ from analyzer.protocols import mks_can, mks_rs485, mks_shared
 from analyzer.records import Frame, Message
 from conformance.drives.drive import Drive, Request, Values
 from conformance.drives.faults import numbers
-from conformance.drives.faults.mks_behaviour import OK, before, homing_by, mks, tuned, wrapped
-from conformance.drives.faults.mks_conditions import refused_when, undone_when
+from conformance.drives.faults.mks_behaviour import (
+    OK,
+    Around,
+    as_given,
+    before,
+    by_laws,
+    enclose,
+    hold,
+    homing_by,
+    leave_group,
+    mks,
+    overridden,
+    tuned,
+    wrapped,
+)
+from conformance.drives.faults.mks_conditions import Tell, refused_when, undone_when
 from conformance.drives.faults.mks_frames import mine, slots
 from conformance.drives.faults.places import (
     CAN,
@@ -112,70 +126,36 @@ def _target_kept(protected: bool) -> Callable[[MksCore], None]:
     return change
 
 
-def _scaled_moves(drive: MksCore) -> None:
+def _scaled_moves(obey: Behaviour, drive: MksCore, request: Request) -> Values | None:
     """Reckon the speed of moves by a subdivision at which it is what is sent."""
     plain = drive.real_speed
-
-    def scaled(speed: int) -> Number:
-        return divided(speed * 16, _SCALED) if drive.subdivision == _SCALED else plain(speed)
-
-    for verb in TARGETS:
-        obey = drive.behaviours[verb]
-
-        def slow(core: MksCore, asked: Request, obey: Callable[[MksCore, Request], Values | None] = obey) -> Values | None:
-            core.real_speed = scaled  # type: ignore[method-assign]
-            try:
-                return obey(core, asked)
-            finally:
-                core.real_speed = plain  # type: ignore[method-assign]
-
-        drive.behaviours[verb] = slow
+    if drive.subdivision == _SCALED:
+        drive.real_speed = lambda speed: divided(speed * 16, _SCALED)  # type: ignore[method-assign]
+    try:
+        return obey(drive, request)
+    finally:
+        drive.real_speed = plain  # type: ignore[method-assign]
 
 
-def _in_whole_rpm(drive: MksCore) -> None:
-    real = drive.real_speed
-    drive.real_speed = lambda speed: round(real(speed))  # type: ignore[method-assign]
-
-
-def _going_on_at_0(drive: MksCore, request: Request) -> Values | None:
-    """Say that a move at speed 0 stops the shaft, and let it go on."""
-    return None if request.values["speed"] else dict(OK)
-
-
-def _as_sent_at_odd(drive: MksCore) -> None:
+def _as_sent_at_odd(plain: Callable[[int], Number], drive: MksCore, speed: int) -> Number:
     """Turn at the speed as sent at odd subdivisions above 64."""
-    plain = drive.real_speed
-    drive.real_speed = lambda speed: (  # type: ignore[method-assign]
-        speed if drive.subdivision > _PLAIN_MOST and drive.subdivision % 2 else plain(speed)
-    )
+    return speed if drive.subdivision > _PLAIN_MOST and drive.subdivision % 2 else plain(speed)
 
 
 def _few_updates(verb: Verb) -> Change:
     """Take so many moves that take over from one another, and no more."""
 
     def change(drive: MksCore) -> None:
-        taken, obey = 0, drive.behaviours[verb]
+        taken = 0
 
-        def behave(core: MksCore, asked: Request) -> Values | None:
+        def behave(obey: Behaviour, core: MksCore, asked: Request) -> Values | None:
             nonlocal taken
             taken = taken + 1 if core.doing(Activity.MOVE) and core.motor.speed(core.now_ns) else 0
             return dict(OK) if taken > _UPDATES else obey(core, asked)
 
-        drive.behaviours[verb] = behave
+        enclose(drive, verb, behave)
 
     return tuned(change, having(verb))
-
-
-def _on_alone(drive: Drive, name: str, value: int) -> tuple[str, int] | None:
-    return None if name == "protection" and not value else (name, value)
-
-
-def _open(drive: MksCore) -> bool:
-    return "open" in drive.mode
-
-
-def _homes(drive: MksCore) -> bool:
-    return drive.doing(Activity.HOME)
 
 
 def _by_code(address: int, every: list[Slot], wanted: list[Slot]) -> list[Slot]:
@@ -195,19 +175,16 @@ def _kept_at_rest(drive: MksCore, request: Request) -> Values | None:
     return dict(OK) if cleans and not drive.motor.speed(drive.now_ns) else None
 
 
-def _begins_kept(ready: Callable[[Request], bool]) -> Callable[[Behaviour], Behaviour]:
+def _begins_kept(ready: Callable[[Request], bool]) -> Around:
     """Begin a kept run where a command makes the motor ready."""
 
-    def wrap(behaviour: Behaviour) -> Behaviour:
-        def act(drive: MksCore, request: Request) -> Values | None:
-            found, settings = behaviour(drive, request), drive.settings
-            if settings["saved_run"] and drive.ready and ready(request):
-                begin_run(drive, settings["saved_direction"], settings["saved_speed"], settings["saved_acceleration"])
-            return found
+    def act(behaviour: Behaviour, drive: MksCore, request: Request) -> Values | None:
+        found, settings = behaviour(drive, request), drive.settings
+        if settings["saved_run"] and drive.ready and ready(request):
+            begin_run(drive, settings["saved_direction"], settings["saved_speed"], settings["saved_acceleration"])
+        return found
 
-        return act
-
-    return wrap
+    return act
 
 
 def _kept_goes_on(drive: MksCore, of: Verb) -> None:
@@ -253,32 +230,31 @@ def _saves_older(drive: MksCore) -> None:
 
 def _forgets_newest(drive: MksCore) -> None:
     """Forget a run alone that was kept since the drive began."""
-    save = drive.behaviours[Verb.SAVE_SPEED]
     memory = None
 
-    def act(_: MksCore, request: Request) -> Values | None:
+    def act(save: Behaviour, core: MksCore, request: Request) -> Values | None:
         nonlocal memory
         if request.values["save_state"] == mks_shared.SaveState.SAVE:
-            memory = drive.memory
-        elif memory is not drive.memory:
+            memory = core.memory
+        elif memory is not core.memory:
             return dict(OK)
-        return save(drive, request)
+        return save(core, request)
 
-    drive.behaviours[Verb.SAVE_SPEED] = act
+    enclose(drive, Verb.SAVE_SPEED, act)
 
 
 def _released_once(drive: MksCore) -> None:
     """Release one protection alone until a restart."""
-    release, memory = drive.behaviours[Verb.RELEASE_PROTECTION], None
+    memory = None
 
-    def act(_: MksCore, request: Request) -> Values | None:
+    def act(release: Behaviour, core: MksCore, request: Request) -> Values | None:
         nonlocal memory
-        if memory is drive.memory:
+        if memory is core.memory:
             return dict(OK)
-        memory = drive.memory if drive.memory.protected else memory
-        return release(drive, request)
+        memory = core.memory if core.memory.protected else memory
+        return release(core, request)
 
-    drive.behaviours[Verb.RELEASE_PROTECTION] = act
+    enclose(drive, Verb.RELEASE_PROTECTION, act)
 
 
 def _current_not_put_back(drive: MksCore) -> None:
@@ -305,12 +281,6 @@ def _move_told_turned(drive: Drive, command: Command, asked: Values, values: Val
     return values | {"speed": -values["speed"]} if turned else values
 
 
-def _released_enabled(drive: MksCore, request: Request) -> None:
-    """Enable a motor that is off where nothing was protected."""
-    drive.memory.enabled = True
-    drive.grip()
-
-
 _homing_turned = Change(
     homing_by(lambda settings: {"home_direction": settings["home_direction"] ^ settings["motor_direction"]}).install, SERIAL
 )
@@ -322,19 +292,15 @@ def _taking_ramp_of_last(verb: Verb, takes: Callable[[int, int], bool]) -> Calla
     def change(drive: MksCore) -> None:
         last: int | None = None
 
-        def noted(behaviour: Behaviour) -> Behaviour:
-            def act(core: MksCore, request: Request) -> Values | None:
-                nonlocal last
-                own = request.values["acceleration"]
-                if request.command.verb is verb and last is not None and takes(own, last):
-                    request.values = request.values | {"acceleration": last}
-                last = own
-                return behaviour(core, request)
+        def act(behaviour: Behaviour, core: MksCore, request: Request) -> Values | None:
+            nonlocal last
+            own = request.values["acceleration"]
+            if request.command.verb is verb and last is not None and takes(own, last):
+                request.values = request.values | {"acceleration": last}
+            last = own
+            return behaviour(core, request)
 
-            return act
-
-        for each in MOTIONS:
-            drive.behaviours[each] = noted(drive.behaviours[each])
+        enclose(drive, MOTIONS, act)
 
     return change
 
@@ -362,76 +328,39 @@ def _only_ccw_stops(drive: MksCore, request: Request) -> Values | None:
     return dict(OK) if clockwise and not request.values["speed"] else None
 
 
-def _homes_at_any_speed(drive: MksCore) -> None:
-    """Home at the speed that is set, in each mode."""
-    home, highest = drive.behaviours[Verb.HOME], drive.highest_speed
-
-    def act(core: MksCore, request: Request) -> Values | None:
-        core.highest_speed = lambda declared: declared  # type: ignore[method-assign]
-        try:
-            return home(core, request)
-        finally:
-            core.highest_speed = highest  # type: ignore[method-assign]
-
-    drive.behaviours[Verb.HOME] = act
-
-
-def _leave_group(drive: MksCore, request: Request) -> None:
-    drive.settings["group_address"] = 0
-
-
-def _inner_requests(drive: MksCore) -> None:
+def _inner_requests(take: Callable[[Frame], None], drive: MksCore, frame: Frame) -> None:
     """Find a request to the drive anywhere in a frame that is for another one."""
-    take = drive._take
-
-    def within(frame: Frame) -> bytes | None:
-        link, data = drive.dialect.link, frame.data
-        head = link.parse(data)
-        if head.address == drive.address:
-            return None
+    link, data = drive.dialect.link, frame.data
+    if frame.can is None and link.parse(data).address != drive.address:
         ends = ((first, last) for first in range(2, len(data)) for last in range(first + 4, len(data)))
         pieces = (data[first:last] for first, last in ends)
-        return next((p for p in pieces if link.fits(p) and link.parse(p).address == drive.address), None)
-
-    def taken(frame: Frame) -> None:
-        inner = within(frame) if frame.can is None else None
-        take(frame if inner is None else replace(frame, data=inner, checksum_ok=True))
-
-    drive._take = taken  # type: ignore[method-assign]
+        inner = next((p for p in pieces if link.fits(p) and link.parse(p).address == drive.address), None)
+        frame = frame if inner is None else replace(frame, data=inner, checksum_ok=True)
+    take(frame)
 
 
-def _silent_if_active(drive: MksCore) -> None:
+def _silent_if_active(silenced: Callable[[Command], bool], drive: MksCore, command: Command) -> bool:
     """Take `respond` 0 for 1 where `active` is 0 too."""
-    silenced = drive.silenced
-    drive.silenced = lambda command: silenced(command) and bool(drive.settings["active"])  # type: ignore[method-assign]
+    return silenced(command) and bool(drive.settings["active"])
 
 
-def _refuses_aloud(drive: MksCore) -> None:
+def _refuses_aloud(
+    answer: Callable[..., None], drive: MksCore, request: Request, result: Values | None, answered: bool, *to: int
+) -> None:
     """Answer a refusal although `respond` is 0."""
-    answer = drive.answer
-
-    def say(request: Request, result: Values | None, answered: bool, address: int, at_ns: int) -> None:
-        aloud = request.answered and result == drive.refused(request)
-        answer(request, result, answered or aloud, address, at_ns)
-
-    drive.answer = say  # type: ignore[method-assign]
+    answer(request, result, answered or (request.answered and result == drive.refused(request)), *to)
 
 
-def _tells_ends(aloud: Callable[[Request, Values], bool]) -> Callable[[MksCore], None]:
+def _tells_ends(aloud: Callable[[Request, Values], bool]) -> Change:
     """Tell some ends of moves although `respond` is 0."""
 
-    def install(drive: MksCore) -> None:
-        complete = drive.complete
+    def tell(complete: Tell, drive: MksCore, request: Request, values: Values) -> None:
+        respond = drive.settings["respond"]
+        drive.settings["respond"] = int(respond or aloud(request, values))
+        complete(request, values)
+        drive.settings["respond"] = respond
 
-        def tell(request: Request, values: Values) -> None:
-            respond = drive.settings["respond"]
-            drive.settings["respond"] = int(respond or aloud(request, values))
-            complete(request, values)
-            drive.settings["respond"] = respond
-
-        drive.complete = tell  # type: ignore[method-assign]
-
-    return install
+    return overridden("complete", tell, TELLING)
 
 
 def _lets_go_once_limited(drive: MksCore) -> None:
@@ -486,9 +415,9 @@ def _keeps_faster(drive: MksCore) -> None:
 
 def _speeds_as_before(drive: MksCore) -> None:
     """Reckon speeds by the subdivision of before where one is set while the shaft turns, until the next one at rest."""
-    used, real, obey = 0, drive.real_speed, drive.behaviours[Verb.SET_SUBDIVISION]
+    used, real = 0, drive.real_speed
 
-    def obeys(core: MksCore, request: Request) -> Values | None:
+    def obeys(obey: Behaviour, core: MksCore, request: Request) -> Values | None:
         nonlocal used
         used = (used or core.settings["subdivision"]) if core.motor.speed(core.now_ns) else 0
         return obey(core, request)
@@ -498,7 +427,7 @@ def _speeds_as_before(drive: MksCore) -> None:
             return real(speed)
         return speed if used in SUBDIVISION.plain else divided(speed * SUBDIVISION.counted_at, used)
 
-    drive.behaviours[Verb.SET_SUBDIVISION] = obeys
+    enclose(drive, Verb.SET_SUBDIVISION, obeys)
     drive.real_speed = as_before  # type: ignore[method-assign]
 
 
@@ -550,17 +479,14 @@ def _stops_of_all(change: Callable[[int, int], int]) -> Callable[[MksCore], None
 def _emergency_completes(kind: Activity, status: int, verbs: Collection[Verb]) -> Change:
     """Tell what the emergency stop ended as done when it would have been: a move, or homing at once."""
 
-    def wrap(stop: Behaviour) -> Behaviour:
-        def act(drive: MksCore, request: Request) -> Values | None:
-            task, until = drive.task, drive.motor.settled if kind is Activity.MOVE else drive.now_ns
-            result = stop(drive, request)
-            if task is not None and task.kind is kind and task.request is not None and task.request.command.verb in verbs:
-                drive.begin(kind, _told_later(drive, until, status), task.request)
-            return result
+    def act(stop: Behaviour, drive: MksCore, request: Request) -> Values | None:
+        task, until = drive.task, drive.motor.settled if kind is Activity.MOVE else drive.now_ns
+        result = stop(drive, request)
+        if task is not None and task.kind is kind and task.request is not None and task.request.command.verb in verbs:
+            drive.begin(kind, _told_later(drive, until, status), task.request)
+        return result
 
-        return act
-
-    return Change(wrapped(Verb.EMERGENCY_STOP, wrap).install, TELLING)
+    return Change(wrapped(Verb.EMERGENCY_STOP, act).install, TELLING)
 
 
 def _complete_open(drive: MksCore, request: Request) -> None:
@@ -580,18 +506,13 @@ def _status_of_before(wanted: Collection[int]) -> Callable[[MksCore], None]:
     def change(drive: MksCore) -> None:
         kept: Values | None = None
 
-        def wrap(behaviour: Behaviour) -> Behaviour:
-            def act(core: MksCore, request: Request) -> Values | None:
-                nonlocal kept
-                before = core.behaviours[Verb.READ_STATUS](core, request)
-                kept = before if request.command.verb is Verb.EMERGENCY_STOP and before and before["status"] in wanted else None
-                return behaviour(core, request)
+        def act(behaviour: Behaviour, core: MksCore, request: Request) -> Values | None:
+            nonlocal kept
+            before = core.behaviours[Verb.READ_STATUS](core, request)
+            kept = before if request.command.verb is Verb.EMERGENCY_STOP and before and before["status"] in wanted else None
+            return behaviour(core, request)
 
-            return act
-
-        for verb in (Verb.EMERGENCY_STOP, Verb.HOME, *MOTIONS):
-            if verb in drive.behaviours:
-                drive.behaviours[verb] = wrap(drive.behaviours[verb])
+        enclose(drive, {Verb.EMERGENCY_STOP, Verb.HOME, *MOTIONS}, act)
         drive.hooks.result.append(
             lambda _, command, asked, values: kept if kept and command.verb is Verb.READ_STATUS else values
         )
@@ -599,12 +520,9 @@ def _status_of_before(wanted: Collection[int]) -> Callable[[MksCore], None]:
     return change
 
 
-def _slow_if_protected(drive: MksCore) -> None:
+def _slow_if_protected(highest: Callable[[int], int], drive: MksCore, declared: int) -> int:
     """Turn no faster than a limit while the protection is on."""
-    highest = drive.highest_speed
-    drive.highest_speed = lambda declared: (  # type: ignore[method-assign]
-        min(highest(declared), _SAFE_RPM) if drive.settings["protection"] else highest(declared)
-    )
+    return min(highest(declared), _SAFE_RPM) if drive.settings["protection"] else highest(declared)
 
 
 def _way_back(drive: Drive, command: Command, sent: Values, found: Values) -> Values:
@@ -616,93 +534,51 @@ SEQUENCES: Rows = {
     "behind a stop": (
         Row("stops-lose-pulses", f"33 loses {_LOST} pulses at each stop of a turning shaft", before(STOPS, _loses_pulses)),
         Row("target-kept", "F4 behind F7 goes on to the target of the move that F7 ended, too", tuned(_target_kept(False))),
-        Row(
-            "target-kept-protected",
-            "F4 behind 3D goes on to the target of the move that the protection ended, too",
-            tuned(_target_kept(True)),
-        ),
-        Row("homing-unstopped", "F7 says success and does not end homing", undone_when(_homes, Verb.EMERGENCY_STOP)),
-        Row(
-            "emergency-completes-pulses",
-            "a move by pulses that F7 ended is told as complete when it would have been",
-            _emergency_completes(Activity.MOVE, mks_shared.RunStatus.COMPLETE, (Verb.MOVE_RELATIVE_PULSES,)),
-        ),
-        Row(
-            "emergency-completes-open",
-            "a move in the open mode that F7 ends is told as complete",
-            Change(before(Verb.EMERGENCY_STOP, _complete_open).install, TELLING),
-        ),
-        Row(
-            "emergency-completes-home",
-            "homing that F7 ended is told as success",
-            _emergency_completes(Activity.HOME, mks_shared.HomeStatus.SUCCESS, (Verb.HOME,)),
-        ),
-        Row(
-            "status-behind-emergency-ramp",
-            "behind F7 on a ramp F1 reads the ramp on",
-            tuned(_status_of_before((mks_shared.MotorStatus.SPEEDING_UP, mks_shared.MotorStatus.SLOWING_DOWN))),
-        ),
-        Row(
-            "status-behind-emergency-home",
-            "behind F7 while homing F1 reads homing on",
-            tuned(_status_of_before((mks_shared.MotorStatus.HOMING,)), having(Verb.HOME)),
-        ),
-        Row(
-            "speed-0-cw-goes-on",
-            "F6 with speed 0 and direction 1 stops nothing",
-            before(Verb.RUN_SPEED, _only_ccw_stops),
-            SERIAL,
-        ),
+        Row("target-kept-protected", "F4 behind 3D goes on to the target of the move that the protection ended, too",
+            tuned(_target_kept(True))),
+        Row("homing-unstopped", "F7 says success and does not end homing",
+            undone_when(lambda drive: drive.doing(Activity.HOME), Verb.EMERGENCY_STOP)),
+        Row("emergency-completes-pulses", "a move by pulses that F7 ended is told as complete when it would have been",
+            _emergency_completes(Activity.MOVE, mks_shared.RunStatus.COMPLETE, (Verb.MOVE_RELATIVE_PULSES,))),
+        Row("emergency-completes-open", "a move in the open mode that F7 ends is told as complete",
+            before(Verb.EMERGENCY_STOP, _complete_open), TELLING),
+        Row("emergency-completes-home", "homing that F7 ended is told as success",
+            _emergency_completes(Activity.HOME, mks_shared.HomeStatus.SUCCESS, (Verb.HOME,))),
+        Row("status-behind-emergency-ramp", "behind F7 on a ramp F1 reads the ramp on",
+            tuned(_status_of_before((mks_shared.MotorStatus.SPEEDING_UP, mks_shared.MotorStatus.SLOWING_DOWN)))),
+        Row("status-behind-emergency-home", "behind F7 while homing F1 reads homing on",
+            tuned(_status_of_before((mks_shared.MotorStatus.HOMING,)), having(Verb.HOME))),
+        Row("speed-0-cw-goes-on", "F6 with speed 0 and direction 1 stops nothing",
+            before(Verb.RUN_SPEED, _only_ccw_stops), SERIAL),
         Row("cleaning-stops", "FF CA stops the shaft", before(Verb.SAVE_SPEED, _end_run)),
-        Row(
-            "cleaned-turning-alone",
-            "FF CA cleans the kept run while the shaft turns alone",
-            before(Verb.SAVE_SPEED, _kept_at_rest),
-        ),
+        Row("cleaned-turning-alone", "FF CA cleans the kept run while the shaft turns alone",
+            before(Verb.SAVE_SPEED, _kept_at_rest)),
     ),
     "behind what came on the way": (
         Row("newer-keeps-ramp", "a motion that takes over from another one keeps its acceleration", tuned(_keeps_ramp)),
         Row("newer-keeps-faster", "a motion that takes over from a faster one keeps its speed", tuned(_keeps_faster)),
         Row("speeds-as-before", "84 while the shaft turns changes the length of moves, and no speed", tuned(_speeds_as_before)),
-        Row(
-            "off-behind-settings",
-            "3A reads 0 behind a setting that came while the shaft turned",
-            _told_behind(True, Verb.READ_ENABLED, enabled=0),
-        ),
-        Row(
-            "protected-behind-motions",
-            "3E reads 1 behind a motion that took over from another one",
-            _told_behind(False, Verb.READ_PROTECTION, status=1),
-        ),
+        Row("off-behind-settings", "3A reads 0 behind a setting that came while the shaft turned",
+            _told_behind(True, Verb.READ_ENABLED, enabled=0)),
+        Row("protected-behind-motions", "3E reads 1 behind a motion that took over from another one",
+            _told_behind(False, Verb.READ_PROTECTION, status=1)),
     ),
     "one of many": (
         Row("third-target-lost", "of targets that follow one another the third is lost", _few_updates(Verb.MOVE_ABSOLUTE_AXIS)),
         Row("package-first-motion", "of the own slots of a package the first motion is executed", slots(_first_motion)),
-        Row(
-            "package-late-slots-unset",
-            "a setting in the last two slots of a package is not stored",
-            slots(lambda own, every, wanted: [slot for slot in wanted if slot in every[:3] or not _sets(slot)]),
-        ),
+        Row("package-late-slots-unset", "a setting in the last two slots of a package is not stored",
+            slots(lambda own, every, wanted: [slot for slot in wanted if slot in every[:3] or not _sets(slot)])),
         Row("package-of-two-codes", "of the own slots of a package the first of each code is executed", slots(_by_code)),
     ),
     "by the ramp of before": (
-        Row(
-            "at-once-by-ramp-of-before",
-            "F5 with acceleration 0 takes the ramp of the motion before",
-            tuned(_taking_ramp_of_last(Verb.MOVE_ABSOLUTE_AXIS, lambda own, last: not own)),
-        ),
-        Row(
-            "at-once-behind-at-once",
-            "FE behind a motion with acceleration 0 is at once too",
-            tuned(_taking_ramp_of_last(Verb.MOVE_ABSOLUTE_PULSES, lambda own, last: not last)),
-        ),
+        Row("at-once-by-ramp-of-before", "F5 with acceleration 0 takes the ramp of the motion before",
+            tuned(_taking_ramp_of_last(Verb.MOVE_ABSOLUTE_AXIS, lambda own, last: not own))),
+        Row("at-once-behind-at-once", "FE behind a motion with acceleration 0 is at once too",
+            tuned(_taking_ramp_of_last(Verb.MOVE_ABSOLUTE_PULSES, lambda own, last: not last))),
     ),
     "sooner": (
-        Row(
-            "release-enables",
-            "3D enables a motor that is off and was not protected",
-            before(Verb.RELEASE_PROTECTION, _released_enabled),
-        ),
+        Row("release-enables", "3D enables a motor that is off and was not protected",
+            before(Verb.RELEASE_PROTECTION, lambda drive, _: hold(drive))),
         *(
             Row(name, f"{code} does not end a run that began at power-on", tuned(partial(_kept_goes_on, of=of), having(of)))
             for name, code, of in (
@@ -711,108 +587,62 @@ SEQUENCES: Rows = {
             )
         ),
         Row("saves-older-run", "FF keeps the run before the newest one", tuned(_saves_older, having(Verb.SAVE_SPEED))),
-        Row(
-            "forgets-newest-run",
-            "FF CA forgets a run alone that was kept since power-on",
-            tuned(_forgets_newest, having(Verb.SAVE_SPEED)),
-        ),
-        Row(
-            "released-once",
-            "3D releases the protection once until a restart",
-            tuned(_released_once, having(Verb.RELEASE_PROTECTION)),
-        ),
-        Row(
-            "current-not-put-back",
-            "83 does not set a current back to the one before",
-            tuned(_current_not_put_back, having(Verb.SET_CURRENT)),
-        ),
+        Row("forgets-newest-run", "FF CA forgets a run alone that was kept since power-on",
+            tuned(_forgets_newest, having(Verb.SAVE_SPEED))),
+        Row("released-once", "3D releases the protection once until a restart",
+            tuned(_released_once, having(Verb.RELEASE_PROTECTION))),
+        Row("current-not-put-back", "83 does not set a current back to the one before",
+            tuned(_current_not_put_back, having(Verb.SET_CURRENT))),
         Row("alm-beside-pend", "a write of PEND writes ALM with mask 2, too", request(_alm_beside_pend, Verb.WRITE_IO), CAN),
-        Row(
-            "save-speed-begun-by-mode",
-            "the kept run begins when 82 sets a mode by the bus",
-            wrapped(Verb.SET_WORK_MODE, _begins_kept(lambda request: True)),
-        ),
-        Row(
-            "save-speed-begun-by-enabling",
-            "the kept run begins when F3 enables the motor",
-            wrapped(Verb.ENABLE, _begins_kept(lambda request: bool(request.values["enabled"]))),
-        ),
+        Row("save-speed-begun-by-mode", "the kept run begins when 82 sets a mode by the bus",
+            wrapped(Verb.SET_WORK_MODE, _begins_kept(lambda request: True))),
+        Row("save-speed-begun-by-enabling", "the kept run begins when F3 enables the motor",
+            wrapped(Verb.ENABLE, _begins_kept(lambda request: bool(request.values["enabled"])))),
     ),
     "undone": (
         Row("lets-go-once-limited", "90 with the end limit off leaves it on for homing", tuned(_lets_go_once_limited)),
-        Row("protection-stays", "88 00 is answered, and the protection acts on", storing(_on_alone, "protection")),
-        Row(
-            "group-left-by-speed",
-            "8A takes the drive out of its group",
-            before(Verb.SET_BAUD_RATE, _leave_group),
-            having(Verb.SET_GROUP_ADDRESS),
-        ),
+        Row("protection-stays", "88 00 is answered, and the protection acts on",
+            storing(lambda drive, name, value: None if name == "protection" and not value else (name, value), "protection")),
+        Row("group-left-by-speed", "8A takes the drive out of its group",
+            before(Verb.SET_BAUD_RATE, leave_group), having(Verb.SET_GROUP_ADDRESS)),
     ),
     "with another setting": (
-        Row("respond-0-needs-active", "respond 0 silences nothing with active 0", tuned(_silent_if_active), NATIVE),
-        Row(
-            "ends-told-aloud",
-            "with respond 0 the end of FE and F5 is told",
-            tuned(_tells_ends(lambda request, values: request.command.verb in _TO_PLACES)),
-            TELLING,
-        ),
-        Row(
-            "limit-told-aloud",
-            "with respond 0 a move that an end limit stops is told",
-            tuned(_tells_ends(lambda request, values: values["status"] == mks_shared.RunStatus.LIMIT_STOP)),
-            TELLING,
-        ),
-        Row("refused-aloud", "with respond 0 a refusal is answered", tuned(_refuses_aloud), TELLING),
-        Row(
-            "direction-turns-speed-of-moves",
-            "with 86 on CCW the speed of a move is told the other way",
-            result(_move_told_turned, Verb.READ_SPEED),
-        ),
+        Row("respond-0-needs-active", "respond 0 silences nothing with active 0",
+            overridden("silenced", _silent_if_active), NATIVE),
+        Row("ends-told-aloud", "with respond 0 the end of FE and F5 is told",
+            _tells_ends(lambda request, values: request.command.verb in _TO_PLACES)),
+        Row("limit-told-aloud", "with respond 0 a move that an end limit stops is told",
+            _tells_ends(lambda request, values: values["status"] == mks_shared.RunStatus.LIMIT_STOP)),
+        Row("refused-aloud", "with respond 0 a refusal is answered", overridden("answer", _refuses_aloud), TELLING),
+        Row("direction-turns-speed-of-moves", "with 86 on CCW the speed of a move is told the other way",
+            result(_move_told_turned, Verb.READ_SPEED)),
         Row("direction-turns-home", "with 86 on CCW homing turns the other way round", _homing_turned),
-        Row("protection-slows", f"with the protection on nothing turns faster than {_SAFE_RPM} rpm", tuned(_slow_if_protected)),
+        Row("protection-slows", f"with the protection on nothing turns faster than {_SAFE_RPM} rpm",
+            overridden("highest_speed", _slow_if_protected)),
         *(
-            Row(
-                f"way-back-slower-{name}",
-                f"a higher 0_Speed brings the shaft back {name} more slowly",
-                request(_slower_back(direction), Verb.SET_ZERO_MODE),
-                SERIAL,
-            )
+            Row(f"way-back-slower-{name}", f"a higher 0_Speed brings the shaft back {name} more slowly",
+                request(_slower_back(direction), Verb.SET_ZERO_MODE), SERIAL)
             for name, direction in (("cw", mks_shared.ConfigDirection.CW), ("ccw", mks_shared.ConfigDirection.CCW))
         ),
         Row("way-back-untold", "3B reads 1 on the way back by a direction", result(_way_back, Verb.READ_ZERO_STATUS), SERIAL),
     ),
     "in one mode": (
-        Row(
-            "homing-above-mode",
-            "homing turns at the speed that is set, above that of the work mode",
-            tuned(_homes_at_any_speed, having(Verb.HOME)),
-            SERIAL,
-        ),
-        Row("holding-refused-open", "9B is refused in an open mode", refused_when(_open, Verb.SET_HOLDING_CURRENT), SERIAL),
+        Row("homing-above-mode", "homing turns at the speed that is set, above that of the work mode",
+            by_laws(Verb.HOME, highest_speed=as_given), SERIAL),
+        Row("holding-refused-open", "9B is refused in an open mode",
+            refused_when(lambda drive: "open" in drive.mode, Verb.SET_HOLDING_CURRENT), SERIAL),
     ),
     "few send it": (
         Row("address-fa-refused", "the address FA is refused", limit("new_address", numbers.refuses(0xFA)), NATIVE),
-        Row(
-            "stops-of-all-at-once",
-            "stops by broadcast are at once, at any acceleration",
-            tuned(_stops_of_all(lambda sent, moved: 0)),
-        ),
-        Row(
-            "stops-of-all-by-ramp",
-            "a stop by broadcast with acceleration 0 slows the shaft down by the ramp of its motion",
-            tuned(_stops_of_all(lambda sent, moved: sent or moved)),
-        ),
-        Row(
-            "short-moves-undone",
-            f"moves by fewer than {_SHORTEST} units turn nothing",
-            request(_short, (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_RELATIVE_AXIS)),
-        ),
+        Row("stops-of-all-at-once", "stops by broadcast are at once, at any acceleration",
+            tuned(_stops_of_all(lambda sent, moved: 0))),
+        Row("stops-of-all-by-ramp", "a stop by broadcast with acceleration 0 slows the shaft down by the ramp of its motion",
+            tuned(_stops_of_all(lambda sent, moved: sent or moved))),
+        Row("short-moves-undone", f"moves by fewer than {_SHORTEST} units turn nothing",
+            request(_short, (Verb.MOVE_RELATIVE_PULSES, Verb.MOVE_RELATIVE_AXIS))),
         *(
-            Row(
-                f"low-word-stops-{name}",
-                f"{name.upper()} by a number whose low word is 0 stops",
-                request(_stopped_by_low_word, verb),
-            )
+            Row(f"low-word-stops-{name}", f"{name.upper()} by a number whose low word is 0 stops",
+                request(_stopped_by_low_word, verb))
             for name, verb in (
                 ("fd", Verb.MOVE_RELATIVE_PULSES),
                 ("fe", Verb.MOVE_ABSOLUTE_PULSES),
@@ -821,22 +651,16 @@ SEQUENCES: Rows = {
             )
         ),
         Row("axis-of-24-bits", "F5 reckons with 24 bits of the axis", request(_from_axis_of_24_bits, Verb.MOVE_ABSOLUTE_AXIS)),
-        Row(
-            "as-sent-at-odd",
-            f"at odd subdivisions above {_PLAIN_MOST} the speed is the one that is sent",
-            tuned(_as_sent_at_odd),
-            SERIAL,
-        ),
-        Row("speeds-in-whole-rpm", "speeds of other subdivisions are rounded to whole rpm", tuned(_in_whole_rpm)),
-        Row(
-            "speed-0-of-moves-goes-on",
-            "F4 with speed 0 and a distance is answered, and the shaft goes on",
-            before(Verb.MOVE_RELATIVE_AXIS, _going_on_at_0),
-            SERIAL,
-        ),
-        Row("moves-scaled-at-32", "at 32 subdivisions moves go at half their speed", tuned(_scaled_moves)),
-        Row("inner-request-obeyed", "a request in the data of another drive's is obeyed", tuned(_inner_requests), NATIVE),
+        Row("as-sent-at-odd", f"at odd subdivisions above {_PLAIN_MOST} the speed is the one that is sent",
+            overridden("real_speed", _as_sent_at_odd), SERIAL),
+        Row("speeds-in-whole-rpm", "speeds of other subdivisions are rounded to whole rpm",
+            overridden("real_speed", lambda real, drive, speed: round(real(speed)))),
+        Row("speed-0-of-moves-goes-on", "F4 with speed 0 and a distance is answered, and the shaft goes on",
+            before(Verb.MOVE_RELATIVE_AXIS, lambda drive, request: None if request.values["speed"] else dict(OK)), SERIAL),
+        Row("moves-scaled-at-32", "at 32 subdivisions moves go at half their speed", wrapped(TARGETS, _scaled_moves)),
+        Row("inner-request-obeyed", "a request in the data of another drive's is obeyed",
+            overridden("_take", _inner_requests), NATIVE),
     ),
-}
+}  # fmt: skip
 
 FAULTS = faults(SEQUENCES)

@@ -182,42 +182,21 @@ def _firmware(drive: LkDrive) -> None:
 
 
 QUIRKS: tuple[Quirk, ...] = (
-    Quirk(
-        "lk-off-sum",
-        LK,
+    Quirk("lk-off-sum", LK,
         "about 1 % of the replies to 0xA4 carry a data sum that is off by up to 4 either way (by the seed)",
-        f"{_TAXFROMDK}, log.txt and readme.txt",
-        _off_sums,
-    ),
-    Quirk(
-        "lk-zero-speed-moves",
-        LK,
+        f"{_TAXFROMDK}, log.txt and readme.txt", _off_sums),
+    Quirk("lk-zero-speed-moves", LK,
         "0xA4, 0xA6 and 0xA8 with max_speed 0 move, at the speed limit, as though no limit were given",
-        f"{_TAXFROMDK}: 0xA4 with maxSpeed 0 at 600 to 800 deg/s",
-        request(_no_limit),
-    ),
-    Quirk(
-        "lk-off-clears-turns",
-        LK,
-        "0x80 also drops the counted turns",
-        _VENDOR_CAN,
-        acting("motor_off", lambda drive, request: drive.motor.clear_turns(), after=True),
-    ),
-    Quirk(
-        "lk-reply-within", LK, "replies come after 0.05 to 0.25 ms (by the seed) instead of exactly 0.25 ms", _VENDOR_CAN, _soon
-    ),
-    Quirk(
-        "lk-encoder-wide-difference",
-        LK,
-        "0x90 takes raw less offset on a 16-bit scale also where the encoder has fewer bits",
-        f"{_TAXFROMDK}, motor.cpp",
-        result(_wide_difference, Verb.READ_ENCODER),
-    ),
-    Quirk(
-        "lk-firmware-235",
-        LK,
+        f"{_TAXFROMDK}: 0xA4 with maxSpeed 0 at 600 to 800 deg/s", request(_no_limit)),
+    Quirk("lk-off-clears-turns", LK,
+        "0x80 also drops the counted turns", _VENDOR_CAN,
+        acting("motor_off", lambda drive, request: drive.motor.clear_turns(), after=True)),
+    Quirk("lk-reply-within", LK,
+        "replies come after 0.05 to 0.25 ms (by the seed) instead of exactly 0.25 ms", _VENDOR_CAN, _soon),
+    Quirk("lk-encoder-wide-difference", LK,
+        "0x90 takes raw less offset on a 16-bit scale also where the encoder has fewer bits", f"{_TAXFROMDK}, motor.cpp",
+        result(_wide_difference, Verb.READ_ENCODER)),
+    Quirk("lk-firmware-235", LK,
         "0x12 (product data), 0x40 and 0x42 (parameters) and 0x07 (restart, no reply) exist, 0xC0 and 0xC1 do not",
-        f"{_TAXFROMDK}, lkmotor.h and log.txt",
-        tuned(_firmware),
-    ),
-)
+        f"{_TAXFROMDK}, lkmotor.h and log.txt", tuned(_firmware)),
+)  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 from conformance.claim import Outcome, Theme
 from conformance.drives import make
 from conformance.suite.rig_emulated import EmulatedRig
-from tests.conformance.theme_runs import claims_of, refuted, run
+from tests.conformance.theme_runs import claims_of, judge, refuted, run
 
 
 @pytest.mark.parametrize("dialect", ["mks-rs485", "mks-can", "lk-rs485"])
@@ -34,3 +34,8 @@ def test_the_register_of_the_later_manual_is_a_known_quirk():
         "register-94h",
     )
     assert verdicts["register/between"].outcome is Outcome.CONFIRMED
+
+
+@pytest.mark.parametrize("address", [2, 26, 41])
+def test_registers_that_no_command_has_are_refused_at_every_address(address):
+    assert judge(f"mks-modbus@{address}", "modbus/register/unknown_write").outcome is Outcome.CONFIRMED

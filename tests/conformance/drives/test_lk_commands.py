@@ -7,44 +7,23 @@ from typing import Any
 
 import pytest
 
-from analyzer.catalogue import Command, Role
+from analyzer.catalogue import Role
 from analyzer.codec import codec
 from analyzer.context import Context
-from analyzer.entries import Entry
 from analyzer.errors import UsageError
 from analyzer.framer import Framer
 from analyzer.layout import Field
 from analyzer.link import sum8
-from analyzer.pipeline import Pipeline
 from analyzer.protocols.lk_rs485 import DIALECT, ERROR_BITS
 from analyzer.protocols.mks_rs485 import DIALECT as MKS
 from analyzer.records import Frame
 from conformance.drives.drive import Request
 from conformance.drives.lk.drive import ACTS, ANSWERS, FACTORY, MOVES, PARAMETERS, PHYSICAL, SENT, LkDrive
+from tests.collect import Collect, run
 from tests.conformance.drives.lk_bench import STEP_NS, Bench
 
 MODELS = DIALECT.models
 FLAGS = [f.name for f in ERROR_BITS]
-
-
-class Log:
-    """A sink that keeps entries and findings."""
-
-    def __init__(self) -> None:
-        self.entries: list[Entry] = []
-        self.findings: list[Any] = []
-        self.junked: list[Any] = []
-
-    def entry(self, entry: Entry) -> None:
-        self.entries.append(entry)
-
-    def junk(self, junk: Any, sequence: int, topic: str) -> None:
-        self.junked.append(junk)
-
-    def finding(self, found: Any) -> None:
-        self.findings.append(found)
-
-    def comment(self, comment: Any) -> None: ...
 
 
 def highest(field: Field) -> int:
@@ -55,11 +34,9 @@ def lowest(field: Field) -> int:
     return field.low if field.fixed is None else field.fixed
 
 
-def log_of(bench: Bench, model: str) -> Log:
+def log_of(bench: Bench, model: str) -> Collect:
     """Return what the analyzer's own pipeline makes of all that went over the bench."""
-    log = Log()
-    Pipeline([DIALECT.for_model(model)], [log]).run(bench.chunks)
-    return log
+    return run(bench.chunks, [DIALECT.for_model(model)])
 
 
 # --- the whole catalogue ----------------------------------------------------------------------------------------------
@@ -85,7 +62,7 @@ def test_every_vector_is_answered_without_a_finding(model: str) -> None:
     for bench in benches.values():
         log = log_of(bench, model)
         assert not log.findings
-        assert not log.junked
+        assert not log.pieces
         assert len(log.entries) == len(bench.chunks)
         assert [e.message.role for e in log.entries] == [Role.REQUEST, Role.REPLY] * (len(log.entries) // 2)
         assert all(e.latency_ns == 250_000 for e in log.entries[1::2])
@@ -106,7 +83,7 @@ def test_every_limit_of_every_field_is_answered_without_a_finding(model: str, en
             bench.wait(0.3)
     log = log_of(bench, model)
     assert not log.findings
-    assert not log.junked
+    assert not log.pieces
 
 
 def test_the_tables_name_what_is_in_the_catalogue() -> None:
@@ -123,52 +100,12 @@ def test_the_tables_name_what_is_in_the_catalogue() -> None:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["motor_off", "motor_on", "stop", "clear_turns", "set_position"])
-def test_echoes_are_exact(name: str) -> None:
-    bench = Bench(7)
-    values = {"position": -3600050} if name == "set_position" else {}
-    (reply,) = bench.ask(name, **values)
-    assert reply.data == bench.request(name, **values)
-
-
 # --- silence ----------------------------------------------------------------------------------------------------------
-
-
-def spoiled(frame: bytes, at: int) -> bytes:
-    changed = bytearray(frame)
-    changed[at] ^= 0x01
-    return bytes(changed)
-
-
-@pytest.mark.parametrize("command", DIALECT.commands, ids=lambda c: c.name)
-def test_bad_sums_and_other_addresses_meet_silence(command: Command) -> None:
-    bench = Bench(5)
-    frame = bench.request(command.name, **({"parameter": 10} if "parameter" in command.name else {}))
-    assert bench.send(spoiled(frame, 4)) == []
-    if len(frame) > 5:
-        assert bench.send(spoiled(frame, len(frame) - 1)) == []
-        assert bench.send(frame[:-1]) == []
-    for address in (0, 1, 6, 255):
-        assert bench.send(bench.request(command.name, address=address, parameter=10) if "parameter" in command.name
-                          else bench.request(command.name, address=address)) == []  # fmt: skip
-    assert bench.drive.motor.goal.push(bench.drive.motor) == 0
 
 
 def raw(code: int, address: int, data: bytes = b"") -> bytes:
     head = bytes((0x3E, code, address, len(data)))
     return head + bytes((sum8(head),)) + (data + bytes((sum8(data),)) if data else b"")
-
-
-def test_unknown_codes_and_lengths_meet_silence() -> None:
-    bench = Bench()
-    known = {c.code for c in DIALECT.for_model("MF").commands}
-    for code in range(256):
-        if code not in known:
-            assert bench.send(raw(code, 1)) == []
-            assert bench.send(raw(code, 1, b"\1\2")) == []
-        else:
-            assert bench.send(raw(code, 1, bytes(5))) == []
-    assert not bench.drive.errors
 
 
 def test_a_frame_of_another_dialect_meets_silence() -> None:
@@ -186,50 +123,7 @@ def test_a_parameter_that_is_not_listed_meets_silence(number: int) -> None:
     assert bench.drive.parameters == before
 
 
-@pytest.mark.parametrize(
-    ("model", "forbidden"),
-    [("MF", {"run_open_loop"}), ("MG", {"run_open_loop"}), ("MH", {"run_open_loop"}), ("MS", {"run_torque", "read_state_3"})],
-)
-def test_models_have_their_own_commands(model: str, forbidden: set[str]) -> None:
-    bench = Bench(model=model)
-    for name in ("run_open_loop", "run_torque", "read_state_3"):
-        assert bool(bench.ask(name)) == (name not in forbidden)
-    state = bench.read("read_state_2")
-    assert ("power" in state) == (model == "MS")
-
-
 # --- values that the manual forbids -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("model", "command", "values"),
-    [
-        ("MF", "run_torque", {"torque_current": 2049}),
-        ("MF", "run_torque", {"torque_current": -32768}),
-        ("MS", "run_open_loop", {"power": 851}),
-        ("MS", "run_open_loop", {"power": -851}),
-        ("MF", "move_single_turn", {"direction": 0, "angle": 36000}),
-        ("MF", "move_single_turn", {"direction": 2, "angle": 9000}),
-        ("MF", "move_single_turn_limited", {"direction": 255, "angle": 9000, "max_speed": 9000}),
-    ],
-)
-def test_forbidden_values_are_answered_and_change_nothing(model: str, command: str, values: dict[str, int]) -> None:
-    bench = Bench(model=model)
-    assert len(bench.ask(command, **values)) == 1
-    bench.wait(1)
-    assert bench.position() == 0
-    bench.ask("run_speed", speed=9000)
-    bench.wait(1)
-    assert len(bench.ask(command, **values)) == 1
-    bench.wait(1)
-    assert bench.speed() == 90
-
-
-def test_forbidden_brake_control_is_answered_with_the_state() -> None:
-    bench = Bench()
-    assert bench.read("brake", brake_control=2) == {"brake_state": 1}
-    bench.ask("brake", brake_control=0)
-    assert bench.read("brake", brake_control=0x11) == {"brake_state": 0}
 
 
 def test_reserved_bytes_are_not_looked_at() -> None:
@@ -256,13 +150,6 @@ def test_state_1_follows_what_is_done_from_outside() -> None:
     assert not any(state[name] for name in FLAGS)
     bench.drive.hot(400)
     assert bench.read("read_state_1")["temperature"] == 127
-
-
-def test_current_rises_with_the_load() -> None:
-    bench = Bench(model="MF")
-    bench.ask("run_torque", torque_current=1000)
-    bench.wait(2)
-    assert bench.read("read_state_1")["current"] > 200
 
 
 @pytest.mark.parametrize(

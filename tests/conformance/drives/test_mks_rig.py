@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import ceil
 
 from analyzer import dialects
 from analyzer.catalogue import Role
+from analyzer.codec import codec
 from analyzer.encoder import build
 from analyzer.link import CanLink
-from analyzer.pipeline import Pipeline
-from analyzer.port import Options
 from analyzer.records import CanFrame, Chunk, Frame
 from conformance.drives.drive import Outgoing
 from conformance.drives.mks.drive import MksDrive
-from tests.collect import Collect
+from tests.collect import Collect, run
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -114,8 +112,6 @@ class Rig:
     def values(self, outgoing: Outgoing, dialect=None, command: str | None = None) -> dict:
         """Return the values of a reply; Modbus echoes as the status that they mean (1 done, 0 refused)."""
         dialect = dialect or self.drive.dialect
-        from analyzer.codec import codec
-
         head = dialect.link.parse(outgoing.data, outgoing.can_id)
         assert all(c.ok for c in dialect.link.checks(outgoing.data, outgoing.can_id))
         assert head.address == (outgoing.can_id if self.can else head.address)
@@ -147,14 +143,7 @@ class Rig:
             names = ["mks-rs485"]
         model = self.drive.model
         chosen = [dialects.get(n).for_model(model) if model else dialects.get(n) for n in names]
-        sink = Collect()
-        Pipeline(chosen, (sink,), Options(late_ns=10 * MINUTE)).run(items)
-        return sink
-
-
-def ns(number) -> int:
-    """Return a time as the drive tells it: the next whole ns."""
-    return ceil(number)
+        return run(items, chosen, late_ns=10 * MINUTE)
 
 
 def test_the_rig_reads_its_own_frames():

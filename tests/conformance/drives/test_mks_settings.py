@@ -1,4 +1,4 @@
-"""Settings of the MKS drives: what is allowed, what is kept, what a restart and a restore leave."""
+"""Settings of the MKS drives of every model, and what they do beside what claims judge."""
 
 from __future__ import annotations
 
@@ -10,9 +10,6 @@ from analyzer.encoder import build
 from analyzer.errors import UsageError
 from conformance.drives.mks.state import KEPT, UNPRINTED, is_setting
 from tests.conformance.drives.test_mks_rig import MODELS, NAMES, SECOND, Rig, make
-
-#: Settings that change the link: no drive would hear the next request.
-LINK = {"new_address", "modbus"}
 
 
 def fields_of(name, model):
@@ -72,46 +69,6 @@ def test_what_the_manual_allows_is_kept_and_nothing_else(name, model, command, f
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_settings_survive_a_restart_and_not_a_restore(name):
-    rig = Rig(name, mode=None)
-    drive = rig.drive
-    changed = {}
-    for command, field in fields_of(name, ""):
-        if field.name in LINK or command.modes:
-            continue
-        value = next(v for v in (*nearby(field)[::-1],) if field.allows(v) and v != drive.settings[field.name])
-        said = rig.ask(command.name, **others(command, field) | {field.name: value})
-        assert said[0]["status"] == 1
-        for each in command.request_forms[0].layout.named:
-            changed[each] = drive.settings[each]
-    assert rig.status("restart") == 1
-    rig.wait(SECOND)
-    assert {n: drive.settings[n] for n in changed} == changed
-    drive.power_cycle(rig.now)
-    rig.wait(SECOND)
-    assert {n: drive.settings[n] for n in changed} == changed
-    assert rig.send(build(drive.dialect, "restore", 1)) != []
-    rig.wait(SECOND)
-    assert drive.settings == drive.factory
-    assert drive.dialect.name == ("mks-can" if name == "mks-can" else "mks-rs485")
-
-
-@pytest.mark.parametrize("model", ["", "42E", "57E"])
-def test_what_is_set_is_what_can_reads_back(model):
-    rig = Rig("mks-can", model=model)
-    for command, field in fields_of("mks-can", model):
-        if field.name in LINK or not command.readable:
-            continue
-        # A group with the drive's own address is not one.
-        for value in [v for v in nearby(field) if field.allows(v) and (field.name, v) != ("group_address", 1)][:6]:
-            values = others(command, field) | {field.name: value}
-            assert rig.ask(command.name, **values)[0]["status"] == 1
-            assert rig.ask("read_parameter", parameter=command.code)[0] == values
-            rig.drive.settings["work_mode"] = 5
-    assert rig.judged().rules == []
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_defaults_are_the_printed_ones(name):
     for model in MODELS[name]:
         drive = make(name, model=model, mode=None)
@@ -147,20 +104,6 @@ def test_start_values_are_checked():
 # --- what settings do ------------------------------------------------------------------------------------------------
 
 
-def test_the_answer_to_another_address_comes_from_the_old_one():
-    for name in NAMES:
-        rig = Rig(name)
-        (said,) = rig.send(build(rig.drive.dialect, "set_address", 1, {"new_address": 9}))
-        head = rig.drive.dialect.link.parse(said.data, said.can_id)
-        assert head.address == 1
-        assert rig.drive.address == 9
-        assert rig.send(build(rig.drive.dialect, "read_speed", 1), 1 if rig.can else None) == []
-        assert rig.value("read_speed") == 0
-        rig.drive.power_cycle(rig.now)
-        rig.wait(SECOND)
-        assert rig.drive.address == 9
-
-
 def test_a_drive_changes_between_its_two_dialects():
     rig = Rig("mks-rs485", mode=5)
     native, modbus = dialects.get("mks-rs485"), dialects.get("mks-modbus")
@@ -177,21 +120,6 @@ def test_a_drive_changes_between_its_two_dialects():
     assert said.data == build(modbus, "set_modbus", 1, {"modbus": 0})
     assert rig.drive.dialect is native
     assert rig.ask("read_speed") == [{"speed": 0}]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_memory_does_not_survive_a_restart(name):
-    rig = Rig(name)
-    rig.drive.motor.jump(0, 5 * 16384 + 77)
-    rig.ask("set_zero")
-    assert rig.axis() == 0
-    rig.ask("run_speed", speed=100)
-    rig.ask("restart")
-    assert rig.send(build(rig.drive.dialect, "read_speed", 1)) == []  # it is starting
-    rig.wait(SECOND)
-    assert rig.value("read_speed") == 0
-    assert 0 <= rig.axis() < 16384  # the turns are gone, the place within the turn is not
-    assert rig.value("read_pulses") == 0
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -214,25 +142,6 @@ def test_modes_and_enabling(name):
     rig.ask("enable", enabled=1)
     rig.drive.turn_shaft(500)
     assert rig.axis() == 500
-
-
-def test_an_unlocked_axis_begins_a_bus_mode_without_torque():
-    rig = Rig("mks-can", mode=3, axis_lock=0)
-    rig.ask("set_work_mode", work_mode=5)
-    assert rig.value("read_enabled") == 0
-    rig.drive.settings["axis_lock"] = 1
-    rig.drive.power_cycle(rig.now)
-    rig.wait(SECOND)
-    assert rig.value("read_enabled") == 1
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_another_mode_ends_motion(name):
-    rig = Rig(name)
-    rig.ask("run_speed", speed=100)
-    rig.ask("set_work_mode", work_mode=2)
-    assert rig.value("read_speed") == 0
-    assert rig.status("run_speed", speed=100) == 0
 
 
 @pytest.mark.parametrize("name", NAMES)

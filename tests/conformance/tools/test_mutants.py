@@ -1,7 +1,7 @@
 """The suite is tested too: it refutes drives that are known to be wrong.
 
 How mutants are judged and told. A sample of the faults is tried in `suite/test_golden.py`, those of one condition in
-`claims/test_conditions.py`; `benchmarks/mutation.py` runs all.
+`claims/test_refuted.py`; `benchmarks/mutation.py` runs all.
 """
 
 from __future__ import annotations
