@@ -129,7 +129,8 @@ def test_a_lake_whose_log_names_a_file_outside_of_it_is_not_read(captures, tmp_p
 
 def test_the_stack_of_a_library_is_not_told(tmp_path):
     made = lake(tmp_path / "lake")
-    with pytest.raises(UnreadableError, match=r"states cannot be read: damaged: expected a number; if its"), made.reading("states"):
+    told = r"states cannot be read: damaged: expected a number; if its"
+    with pytest.raises(UnreadableError, match=told), made.reading("states"):
         raise OSError(
             "damaged:\n\x1b[31mexpected a number\x1b[0m\n\n   0: <unknown>\n   1: start_thread\n             at x.c:1\n"
         )
