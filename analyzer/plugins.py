@@ -132,12 +132,28 @@ def is_failure(error: BaseException) -> bool:
     return isinstance(error, (Exception, SystemExit)) or type(error).__module__.partition(".")[0] not in OWN
 
 
-def leave_out(what: str, error: BaseException) -> str:
-    """Say that something of another package is left out; return why."""
+@contextlib.contextmanager
+def passed_over() -> Iterator[None]:
+    """Pass over what another package raises within: nothing depends on it."""
+    try:
+        yield
+    except BaseException as error:
+        if not is_failure(error):
+            raise
+
+
+def reason(error: BaseException) -> str:
+    """Return what an error of another package is and says."""
     why = printable(type(error).__name__)
     # What it says of itself can fail, too.
     with contextlib.suppress(Exception):
         why += printable(f": {error}")
+    return why
+
+
+def leave_out(what: str, error: BaseException) -> str:
+    """Say that something of another package is left out; return why."""
+    why = reason(error)
     print(f"servotap: {printable(what)} failed and is left out: {why}", file=sys.stderr)
     return why
 

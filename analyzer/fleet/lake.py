@@ -30,7 +30,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from analyzer.errors import UnreadableError, UsageError
+from analyzer.cli.boundary import PANIC
+from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.fleet import counts
 from analyzer.fleet.files import PARTITIONS, Added, Destination, only
 from analyzer.fleet.place import Place
@@ -135,23 +136,24 @@ class Lake:
         self.destination = Destination(place, tuple(partitions))
 
     @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        """Raise UsageError where the lake cannot be written: its disk is full, its store refuses."""
+    def _told(self, kind: type[ServotapError], what: str, advice: str = "") -> Iterator[None]:
+        """Raise an error of ours in place of one of the lake's libraries, or of the system."""
         try:
             yield
-        except self._errors as error:
-            raise UsageError(f"{self.place.url} cannot be written: {_told(error)}") from None
+        # A panic of Rust derives from BaseException alone: a log that Delta Lake has not expected is enough.
+        except BaseException as error:
+            if not isinstance(error, self._errors) and type(error).__name__ != PANIC:
+                raise
+            raise kind(f"{what}: {_said(error)}{advice}") from None
 
-    @contextlib.contextmanager
-    def reading(self, table: str) -> Iterator[None]:
+    def _writing(self) -> contextlib.AbstractContextManager[None]:
+        """Raise UsageError where the lake cannot be written: its disk is full, its store refuses."""
+        return self._told(UsageError, f"{self.place.url} cannot be written")
+
+    def reading(self, table: str) -> contextlib.AbstractContextManager[None]:
         """Raise UnreadableError where a table cannot be read: it is damaged, its store refuses."""
-        try:
-            yield
-        except self._errors as error:
-            raise UnreadableError(
-                f"{self.uri(table)} cannot be read: {_told(error)}; "
-                "if its files are damaged, restore them, or ingest into a new lake"
-            ) from None
+        advice = "; if its files are damaged, restore them, or ingest into a new lake"
+        return self._told(UnreadableError, f"{self.uri(table)} cannot be read", advice)
 
     # --- tables ---------------------------------------------------------------------------------------------------
 
@@ -441,7 +443,7 @@ def _lost(where: str) -> UsageError:
     return UsageError(f"{where}: no commit succeeded in {_RACES} attempts: is its store in order?")
 
 
-def _told(error: Exception) -> str:
+def _said(error: BaseException) -> str:
     return printable(" ".join(_STACK.sub("", _COLOURS.sub("", str(error))).split()))
 
 

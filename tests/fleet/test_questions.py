@@ -136,6 +136,16 @@ def test_the_stack_of_a_library_is_not_told(tmp_path):
         )
 
 
+class PanicException(BaseException):
+    """What a library in Rust raises for what it has not expected."""
+
+
+def test_a_panic_of_a_library_is_told_with_the_table(tmp_path):
+    made = lake(tmp_path / "lake")
+    with pytest.raises(UnreadableError, match="states cannot be read: no such protocol; if its"), made.reading("states"):
+        raise PanicException("no such protocol")
+
+
 def test_what_a_damaged_lake_would_be_partitioned_by_is_told(captures, tmp_path):
     made = lake(tmp_path / "lake")
     with pytest.raises(UnreadableError, match="expected partitions by date or machine, got date,rogue"):
