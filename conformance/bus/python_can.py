@@ -21,6 +21,7 @@ from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.reader_can_library import flags_of
 from analyzer.live.reader_can_socket import dissect_kernel, with_room
+from analyzer.live.spool import MOST_BYTES
 from analyzer.plugins import is_failure, passed_over, reason
 from analyzer.records import CanFrame
 from analyzer.system.own_process import without
@@ -60,6 +61,8 @@ def _dissected(message: can.Message) -> tuple[int, int, bytes, str]:
     why = ""
     if not 0 <= can_id < 1 << 32:
         why = f"a frame has the identifier {can_id}"
+    elif len(data) > MOST_BYTES:
+        why = f"a frame has {len(data)} bytes"
     # CAN FD has lengths that python-can rounds; a remote frame has a length and no data.
     elif not message.is_remote_frame and not message.is_fd and len(data) != message.dlc:
         why = f"a frame of length {message.dlc} has {len(data)} bytes"

@@ -316,6 +316,18 @@ def test_a_driver_that_breaks_off_or_gives_no_message_is_a_port_that_is_gone(doe
     assert "cannot be read" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("about", "told"),
+    [({"arbitration_id": 1 << 40}, "identifier 1099511627776"), ({"data": bytes(65), "dlc": 65}, "a frame has 65 bytes")],
+)
+def test_what_is_no_frame_is_not_given_on(about, told, monkeypatch, capsys):
+    monkeypatch.setattr(python_can.can, "Bus", Broken)
+    monkeypatch.setattr(Broken, "does", can.Message(**about, check=False))
+    with closing(LibraryPort("virtual", "x")) as port:
+        assert port.receive(0) is None
+    assert told in capsys.readouterr().err
+
+
 def test_a_driver_that_fails_as_it_is_opened_is_told(monkeypatch):
     monkeypatch.setattr(Broken, "__init__", Broken.recv)
     monkeypatch.setattr(python_can.can, "Bus", lambda **options: Broken())
