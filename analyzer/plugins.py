@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from analyzer.values import printable
 
@@ -86,11 +86,31 @@ def _named(package: Distribution) -> str:
     return f"the list of entry points in {getattr(package, '_path', 'a package')}"
 
 
+@contextlib.contextmanager
+def _ending_raises() -> Iterator[None]:
+    """Have `os._exit` raise SystemExit within: it would end a command without a word, and with the status of one that did well.
+
+    Processes that the package forks end as they wish.
+    """
+    end, own = os._exit, os.getpid()
+
+    def ending(status: int) -> NoReturn:
+        if os.getpid() == own:
+            raise SystemExit(status)
+        end(status)
+
+    os._exit = ending
+    try:
+        yield
+    finally:
+        os._exit = end
+
+
 def attempt(what: str, call: Callable[[], T]) -> T | None:
     """Return what a call into another package returns; None where it fails, which is said."""
     try:
         # What is printed is the output of a command, which others may read.
-        with contextlib.redirect_stdout(sys.stderr):
+        with contextlib.redirect_stdout(sys.stderr), _ending_raises():
             return call()
     except BaseException as error:
         if not is_failure(error):
@@ -112,12 +132,28 @@ def is_failure(error: BaseException) -> bool:
     return isinstance(error, (Exception, SystemExit)) or type(error).__module__.partition(".")[0] not in OWN
 
 
-def leave_out(what: str, error: BaseException) -> str:
-    """Say that something of another package is left out; return why."""
+@contextlib.contextmanager
+def passed_over() -> Iterator[None]:
+    """Pass over what another package raises within: nothing depends on it."""
+    try:
+        yield
+    except BaseException as error:
+        if not is_failure(error):
+            raise
+
+
+def reason(error: BaseException) -> str:
+    """Return what an error of another package is and says."""
     why = printable(type(error).__name__)
     # What it says of itself can fail, too.
     with contextlib.suppress(Exception):
         why += printable(f": {error}")
+    return why
+
+
+def leave_out(what: str, error: BaseException) -> str:
+    """Say that something of another package is left out; return why."""
+    why = reason(error)
     print(f"servotap: {printable(what)} failed and is left out: {why}", file=sys.stderr)
     return why
 

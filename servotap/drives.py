@@ -32,7 +32,7 @@ from conformance.gate.gate import Allowance, Gate, Refused, parse_allow
 from conformance.motion import motion
 from conformance.safety import messages as say
 from conformance.safety.guarded_line import GuardedLine, beginning
-from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, stop, stop_or_cut, stopping
+from conformance.safety.stopping import MAY_MOVE, GuardLost, not_stopped, stop, stop_or_cut, stopping
 from conformance.serve.log import BusLog
 from conformance.suite.preflight import check
 from conformance.suite.target import Target, one
@@ -349,10 +349,12 @@ class Drive:
         self._line.close()
         try:
             self._line = self._open_line()
+            gate = Gate(self._line, self._allowance, dialects=self._spoken)
+            stop_or_cut(gate, self.dialect, self.address, self._cut_power)
+        except NotStopped:
+            raise
         except ServotapError as error:
-            raise NotStopped(f"NOT STOPPED: {self.name}: {error}; {cut_power(self._cut_power)}") from None
-        gate = Gate(self._line, self._allowance, dialects=self._spoken)
-        stop_or_cut(gate, self.dialect, self.address, self._cut_power)
+            raise not_stopped(self.dialect, self.address, str(error), self._cut_power) from None
         if isinstance(self._line, GuardedLine):
             self._line.tell(say.Standing())
 

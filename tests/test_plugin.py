@@ -140,6 +140,19 @@ def test_a_package_that_fails_as_python_exits_is_named(tmp_path, monkeypatch):
     assert said.startswith("servotap: a fault of the package toy-drive 1.0 (toy_drive): RuntimeError: \\x1b[31mgone; please")
 
 
+def test_a_package_that_ends_the_program_as_it_is_imported_is_named_and_left_out(tmp_path):
+    site = make_site(
+        tmp_path,
+        "toy_drive",
+        "import os\nif hasattr(os, 'fork') and not os.fork():\n    os._exit(0)\nos._exit(0)\n",
+        "toy-rs485",
+    )
+    done = servotap(site, "explain", "FA 01 32 2D")
+    assert (done.returncode, "toy-rs485 (toy_drive:DIALECT)" in done.stderr) == (0, True)
+    assert done.stderr.count("failed and is left out: SystemExit: 0") == 1
+    assert done.stdout.startswith("mks-rs485  request")
+
+
 class Panic(BaseException):
     """What a package in Rust raises, and pytest where it skips."""
 

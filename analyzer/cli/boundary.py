@@ -149,7 +149,7 @@ class _Faults:
         """Report a fault: one line, and a file with all about it."""
         import traceback
 
-        from analyzer.plugins import whose
+        from analyzer.plugins import reason, whose
 
         self.any = True
         trace = "".join(traceback.format_exception(error))
@@ -158,7 +158,7 @@ class _Faults:
             where = f"the file written to {_write_report(self._words, trace)}"
         except OSError as unwritten:
             where, shown = f"this traceback, for its file cannot be written ({unwritten.strerror})", True
-        what = printable(f"{type(error).__name__}: {error}"[:_LONGEST]).rstrip(": ")
+        what = reason(error)[:_LONGEST].rstrip(": ")
         package = printable(whose(error))
         whom = f"the package {package}" if package else "servotap"
         lines = f"servotap: a fault of {whom}: {what}; please report it{' to its makers' * bool(package)} with {where}\n"
@@ -259,7 +259,7 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
 
 
 #: What a library in Rust raises for a fault of its own. It derives from BaseException and cannot be imported by name.
-_PANIC = "PanicException"
+PANIC = "PanicException"
 #: How Python tells that the system gives no more threads, and that a number is too long to be read: its cost grows with the
 #: square of its digits. How the loader of libraries tells that there is no memory for one.
 _NO_THREAD, _TOO_MANY_DIGITS, _NO_ROOM = "can't start new thread", "Exceeds the limit (", "failed to map segment"
@@ -269,7 +269,7 @@ _NO_TIME, _NO_SCRATCH = "timestamp too large to convert to C _PyTime_t", "No usa
 
 def refused(error: BaseException) -> str:
     """Return what the system or Python refused; nothing where the error is none of theirs."""
-    if type(error).__name__ == _PANIC:
+    if type(error).__name__ == PANIC:
         code = re.search(r"Os \{ code: (\d+),", str(error))
         return refused(OSError(int(code[1]), os.strerror(int(code[1])))) if code is not None else ""
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and str(error) == _NO_THREAD):

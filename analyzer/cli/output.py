@@ -150,7 +150,7 @@ class Output:
             # What was private stays so.
             with contextlib.suppress(FileNotFoundError):
                 mode = stat.S_IMODE(self.target.stat().st_mode)
-        self.part.chmod(mode)
+        _permit(self.part, mode)
         if self._replace:
             self.part.replace(self.target)
             return
@@ -162,13 +162,16 @@ class Output:
         except OSError:
             self.part.replace(self.target)  # a file system without links
             return
-        self.part.unlink()
+        # It is whole under its name: a second one that stays does no harm.
+        with contextlib.suppress(OSError):
+            self.part.unlink()
 
     def drop(self) -> None:
         # On a full disk closing fails too; the file is removed all the same.
         with contextlib.suppress(OSError):
             self.stream.close()
-        self.part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self.part.unlink()
         self._lock = let_go(self._lock)
 
 
@@ -218,7 +221,7 @@ class OutputFolder:
     def _name_it(self) -> None:
         umask = os.umask(0)
         os.umask(umask)
-        self.part.chmod(0o777 & ~umask)
+        _permit(self.part, 0o777 & ~umask)
         # A folder takes the place of no folder that holds anything.
         if not self._replace or not self.target.exists():
             try:
@@ -237,6 +240,12 @@ class OutputFolder:
     def drop(self) -> None:
         shutil.rmtree(self.part, ignore_errors=True)
         self._lock = let_go(self._lock)
+
+
+def _permit(path: Path, mode: int) -> None:
+    """Give a file or folder its permissions; many a stick or share has none of its own, and refuses."""
+    with contextlib.suppress(OSError):
+        path.chmod(mode)
 
 
 def _new_file(*, prefix: str, suffix: str, dir: Path) -> str:

@@ -6,12 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from analyzer.errors import UnreadableError
-
-if TYPE_CHECKING:
-    import deltalake
 
 #: The table of all captures.
 CAPTURES = "captures"
@@ -24,7 +21,8 @@ class Tables(Protocol):
 
     checked: set[str]
 
-    def open(self, table: str, /) -> deltalake.DeltaTable: ...
+    def open(self, table: str, /) -> Any: ...
+    def seen(self, table: str, transaction: str, /) -> int | None: ...
     def exists(self, table: str, /) -> bool: ...
     def uri(self, table: str, /) -> str: ...
     def pending(self) -> Iterator[tuple[str, Any]]: ...
@@ -35,9 +33,9 @@ def of_table(name: str) -> str:
     return f"{BATCHES} {name}"
 
 
-def count(opened: deltalake.DeltaTable, counter: str) -> int:
-    """Return how many batches a counter has seen."""
-    return opened.transaction_version(counter) or 0
+def count(lake: Tables, table: str, counter: str) -> int:
+    """Return how many batches a counter of a table has seen, as the table was when it was last opened."""
+    return lake.seen(table, counter) or 0
 
 
 def check(lake: Tables, tables: Iterable[str]) -> None:
@@ -46,14 +44,15 @@ def check(lake: Tables, tables: Iterable[str]) -> None:
     A table is looked at once.
     """
     new = set(tables) - lake.checked
-    captures = lake.open(CAPTURES)
-    told = {each: count(captures, of_table(each)) for each in new}
+    lake.open(CAPTURES)
+    told = {each: count(lake, CAPTURES, of_table(each)) for each in new}
     # In this order: what others commit meanwhile is no loss.
     pending = [each for _, journal in lake.pending() for each in journal.files]
-    has = {each: count(lake.open(each), BATCHES) if lake.exists(each) else 0 for each in new}
-    captures = lake.open(CAPTURES)
+    there = [each for each in new if lake.exists(each) and lake.open(each)]
+    has = dict.fromkeys(new, 0) | {each: count(lake, each, BATCHES) for each in there}
+    lake.open(CAPTURES)
     for each in new:
-        ahead = has[each] > count(captures, of_table(each))
+        ahead = has[each] > count(lake, CAPTURES, of_table(each))
         if ahead or told[each] > has[each] + pending.count(each):
             raise UnreadableError(
                 f"{lake.uri(CAPTURES if ahead else each)}: its log has lost its newest commits, and with them rows: "

@@ -30,7 +30,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from analyzer.errors import UnreadableError, UsageError
+from analyzer.cli.boundary import PANIC
+from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.fleet import counts
 from analyzer.fleet.files import PARTITIONS, Added, Destination, only
 from analyzer.fleet.place import Place
@@ -105,8 +106,9 @@ class Lake:
     def __init__(self, place: Place, *, make: bool = False, partitions: Sequence[str] = PARTITIONS) -> None:
         self.place = place
         self._delta = needed("deltalake")
-        # What its libraries raise. Damaged text of a data file is a ValueError of Python's.
-        self._errors = (OSError, ValueError, needed("pyarrow").ArrowException, self._delta.exceptions.DeltaError)
+        # What its libraries raise. Damaged text of a data file is a ValueError of Python's, a number of a log an OverflowError.
+        delta = self._delta.exceptions.DeltaError
+        self._errors = (OSError, ValueError, OverflowError, needed("pyarrow").ArrowException, delta)
         protocol = store_of(place.url)
         if not place.root.isprintable() or _MISREAD & set(place.root):
             raise UsageError(f"{place.url}: a lake needs a path of printable text without {' '.join(sorted(_MISREAD))}")
@@ -134,20 +136,24 @@ class Lake:
         self.destination = Destination(place, tuple(partitions))
 
     @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        """Raise UsageError where the lake cannot be written: its disk is full, its store refuses."""
+    def _told(self, kind: type[ServotapError], what: str, advice: str = "") -> Iterator[None]:
+        """Raise an error of ours in place of one of the lake's libraries, or of the system."""
         try:
             yield
-        except self._errors as error:
-            raise UsageError(f"{self.place.url} cannot be written: {_told(error)}") from None
+        # A panic of Rust derives from BaseException alone: a log that Delta Lake has not expected is enough.
+        except BaseException as error:
+            if not isinstance(error, self._errors) and type(error).__name__ != PANIC:
+                raise
+            raise kind(f"{what}: {_said(error)}{advice}") from None
 
-    @contextlib.contextmanager
-    def reading(self, table: str) -> Iterator[None]:
+    def _writing(self) -> contextlib.AbstractContextManager[None]:
+        """Raise UsageError where the lake cannot be written: its disk is full, its store refuses."""
+        return self._told(UsageError, f"{self.place.url} cannot be written")
+
+    def reading(self, table: str) -> contextlib.AbstractContextManager[None]:
         """Raise UnreadableError where a table cannot be read: it is damaged, its store refuses."""
-        try:
-            yield
-        except self._errors as error:
-            raise UnreadableError(f"{self.uri(table)} cannot be read: {_told(error)}") from None
+        advice = "; if its files are damaged, restore them, or ingest into a new lake"
+        return self._told(UnreadableError, f"{self.uri(table)} cannot be read", advice)
 
     # --- tables ---------------------------------------------------------------------------------------------------
 
@@ -175,6 +181,11 @@ class Lake:
             else:
                 opened.update_incremental()
         return opened
+
+    def seen(self, table: str, transaction: str) -> int | None:
+        """Return the version of a transaction in a table as it was last opened; None where it has none."""
+        with self.reading(table):
+            return self._open[table].transaction_version(transaction)
 
     def dataset(self, table: str) -> pyarrow.dataset.Dataset:
         """Return a table as it is now, as a dataset of Arrow. Raises UnreadableError for one whose files are not below it."""
@@ -321,7 +332,7 @@ class Lake:
         pa, delta = needed("pyarrow"), self._delta
         table = pa.Table.from_pylist([row | {"batch": batch} for row in rows], schema=captures_schema())
         opened = self._open[CAPTURES]
-        properties = self._once(batch, opened, map(counts.of_table, tables))
+        properties = self._once(batch, CAPTURES, map(counts.of_table, tables))
         try:
             if any(status not in TAKEN for status in known.values()):
                 merge = opened.merge(table, _SAME, source_alias="new", target_alias="old", commit_properties=properties)
@@ -332,10 +343,10 @@ class Lake:
             return False
         return True
 
-    def _once(self, batch: str, opened: deltalake.DeltaTable, counters: Iterable[str]) -> Any:
+    def _once(self, batch: str, table: str, counters: Iterable[str]) -> Any:
         """Return the properties of a commit that succeeds only if none came between, names its batch, and counts it."""
         delta = self._delta
-        further = [delta.Transaction(each, counts.count(opened, each) + 1) for each in counters]
+        further = [delta.Transaction(each, counts.count(self, table, each) + 1) for each in counters]
         return delta.CommitProperties(max_commit_retries=0, app_transactions=[delta.Transaction(batch, 1), *further])
 
     def _settle(self, batch: str, entries: Mapping[str, list[dict[str, Any]]]) -> None:
@@ -353,7 +364,7 @@ class Lake:
         ]
         for _ in range(_RACES):
             opened = self.open(table)
-            if opened.transaction_version(batch) is not None:
+            if self.seen(table, batch) is not None:
                 return
             with contextlib.suppress(self._delta.exceptions.CommitFailedError):
                 opened.create_write_transaction(
@@ -361,7 +372,7 @@ class Lake:
                     "append",
                     opened.schema(),
                     list(self.destination.partitions),
-                    commit_properties=self._once(batch, opened, [counts.BATCHES]),
+                    commit_properties=self._once(batch, table, [counts.BATCHES]),
                 )
                 return
         raise _lost(self.uri(table))
@@ -419,7 +430,7 @@ class Lake:
         finished = 0
         for batch, journal in list(self.pending()):
             captures = self.open(CAPTURES)
-            if captures.transaction_version(batch) is not None:
+            if self.seen(CAPTURES, batch) is not None:
                 self._settle(batch, journal.files)
                 finished += 1
             elif captures.version() > journal.seen:
@@ -432,7 +443,7 @@ def _lost(where: str) -> UsageError:
     return UsageError(f"{where}: no commit succeeded in {_RACES} attempts: is its store in order?")
 
 
-def _told(error: Exception) -> str:
+def _said(error: BaseException) -> str:
     return printable(" ".join(_STACK.sub("", _COLOURS.sub("", str(error))).split()))
 
 

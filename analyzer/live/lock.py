@@ -3,7 +3,7 @@
     running.lock     shared by every process of a running recording: supervisor, readers, decoding
     decoding.lock    held by the one process that writes the log
 
-Where the system has no such locks (Windows) nothing is held and nothing is refused.
+Where the system (Windows) or the medium (some shares) has no such locks, nothing is held and nothing is refused.
 """
 
 from __future__ import annotations
@@ -42,9 +42,12 @@ class Lock:
                 return
             try:
                 fcntl.flock(self._fd, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-            except OSError:
+            except BlockingIOError:
                 self._let_go()
                 raise UsageError(taken or f"{self._path} is held by another process") from None
+            except OSError:
+                # A share or a stick without locks.
+                return
             if not removed or self._stands():
                 return
             # The one before removed it between opening and locking. The next one would lock another file.

@@ -6,7 +6,6 @@ from each other. An adapter that talks nonsense is told and listened to again; o
 
 from __future__ import annotations
 
-import contextlib
 import time
 from typing import Any
 
@@ -16,6 +15,7 @@ from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import BadCount, LibraryPort, Lost, Opened, Stop, Unopened, listen
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import MOST_BYTES, CanFlag
+from analyzer.plugins import passed_over, reason
 from analyzer.system.own_process import without
 
 #: Failures to receive in a row after which the interface is taken to be gone.
@@ -64,7 +64,7 @@ class CanLibraryPort(LibraryPort):
             bus = can.Bus(**options)
         # Each interface raises what its library raises.
         except Exception as error:
-            raise Unopened(f"cannot open {self._endpoint.place}: {error or type(error).__name__}") from None
+            raise Unopened(f"cannot open {self._endpoint.place}: {reason(error)}") from None
         self._receive, self._shut, self._number = bus.recv, bus.shutdown, bus.fileno
         return Opened("stamped as python-can hands a frame over; plus the delays of adapter and driver", tuple(notes))
 
@@ -84,7 +84,7 @@ class CanLibraryPort(LibraryPort):
             except Exception as error:
                 failures += 1
                 bad.count += 1
-                bad.reason = str(error) or type(error).__name__
+                bad.reason = reason(error)
                 if failures >= FAILURES:
                     raise Lost(bad.reason) from None
                 stop.wait(0.01)
@@ -95,7 +95,7 @@ class CanLibraryPort(LibraryPort):
         try:
             listen(store, stop, take, tick=lambda now_ns: bad.tell(store, now_ns))
             # What had come before the end; a bus that fails now has no more.
-            with contextlib.suppress(Exception):
+            with passed_over():
                 self._take(store, 0.0)
         finally:
             # A driver can end the program; what it gave until then is stored.
@@ -119,8 +119,7 @@ class CanLibraryPort(LibraryPort):
     def close(self) -> None:
         shut, self._shut, self._receive, self._number = self._shut, None, None, None
         if shut is not None:
-            # It may be gone already.
-            with contextlib.suppress(Exception):
+            with passed_over():
                 shut()
 
 

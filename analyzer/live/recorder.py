@@ -296,10 +296,10 @@ def wrap_of(config: RecordingConfig, say: Callable[[str], None]) -> Wrap | None:
 
 
 def remove(folder: Path) -> None:
-    """Delete a folder of spools; what is not of a recording stays, and the folder with it."""
-    for pattern in _FILES:
-        for path in folder.glob(pattern):
-            path.unlink(missing_ok=True)
+    """Delete a folder of spools; what is not of a recording or cannot be deleted stays, and the folder with it."""
+    for path in (path for pattern in _FILES for path in folder.glob(pattern)):
+        with contextlib.suppress(OSError):
+            path.unlink()
     with contextlib.suppress(OSError):
         folder.rmdir()
 

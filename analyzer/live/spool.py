@@ -348,10 +348,11 @@ class SpoolReader:
         return bool(later)
 
     def drop_before(self, segment: int) -> None:
-        """Delete the segments before one: they are needed no more."""
+        """Delete the segments before one: they are needed no more. One that cannot be deleted stays, and costs its room."""
         for number, path in segments(self._folder, self._stem):
             if number < segment:
-                path.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):
+                    path.unlink()
 
     def close(self) -> None:
         if self._file is not None:

@@ -21,7 +21,8 @@ from analyzer.catalogue import Role
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live.reader_can_library import flags_of
 from analyzer.live.reader_can_socket import dissect_kernel, with_room
-from analyzer.plugins import is_failure
+from analyzer.live.spool import MOST_BYTES
+from analyzer.plugins import is_failure, passed_over, reason
 from analyzer.records import CanFrame
 from analyzer.system.own_process import without
 from analyzer.values import quote
@@ -60,6 +61,8 @@ def _dissected(message: can.Message) -> tuple[int, int, bytes, str]:
     why = ""
     if not 0 <= can_id < 1 << 32:
         why = f"a frame has the identifier {can_id}"
+    elif len(data) > MOST_BYTES:
+        why = f"a frame has {len(data)} bytes"
     # CAN FD has lengths that python-can rounds; a remote frame has a length and no data.
     elif not message.is_remote_frame and not message.is_fd and len(data) != message.dlc:
         why = f"a frame of length {message.dlc} has {len(data)} bytes"
@@ -80,9 +83,9 @@ class LibraryPort(CanPort):
         except BaseException as error:
             if not is_failure(error):
                 raise
-            raise UsageError(f"cannot open {self.name}: {type(error).__name__}: {error}") from None
+            raise UsageError(f"cannot open {self.name}: {reason(error)}") from None
         # The kernel keeps frames while this process does not run. Most interfaces have no file, or one that is no socket.
-        with contextlib.suppress(NotImplementedError, OSError), contextlib.closing(socket_of(self._bus)) as made:
+        with passed_over(), contextlib.closing(socket_of(self._bus)) as made:
             with_room(made, _ROOM)
         self._own: deque[tuple[int, int, bytes]] = deque()
         self._hands_back = bool(options.get("receive_own_messages"))
@@ -98,7 +101,7 @@ class LibraryPort(CanPort):
             if not is_failure(error):
                 raise
             self._failures += 1
-            self._not_read(f"{type(error).__name__}: {error}")
+            self._not_read(reason(error))
             if self._failures >= _FAILURES:
                 raise ServotapError(f"{self.name} is gone: {self._why}") from None
             # python-can keeps a line that is no text, and every later one would fail with it.
@@ -152,11 +155,11 @@ class LibraryPort(CanPort):
                 self._own.pop()
             if not is_failure(error):
                 raise
-            raise ServotapError(f"{self.name} does not send: {type(error).__name__}: {error}") from None
+            raise ServotapError(f"{self.name} does not send: {reason(error)}") from None
 
     def close(self) -> None:
         super().close()
-        with contextlib.suppress(Exception):
+        with passed_over():
             self._bus.shutdown()
 
 

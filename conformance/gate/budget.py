@@ -26,6 +26,8 @@ except ImportError:  # no such locks: one process has the budget for itself
 
 #: Environment of all processes of one run: the file in which its budget is counted.
 FILE = "SERVOTAP_BUDGET_FILE"
+#: Bytes of that file: what is spent, and blanks.
+_ROOM = 256
 #: How often the flash of a real drive may be worn, where a user says nothing else.
 DEFAULT_WEAR = 50
 SECOND_NS = 1_000_000_000
@@ -111,14 +113,14 @@ class Budget:
         if self.path is None:
             yield self.spent
             return
-        with self.path.open("r+b") as stream:
+        with self.path.open("r+b", buffering=0) as stream:
             if fcntl is not None:
                 fcntl.flock(stream, fcntl.LOCK_EX)
             self.spent = _decoded(stream.read())
             yield self.spent
             stream.seek(0)
-            stream.truncate()
-            stream.write(msgspec.json.encode(self.spent))
+            # At one go and never shorter: a process that is killed here leaves what was spent before, or what is now.
+            stream.write(msgspec.json.encode(self.spent).ljust(_ROOM))
 
     def _load(self) -> Spent:
         assert self.path is not None

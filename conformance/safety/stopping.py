@@ -296,6 +296,13 @@ def cut_power(command: str) -> str:
     return f"--cut-power {command!r} was run"
 
 
+def not_stopped(dialect: Dialect, address: int, failure: str, power: str) -> NotStopped:
+    """Run the user's command that cuts the power, say that a drive may turn on, and return the error that tells it."""
+    text = f"NOT STOPPED: {drive_name(dialect, address)}: {failure}; {cut_power(power)}"
+    print(text, file=sys.stderr, flush=True)
+    return NotStopped(text)
+
+
 def stop_or_cut(
     gate: Gate,
     dialect: Dialect,
@@ -322,6 +329,4 @@ def stop_or_cut(
     except Exception as error:
         failure = f"{type(error).__name__}: {error}"
     if failure:
-        text = f"NOT STOPPED: {drive_name(dialect, address)}: {failure}; {cut_power(power)}"
-        print(text, file=sys.stderr, flush=True)
-        raise NotStopped(text)
+        raise not_stopped(dialect, address, failure, power)

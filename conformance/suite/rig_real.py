@@ -34,7 +34,7 @@ from conformance.safety.guarded_line import GuardedLine, beginning
 from conformance.safety.journal import Entry, Journal
 from conformance.safety.keeper import Keeper
 from conformance.safety.signals import undisturbed
-from conformance.safety.stopping import MAY_MOVE, GuardLost, cut_power, others_send, stop_or_cut
+from conformance.safety.stopping import MAY_MOVE, GuardLost, not_stopped, others_send, stop_or_cut
 from conformance.suite import set_otherwise
 from conformance.suite.preflight import check, find_drive
 from conformance.suite.rig import ClaimRig
@@ -453,13 +453,14 @@ class RealRig(ClaimRig):
         try:
             self._line = self._open_line()
             self._tell(say.DriveFound())
+            self.gate = self._open_gate()
+            self.keeper.use_gate(self.gate)
+            return self.settle(last=True)
+        except NotStopped:
+            raise
+        # There is no third one: what is not proved to stand by now may turn on.
         except ServotapError as error:
             if self._moved:
                 self._not_stopped = True
-                failure = f"NOT STOPPED: {self.name}: {error}; {cut_power(self._plan.cut_power)}"
-                print(failure, file=sys.stderr, flush=True)
-                raise NotStopped(failure) from None
-            return f"not put back: {error}"
-        self.gate = self._open_gate()
-        self.keeper.use_gate(self.gate)
-        return self.settle(last=True)
+                raise not_stopped(self.dialect, self.address, str(error), self._plan.cut_power) from None
+            return f"not put back: {error}" * self.keeper.changed

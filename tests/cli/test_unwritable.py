@@ -127,3 +127,17 @@ def test_what_another_program_created_meanwhile_stays(kind, tmp_path):
     mine.drop()
     assert (target / "x.parquet" if kind is OutputFolder else target).read_bytes() == b"False"
     assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("kind", [Output, OutputFolder])
+@pytest.mark.parametrize("call", ["chmod", "unlink"])
+def test_a_medium_without_permissions_or_that_keeps_what_is_removed_takes_what_is_written(kind, call, tmp_path, monkeypatch):
+    target = tmp_path / "table"
+    output = kind(target, replace=False)
+
+    def refused(self, *words, **how):
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM), str(self))
+
+    monkeypatch.setattr(Path, call, refused)
+    output.keep()
+    assert target.exists()

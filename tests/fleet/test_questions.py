@@ -11,7 +11,7 @@ import pytest
 from pyarrow import parquet
 
 from analyzer.cli import main
-from analyzer.errors import UnreadableError
+from analyzer.errors import ServotapError, UnreadableError
 from analyzer.fleet import ask
 from analyzer.fleet.ask import Question
 from analyzer.fleet.lake import Lake
@@ -93,6 +93,26 @@ def changed_in_log(made, table, old, new):
     return Lake(Place(made.place.url))
 
 
+@pytest.mark.parametrize("version", [2**64 - 1, 2**63 - 1, -5, '"one"'])
+@pytest.mark.parametrize("table", ["captures", "states"])
+@pytest.mark.parametrize("words", [["ask", "select * from states"], ["ingest"]])
+def test_a_count_of_batches_that_is_damaged_is_told_with_its_table(captures, tmp_path, capsys, words, table, version):
+    at = tmp_path / "lake"
+    made = lake(at)
+    ingest(made, captures)
+    changed_in_log(made, table, '"version":1', f'"version":{version}')
+    if words[0] == "ask":
+        assert main(["ask", str(at), *words[1:]]) == 2
+        told = capsys.readouterr().err
+    else:
+        with pytest.raises(ServotapError) as raised:
+            ingest(Lake(Place(str(at))), hall(tmp_path / "more", 1, 77))
+        told = str(raised.value)
+    assert str(at) in told
+    assert "fault" not in told
+    assert "restore" in told
+
+
 @pytest.mark.parametrize("path", ["../secret.parquet", "states/../../../secret.parquet"])
 def test_a_lake_whose_log_names_a_file_outside_of_it_is_not_read(captures, tmp_path, path, capsys):
     made = lake(tmp_path / "lake")
@@ -109,10 +129,21 @@ def test_a_lake_whose_log_names_a_file_outside_of_it_is_not_read(captures, tmp_p
 
 def test_the_stack_of_a_library_is_not_told(tmp_path):
     made = lake(tmp_path / "lake")
-    with pytest.raises(UnreadableError, match=r"states cannot be read: damaged: expected a number$"), made.reading("states"):
+    told = r"states cannot be read: damaged: expected a number; if its"
+    with pytest.raises(UnreadableError, match=told), made.reading("states"):
         raise OSError(
             "damaged:\n\x1b[31mexpected a number\x1b[0m\n\n   0: <unknown>\n   1: start_thread\n             at x.c:1\n"
         )
+
+
+class PanicException(BaseException):
+    """What a library in Rust raises for what it has not expected."""
+
+
+def test_a_panic_of_a_library_is_told_with_the_table(tmp_path):
+    made = lake(tmp_path / "lake")
+    with pytest.raises(UnreadableError, match="states cannot be read: no such protocol; if its"), made.reading("states"):
+        raise PanicException("no such protocol")
 
 
 def test_what_a_damaged_lake_would_be_partitioned_by_is_told(captures, tmp_path):

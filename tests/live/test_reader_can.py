@@ -391,7 +391,7 @@ def test_an_adapter_that_talks_nonsense_now_and_then_is_told_and_listened_to(tmp
     with listening(port, store, stop):
         assert wait_for(lambda: any(r.kind == RecordKind.EVENT for r in stored(tmp_path)))
     event = next(r.event for r in stored(tmp_path) if r.kind == RecordKind.EVENT)
-    assert (event["event"], event["reason"], event["count"]) == ("bus_error", "nonsense on the line", 5)
+    assert (event["event"], event["reason"], event["count"]) == ("bus_error", "CanOperationError: nonsense on the line", 5)
 
 
 class Scripted:

@@ -260,6 +260,24 @@ def test_a_drive_that_no_other_guard_reaches_is_not_stopped(port, tmp_path):
     assert (tmp_path / "cut").exists()
 
 
+def test_a_drive_whose_second_guard_dies_too_is_not_stopped(port, tmp_path):
+    drive = servotap.drive("mks-rs485@1", port, allow={"motion", "unbounded"}, cut_power=f"touch {tmp_path / 'cut'}")
+    drive.send("run_speed", **RUN)
+    drive._line._process.kill()
+    opened = drive._open_line
+
+    def dying():
+        line = opened()
+        line._process.kill()
+        line._process.wait(10)
+        return line
+
+    drive._open_line = dying
+    with pytest.raises(servotap.NotStopped, match="has gone"):
+        drive.close()
+    assert (tmp_path / "cut").exists()
+
+
 def test_a_drive_that_is_not_there_is_told(port):
     with pytest.raises(servotap.DriveNotFound, match="mks-rs485@1 does"):
         servotap.drive("mks-rs485@2", port)

@@ -7,6 +7,7 @@ import struct
 import uuid
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from typing import Any
 
 import can
@@ -276,18 +277,31 @@ class Broken(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         self.recv()
 
-    def shutdown(self) -> None: ...
+    def shutdown(self) -> None:
+        self.recv()
+
+    def fileno(self) -> int:
+        self.recv()
+        return -1
+
+
+class Wordless(Exception):
+    """An error that fails once more where it is told."""
+
+    def __str__(self) -> str:
+        raise self
 
 
 @pytest.mark.parametrize(
     "does",
     [
         SystemExit(4),
+        Wordless(),
         type("Panic", (BaseException,), {})("p"),
         "no message",
         can.Message(arbitration_id=1.5, check=False),  # type: ignore[arg-type]
     ],
-    ids=["leaves", "panics", "no message", "no identifier"],
+    ids=["leaves", "fails twice", "panics", "no message", "no identifier"],
 )
 def test_a_driver_that_breaks_off_or_gives_no_message_is_a_port_that_is_gone(does, monkeypatch, capsys):
     monkeypatch.setattr(python_can.can, "Bus", Broken)
@@ -302,8 +316,31 @@ def test_a_driver_that_breaks_off_or_gives_no_message_is_a_port_that_is_gone(doe
     assert "cannot be read" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("about", "told"),
+    [({"arbitration_id": 1 << 40}, "identifier 1099511627776"), ({"data": bytes(65), "dlc": 65}, "a frame has 65 bytes")],
+)
+def test_what_is_no_frame_is_not_given_on(about, told, monkeypatch, capsys):
+    monkeypatch.setattr(python_can.can, "Bus", Broken)
+    monkeypatch.setattr(Broken, "does", can.Message(**about, check=False))
+    with closing(LibraryPort("virtual", "x")) as port:
+        assert port.receive(0) is None
+    assert told in capsys.readouterr().err
+
+
+def test_a_driver_that_fails_as_it_is_opened_is_told(monkeypatch):
+    monkeypatch.setattr(Broken, "__init__", Broken.recv)
+    monkeypatch.setattr(python_can.can, "Bus", lambda **options: Broken())
+    for does, told in ((Wordless(), "Wordless$"), (SystemExit(4), "SystemExit: 4")):
+        monkeypatch.setattr(Broken, "does", does)
+        with pytest.raises(UsageError, match=f"cannot open virtual:x: {told}"):
+            LibraryPort("virtual", "x")
+
+
 def test_ctrl_c_in_a_driver_is_the_users(monkeypatch):
     monkeypatch.setattr(python_can.can, "Bus", Broken)
+    port = LibraryPort("virtual", "x")
     monkeypatch.setattr(Broken, "does", KeyboardInterrupt())
-    with closing(LibraryPort("virtual", "x")) as port, pytest.raises(KeyboardInterrupt):
-        port.receive(0)
+    for call in (partial(port.receive, 0), port.close):
+        with pytest.raises(KeyboardInterrupt):
+            call()

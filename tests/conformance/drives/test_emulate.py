@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 import os
 import signal
@@ -144,6 +145,17 @@ def test_a_lock_that_was_removed_between_opening_and_locking_is_taken_anew(
             Lock(tmp_path, "x.lock", removed=True)
         assert (tmp_path / "x.lock").exists(), "one that is refused removes nothing"
     assert not (tmp_path / "x.lock").exists()
+
+
+def test_where_a_medium_has_no_locks_nothing_is_held_and_nothing_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def without(fd: int, how: int) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(lock.fcntl, "flock", without)
+    with Lock(tmp_path, lock.RUNNING), Lock(tmp_path, lock.RUNNING, removed=True):
+        assert not lock.running(tmp_path)
 
 
 def test_tcp_a_duration_and_a_noisy_wire(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import threading
+from io import FileIO
 from pathlib import Path
 
 import pytest
@@ -215,6 +216,25 @@ def test_a_garbled_read_has_no_address():
 
 
 # --- budget -----------------------------------------------------------------------------------------------------------
+
+
+class Killed(FileIO):
+    """A file whose process dies as it writes."""
+
+    def write(self, data):
+        raise KeyboardInterrupt
+
+
+def test_a_process_that_dies_as_it_spends_leaves_what_was_spent_before(tmp_path, monkeypatch):
+    path = tmp_path / "budget.json"
+    path.touch()
+    budget, cost = Budget(commands=10, path=path), Cost(commands=7)
+    assert budget.take(cost, 1) == ""
+    with monkeypatch.context() as dying:
+        dying.setattr(Path, "open", lambda self, mode, **how: Killed(self, mode))
+        with pytest.raises(KeyboardInterrupt):
+            budget.take(Cost(commands=1), 2)
+    assert "budget of 10 commands is spent" in budget.take(cost, 3)
 
 
 def test_commands_are_counted_reads_and_stops_are_not():

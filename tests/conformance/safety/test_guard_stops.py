@@ -123,6 +123,26 @@ def test_where_the_guard_dies_another_one_stops_the_motor_and_puts_back(tmp_path
     assert "another one takes over" in capfd.readouterr().err
 
 
+def test_where_the_second_guard_dies_too_the_power_is_cut_and_the_motor_is_not_stopped(tmp_path, capfd, monkeypatch):
+    with on_pty("mks-rs485@1") as path:
+        rig = open_rig(path, tmp_path, cut_power=f"touch {tmp_path / 'cut'}")
+        probe = probe_of(rig)
+        motion.ready_to_move(probe, "sr_vfoc")
+        motion.run_at(probe, 60)
+
+        def die():
+            rig._line._process.kill()
+            rig._line._process.wait(10)
+
+        die()
+        monkeypatch.setattr(rig.keeper, "use_gate", lambda gate: die())
+        with pytest.raises(NotStopped, match=r"NOT STOPPED: mks-rs485@1: .*has gone"):
+            rig.close()
+        assert (tmp_path / "cut").exists()
+        assert (tmp_path / "j").exists(), "what was not put back stands there"
+    assert "NOT STOPPED" in capfd.readouterr().err
+
+
 def test_a_suite_that_asks_nothing_while_the_motor_turns_is_taken_for_gone(tmp_path):
     """Suspended by Ctrl-Z, hanging, or waiting for a terminal that takes no more: the pipe does not end then."""
     with on_logged_pty("mks-rs485@1,work_mode=sr_vfoc") as port:
