@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from analyzer.catalogue import Dialect, Role
 from analyzer.records import CanFrame, Chunk, Frame
 
 if TYPE_CHECKING:
     # NumPy is there wherever a block is; what only asks for one does not bring it.
+    from numpy.typing import NDArray
+
     from analyzer.columns.codec import Bytes, Flags, Integers
 
 #: Who sent a frame, as the capture marks it, by its number in a block.
@@ -38,15 +40,15 @@ class CanBlock:
     """CAN frames: data frames with identifiers of 11 bits. All arrays have one entry a frame.
 
     `t_ns`: times that never decrease. `data`: shape (frames, 8), zeros behind the `sizes` bytes that a frame has.
-    `directions`: numbers in `DIRECTIONS`.
+    `directions`: numbers in `DIRECTIONS`. Identifiers have 16 bits, sizes and directions 8: all signed, and reckoned with as such.
     """
 
     port: str
     t_ns: Integers
-    ids: Integers
-    sizes: Integers
+    ids: NDArray[Any]
+    sizes: NDArray[Any]
     data: Bytes
-    directions: Integers
+    directions: NDArray[Any]
     #: Whether times say anything: frames without times do not come in blocks.
     timed: ClassVar[bool] = True
 
@@ -63,9 +65,9 @@ class CanBlock:
 
         count = len(frames)
         t_ns = np.fromiter((frame.t_ns for frame in frames), np.int64, count)
-        ids = np.fromiter((frame.id for frame in frames), np.int64, count)
-        sizes = np.fromiter((len(frame.data) for frame in frames), np.int64, count)
-        marks = np.fromiter((_MARKS[frame.direction] for frame in frames), np.int64, count)
+        ids = np.fromiter((frame.id for frame in frames), np.int16, count)
+        sizes = np.fromiter((len(frame.data) for frame in frames), np.int8, count)
+        marks = np.fromiter((_MARKS[frame.direction] for frame in frames), np.int8, count)
         data = np.frombuffer(b"".join([frame.data.ljust(WIDEST_DATA, b"\0") for frame in frames]), dtype=np.uint8)
         return cls(frames[0].port, t_ns, ids, sizes, data.reshape(count, WIDEST_DATA), marks)
 

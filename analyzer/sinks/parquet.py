@@ -131,6 +131,10 @@ class _Places(NamedTuple):
     sequences: Integers
 
 
+#: Rows, and their own columns as numbers.
+_Part = tuple[Integers, dict[str, NDArray[Any]]]
+
+
 class ParquetTables:
     """A sink that makes tables. `target`: gives what takes a table, by its name and schema; `clock`: what the times are."""
 
@@ -195,15 +199,17 @@ class ParquetTables:
 
     def _settle(self, plain: Plain, sequences: Integers) -> None:
         """Give the rows of a block that have a number to their tables."""
-        carried: list[tuple[Integers, dict[str, NDArray[np.float64]]]] = []
         places = _Places(plain, of_lanes(plain, [lane.address for lane in plain.lanes], 0), sequences)
         keys = [(id(lane.form), lane.is_request, lane.start) for lane in plain.lanes]
+        kinds: dict[str, list[tuple[Integers, Lane]]] = {}
         for rows, lane in alike(plain, keys, sequences > 0):
-            wire = self._columns(places, rows, lane)
-            if lane.states:
-                carried.append((rows, states(lane, wire)))
+            kinds.setdefault(f"{lane.command.name}.{lane.role}", []).append((rows, lane))
+        carried: list[_Part] = []
+        for each in kinds.values():
+            self._take(places, each, carried)
         if carried:
-            self._carried(places, carried)
+            rows, columns = self._merged(carried)
+            self._states().add({**self._placed(places, rows), **columns}, sequences.take(rows))
 
     def _placed(self, places: _Places, rows: Integers) -> dict[str, Any]:
         """Return the columns that all tables have."""
@@ -215,15 +221,30 @@ class ParquetTables:
             "sequence": self._numbers(places.sequences.take(rows)),
         }
 
-    def _columns(self, places: _Places, rows: Integers, lane: Lane) -> dict[str, Integers]:
-        """Take rows of lanes that read alike; return their fields as sent."""
-        plain, sequences = places.plain, places.sequences.take(rows)
-        pa, block, count = self._pa, plain.block, len(rows)
+    def _take(self, places: _Places, kinds: Sequence[tuple[Integers, Lane]], carried: list[_Part]) -> None:
+        """Take the rows of one table, of each kind that reads in its own way. Add the states to `carried`."""
+        plain, lane = places.plain, kinds[0][1]
         table = self._command(plain.dialect, lane.command, lane.role)
-        sizes = int(block.sizes[rows[0]])
-        whole = taken(block.data, rows)
-        data = np.ascontiguousarray(whole[:, :sizes])
-        stops = np.arange(count + 1, dtype=np.int32) * np.int32(sizes)
+        parts: list[_Part] = []
+        for own, each in kinds:
+            layout = each.form.layout
+            wire = column_codec(layout, each.start).wire(taken(plain.block.data, own))
+            fields = {name: physical_column(values, layout.named[name]) for name, values in wire.items()}
+            parts.append((own, fields | {f"{name}_name": wire[name] for name in wire.keys() & table.choices}))
+            if each.states:
+                carried.append((own, states(each, wire)))
+        rows, columns = self._merged(parts, table)
+        table.add({**self._framed(places, rows, lane), **columns}, places.sequences.take(rows))
+
+    def _framed(self, places: _Places, rows: Integers, lane: Lane) -> dict[str, Any]:
+        """Return the columns that all frames have. `lane`: of one of them."""
+        pa, plain, block = self._pa, places.plain, places.plain.block
+        count, sizes, whole = len(rows), block.sizes.take(rows), taken(block.data, rows)
+        stops = np.zeros(count + 1, dtype=np.int32)
+        sizes.cumsum(dtype=np.int32, out=stops[1:])
+        # Most often all have one length.
+        same = (sizes == sizes[0]).all()
+        data = np.ascontiguousarray(whole[:, : sizes[0]] if same else whole[np.arange(whole.shape[1]) < sizes[:, None]])
         columns = {
             **self._placed(places, rows),
             "_raw": pa.Array.from_buffers(pa.binary(), count, [None, pa.py_buffer(stops), pa.py_buffer(data)]),
@@ -231,7 +252,7 @@ class ParquetTables:
             "_offset": self._numbers(plain.offsets.take(rows)),
         }
         if isinstance(block, CanBlock):
-            columns["_can_id"] = self._numbers(block.ids.take(rows))
+            columns["_can_id"] = self._numbers(block.ids.take(rows).astype(np.int64))
             marks = block.directions.take(rows)
             if marks.any():
                 names = pa.array([None if role is Role.UNKNOWN else role.value for role in DIRECTIONS])
@@ -239,30 +260,30 @@ class ParquetTables:
         if not lane.is_request:
             latencies = plain.latencies.take(rows)
             columns["_latency"] = self._numbers(latencies / SECOND_NS, latencies <= 0)
-            columns["_request_sequence"] = self._numbers(sequences - plain.behind.take(rows))
-        layout = lane.form.layout
-        wire = column_codec(layout, lane.start).wire(whole)
-        for name, values in wire.items():
-            shown = physical_column(values, layout.named[name])
-            # What pyarrow casts by would have to be loaded.
-            columns[name] = self._numbers(shown.astype(table.schema.field(name).type.to_pandas_dtype(), copy=False))
-            if name in table.choices:
-                columns[name + "_name"] = self._names(values, table.choices[name])
-        table.add(columns, sequences)
-        return wire
+            columns["_request_sequence"] = self._numbers(places.sequences.take(rows) - plain.behind.take(rows))
+        return columns
 
-    def _carried(self, places: _Places, carried: Sequence[tuple[Integers, Mapping[str, NDArray[np.float64]]]]) -> None:
-        """Take the states that rows of a block carry, in the order of the rows, though each kind of frame has its own."""
-        rows = np.sort(np.concatenate([own for own, _ in carried]))
-        count = len(rows)
-        values = {name: np.zeros(count) for _, found in carried for name in found}
-        missing = {name: np.ones(count, dtype=np.bool_) for name in values}
-        for own, found in carried:
-            at = rows.searchsorted(own)
-            for name, each in found.items():
-                values[name][at], missing[name][at] = each, False
-        columns = {name: self._numbers(each, missing[name]) for name, each in values.items()}
-        self._states().add({**self._placed(places, rows), **columns}, places.sequences.take(rows))
+    def _merged(self, parts: Sequence[_Part], table: _Table | None = None) -> tuple[Integers, dict[str, pyarrow.Array]]:
+        """Return the rows of some parts in their order, and their columns. `table`: has the types, and names of choices."""
+        rows, values = parts[0]
+        missing: dict[str, Flags] = {}
+        if len(parts) > 1:
+            rows = np.sort(np.concatenate([own for own, _ in parts]))
+            values = {name: np.zeros(len(rows), dtype=each.dtype) for _, found in parts for name, each in found.items()}
+            missing = {name: np.ones(len(rows), dtype=np.bool_) for name in values}
+            for own, found in parts:
+                at = rows.searchsorted(own)
+                for name, each in found.items():
+                    values[name][at], missing[name][at] = each, False
+        columns = {}
+        for name, each in values.items():
+            if table is not None and (field := table.choices.get(name.removesuffix("_name"))) and name.endswith("_name"):
+                columns[name] = self._names(each, field, missing.get(name))
+                continue
+            # What pyarrow casts by would have to be loaded.
+            kind = np.float64 if table is None else table.schema.field(name).type.to_pandas_dtype()
+            columns[name] = self._numbers(each.astype(kind, copy=False), missing.get(name))
+        return rows, columns
 
     def _numbers(self, values: NDArray[Any], missing: Flags | None = None) -> pyarrow.Array:
         """Return numbers as a column that stands where they do. `missing`: which of them count as none."""
@@ -271,10 +292,11 @@ class ParquetTables:
         known = None if missing is None or not missing.any() else pa.py_buffer(np.packbits(~missing, bitorder="little"))
         return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [known, pa.py_buffer(values)])
 
-    def _names(self, values: NDArray[np.int64], field: Field) -> pyarrow.Array:
+    def _names(self, values: NDArray[np.int64], field: Field, missing: Flags | None) -> pyarrow.Array:
         known = sorted(field.choice_names)
         places = np.searchsorted(known, values).clip(0, len(known) - 1)
-        indices = self._numbers(places.astype(np.int32), np.array(known)[places] != values)
+        unnamed = np.array(known).take(places) != values
+        indices = self._numbers(places.astype(np.int32), unnamed if missing is None else unnamed | missing)
         return self._pa.DictionaryArray.from_arrays(indices, [field.choice_names[value] for value in known])
 
     def _count_one(self) -> None:

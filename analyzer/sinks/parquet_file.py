@@ -14,15 +14,16 @@ if TYPE_CHECKING:
 
     from analyzer.sinks.parquet import Target
 
-#: Columns that rise from row to row: of these the differences are written, in as few bits as they need.
-_RISING = frozenset(("time", "time_ns", "sequence", "_offset", "_request_sequence", "request_sequence"))
 #: Numbers of which there are few, beside words: for each of these stands its place among those that occur.
-_FEW = frozenset(("address", "_can_id", "_latency", "latency"))
+_FEW = frozenset(("_latency", "latency"))
 #: Words that stand in order, so that their least and greatest values say where to search. Of all others each group has any.
 _IN_ORDER = frozenset(("capture", "machine"))
+#: How integers are written: their differences from row to row, in as few bits as they need.
 _DIFFERENCES = "DELTA_BINARY_PACKED"
-#: The level of zstd, and values that are encoded at once.
-_LEVEL, _TOGETHER = 1, 1 << 14
+#: What packs all else: every reader knows it, and zstd would take as long as all other work on a column.
+_CODEC = "snappy"
+#: Values that are encoded at once.
+_TOGETHER = 1 << 14
 
 
 class _Writing:
@@ -81,21 +82,20 @@ def files_in(folder: Path) -> Callable[[str, pyarrow.Schema], Target]:
 def packing(schema: pyarrow.Schema) -> dict[str, Any]:
     """Return how the columns of a table are written, for a ParquetWriter.
 
-    Numbers that differ from row to row have no dictionary, which would be made in vain. What its encoding makes small is not
-    compressed besides: that would take longer than all else.
+    Integers, and what has few values, are not compressed: their encoding makes them small. Bytes have no dictionary: most rows
+    of a long table have other ones.
     """
-    small, words = _RISING | _FEW, {field.name for field in schema if not _is_number(field.type)}
-    paths = {field.name: f"{field.name}.list.element" if str(field.type).startswith("list") else field.name for field in schema}
-    compressed = [path for name, path in paths.items() if name not in small]
+    kinds = {field.name: str(field.type) for field in schema}
+    paths = {name: f"{name}.list.element" if kind.startswith("list") else name for name, kind in kinds.items()}
+    whole = [name for name, kind in kinds.items() if kind.startswith(("int", "uint", "timestamp"))]
+    told = [name for name, kind in kinds.items() if name in whole or kind == "double"]
+    few = _FEW & kinds.keys()
     return {
-        "compression": dict.fromkeys(compressed, "zstd"),
-        "compression_level": dict.fromkeys(compressed, _LEVEL),
-        "use_dictionary": [path for name, path in paths.items() if name in words | _FEW],
-        "column_encoding": {name: _DIFFERENCES for name in paths if name in _RISING},
-        "write_statistics": [path for name, path in paths.items() if name not in words or name in _IN_ORDER],
+        "compression": {path: _CODEC for name, path in paths.items() if name not in few.union(whole)},
+        "use_dictionary": [
+            path for name, path in paths.items() if name in few or (name not in told and kinds[name] != "binary")
+        ],
+        "column_encoding": dict.fromkeys(whole, _DIFFERENCES),
+        "write_statistics": [*told, *(_IN_ORDER & kinds.keys())],
         "write_batch_size": _TOGETHER,
     }
-
-
-def _is_number(kind: pyarrow.DataType) -> bool:
-    return str(kind).startswith(("int", "uint", "double", "timestamp"))

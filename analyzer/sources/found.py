@@ -44,6 +44,7 @@ class Found:
         """
         count = len(self.t_ns)
         breaks = np.flatnonzero((self.bus[1:] != self.bus[:-1]) | (self.t_ns[1:] < self.t_ns[:-1])) + 1
+        ids, sizes, marks = self.ids.astype(np.int16), self.sizes.astype(np.int8), self.marks.astype(np.int8)
         single = 0
         for start, stop in pairwise([0, *breaks.tolist(), count]):
             bus = int(self.bus[start]) if count else -1
@@ -52,7 +53,7 @@ class Found:
             if single < start:
                 yield single, start, "", None
             own = slice(start, stop)
-            block = CanBlock("", self.t_ns[own], self.ids[own], self.sizes[own], self.data[own], self.marks[own])
+            block = CanBlock("", self.t_ns[own], ids[own], sizes[own], self.data[own], marks[own])
             yield start, stop, self.names[bus], block
             single = stop
         if single < count:
