@@ -2,7 +2,7 @@
 
     speeds      slow and fast, in each mode of the bus, at other subdivisions, and with the direction turned
     ends        each move fast, at once, with a ramp behind that, and in place of another one
-    numbers     each move by numbers of which single bits are set, above the highest speed, and places behind many turns
+    numbers     each move by wide numbers, above the highest speed, and places behind many turns
     stops       each run and each move ended by each stop, and motion behind a stop that is not over yet
     switches    the motor switched on and off while the shaft turns, and on behind a stop at once
     damage      motions and stops with a wrong check or of another length, which do nothing
@@ -191,13 +191,16 @@ class _Corners:
         yield from ({SPOILED: spoiled} for spoiled in lengths(self.dialect, command))
 
 
-#: The parts by name: what their claims say of a drive, and its steps.
+#: The parts by name: what their claims say, and the steps.
 PARTS: Mapping[str, tuple[str, Callable[[_Corners], Iterator[Step]]]] = {
-    "speeds": ("Slow and fast runs, in each mode and at odd subdivisions, are as fast as told", _Corners.speeds),
+    "speeds": ("Slow and fast runs and moves go as fast and that way as told, in each mode and subdivision", _Corners.speeds),
     "ends": ("Moves that are fast, at once, with a ramp or in place of others end where they are told to", _Corners.ends),
-    "numbers": ("Moves by small and wide numbers begin as they are told, and places behind turns are told", _Corners.numbers),
-    "stops": ("Each stop ends each motion, and what comes meanwhile begins", _Corners.stops_),
-    "switches": ("A motor that is switched on and off goes on, lets go, and does not go on by itself", _Corners.switches),
+    "numbers": ("Moves by wide numbers begin as they are told, and places behind many turns are told", _Corners.numbers),
+    "stops": ("Each stop ends runs and moves, and a motion behind one that is not over yet begins", _Corners.stops_),
+    "switches": (
+        "Motion goes on when the motor is switched on, ends when off, and does not begin by itself",
+        _Corners.switches,
+    ),
     "damage": ("Motions and stops with a wrong check or of another length do nothing", _Corners.damage),
 }
 
