@@ -2,6 +2,7 @@
 
     addressed(probe, command, values, way, group)   the request, sent in one of the ways to it
     aside(probe, number, group)                     a frame that changes nothing: no motion, no setting, no reply that is due
+    spoiled(dialect, built, how)                    a request with a wrong check, or on CAN with another number of data bytes
 
 A drive does the same in each of these ways. A frame that is not for it changes nothing.
 """
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 #: A code that no manual has; a speed that would be seen if a drive took the run of another one; the bit above a byte.
 _UNKNOWN, _RPM, _ABOVE_BYTE = 0x99, 60, 0x100
+#: Bytes of data that a CAN frame has beside its code and its check.
+_CAN_DATA = 6
 
 
 class Way(IntEnum):
@@ -76,8 +79,10 @@ def _unknown(dialect: Dialect) -> bool:
     return dialect.broadcast is not None and dialect.bus == "serial"
 
 
-def _other(probe: Probe) -> int:
-    return probe.address % (probe.dialect.addresses[1] - 1) + 1
+def _other(probe: Probe, group: int | None) -> int:
+    """Return an address that is neither the drive's nor its group's."""
+    last = probe.dialect.addresses[1] - 1
+    return next(n for n in (probe.address % last + 1, (probe.address + 1) % last + 1) if n != group)
 
 
 def _near(probe: Probe, group: int | None) -> int:
@@ -103,7 +108,7 @@ def addressed(probe: Probe, command: Command, values: Mapping[str, int], way: in
         assert package.slots is not None
         if max(form.layout.byte_length for form in command.request_forms) > package.slots.size - 2:
             raise NotRun("it is longer than a slot")
-        others = [{"address": _other(probe), "command": _read(dialect).name}] * (way - Way.PACKAGE)
+        others = [{"address": _other(probe, group), "command": _read(dialect).name}] * (way - Way.PACKAGE)
         return probe.build(package, {"slots": [*others, {"address": probe.address, "command": command.name, **values}]})
     return probe.build(command, values, address=_to(probe, way, group))
 
@@ -124,19 +129,41 @@ def aside(probe: Probe, number: int, group: int | None) -> Item:
     dialect = probe.dialect
     read = _read(dialect)
     if number == Aside.OTHER_READ:
-        return probe.build(read, address=_other(probe)).item()
+        return probe.build(read, address=_other(probe, group)).item()
     if number in (Aside.OTHER_RUN, Aside.NEAR_GROUP_RUN):
         run = dialect.motions(MotionKind.RUN)[0]
-        to = _other(probe) if number == Aside.OTHER_RUN else _near(probe, group)
+        to = _other(probe, group) if number == Aside.OTHER_RUN else _near(probe, group)
         return probe.build(run, declared.values_of(dialect, run, rpm=_RPM), address=to).item()
     if number in (Aside.BROADCAST_READ, Aside.GROUP_READ):
         way = Way.BROADCAST if number == Aside.BROADCAST_READ else Way.GROUP
         return probe.build(read, address=_to(probe, way, group)).item()
     built = probe.build(read)
     if number == Aside.WRONG_CHECK:
-        spoiled = bytearray(built.frame)
-        spoiled[dialect.link.checks(built.frame, built.can_id)[-1].start] ^= 1
-        return built.item(bytes(spoiled))
+        return spoiled(dialect, built, WRONG_CHECK)
     # One code behind the head and the address, or a register behind the function.
     code = bytes((0x00, _UNKNOWN, 0x00, 0x01)) if read.function else bytes((_UNKNOWN,))
     return dialect.link.completed(built.frame[:2] + code)
+
+
+#: How a request is spoiled: by a wrong check, or none; numbers from the last on stand for the number of its data bytes.
+WRONG_CHECK, _NO_CHECK, _OF_LENGTH = 1, 2, 3
+
+
+def lengths(dialect: Dialect, command: Command) -> tuple[int, ...]:
+    """Return what gives a request another length, as `spoiled` takes it. On a line the next frame would end it."""
+    own = command.request_forms[0].layout.byte_length
+    others = (_OF_LENGTH + n for n in range(_CAN_DATA + 1) if n != own)
+    return (_NO_CHECK, *others) if dialect.bus == "can" else ()
+
+
+def spoiled(dialect: Dialect, built: Built, how: int) -> Item:
+    """Return a request of which nothing comes."""
+    link = dialect.link
+    if how == WRONG_CHECK:
+        frame = bytearray(built.frame)
+        frame[link.checks(built.frame, built.can_id)[-1].start] ^= 1
+        return built.item(bytes(frame))
+    body = built.frame[:-1]
+    if how == _NO_CHECK:
+        return built.item(body)
+    return built.item(link.completed(body.ljust(1 + _CAN_DATA, b"\0")[: 1 + how - _OF_LENGTH], built.can_id))
