@@ -83,7 +83,8 @@ def _max_speed(section: str, command: str) -> Iterator[S]:
     own = f"motion/{command}/max-speed"
     kept = (own, f"motion/{command}/crossed-speed", f"motion/{command}/newer-speed")
     yield S(f"{section}/max-speed", "It turns no faster than max_speed.", kept)
-    yield S(f"{section}/max-speed-type", "max_speed is unsigned, of four bytes.", (f"ranges/{command}/max_speed/*",))
+    wide = () if command == "move_single_turn_limited" else (f"motion/{command}/beyond-16-bits",)
+    yield S(f"{section}/max-speed-type", "max_speed is unsigned, of four bytes.", (f"ranges/{command}/max_speed/*", *wide))
     yield S(f"{section}/max-speed-unit", "One unit of max_speed is 0.01 deg/s.", (own,))
 
 

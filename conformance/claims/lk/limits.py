@@ -21,7 +21,7 @@ from conformance.claim import Inconclusive, Observed
 from conformance.claims.declare import Case, commands, motions
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import command_of, of_motion, risks_by
-from conformance.claims.motion.moves import without_max_speed
+from conformance.claims.motion.moves import with_max_speed, without_max_speed
 from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
 from conformance.motion import declared, motion
 from conformance.motion.declared import CALM, FORCE, MOVES
@@ -48,6 +48,10 @@ _SPEED_LIMITS = ((-1, _LIMIT, False), (1, _LIMIT, False), (-1, _LIMIT, True), (1
 _ANGLE_LIMITS = ((1, 60), (-1, 60), (-1, 400))
 #: How far a move goes under a speed limit: less than a turn, for some stay within one.
 _WAY = 345
+#: A speed of more than 16 bits as it is sent, how far a move by it goes, in degrees, and when it has come to that speed.
+_FAST, _FAST_WAY, _FAST_NS = 120_000, 3600, 1000 * MS
+#: How much faster than 65535 a shaft has to turn for that to show.
+_FASTER = 1.2
 #: How often a motion is tried of which the line damages something.
 _TRIES = 3
 #: A speed reaches its limit within the first time, and is measured for the second.
@@ -179,6 +183,44 @@ def _speed_limit_at_once(probe: Probe, move: Command) -> None:
 def _speed_limit_each_way(probe: Probe, move: Command) -> None:
     """The speed limit that holds for {move} one way holds the other way too."""
     _expect_each_way(probe, limited_speeds, move, "speed limit")
+
+
+def _fast_run(probe: Probe, run: Command) -> float:
+    """Return how fast the shaft turns (rpm) in a run whose speed has more than 16 bits."""
+    return _fast(probe, run)[0]
+
+
+def _fast(probe: Probe, command: Command) -> tuple[float, Exchange]:
+    """Return how fast the shaft turns (rpm) where more than 16 bits say the speed, with the parameter above it."""
+    motion.ready_to_move(probe)
+    kept = parameter(probe, "speed_limit")
+    if kept is not None:
+        set_parameter(probe, "speed_limit", _FAST * 2)
+    exchange = motion.begin(probe, command, _FAST_WAY, rpm=_FAST / 600)
+    probe.wait(_FAST_NS)
+    seen = motion.turning(probe)
+    motion.stand_still(probe)
+    if kept is not None:
+        set_parameter(probe, "speed_limit", kept)
+    return abs(seen.value), exchange
+
+
+@of_motion(
+    each=with_max_speed,
+    refuted_by="the speed of 65535",
+    settings=("position", "speed_limit"),
+    own=lambda case: {Risk.SETTING},
+    risks=risks_by(Verb.RUN_SPEED),
+)
+def _beyond_16_bits(probe: Probe, command: Command) -> None:
+    """{command} by a max_speed of more than 16 bits is as fast as a run by that speed."""
+    can = probe.recorded(_fast_run, probe.dialect.by_verb[Verb.RUN_SPEED])
+    low = 0xFFFF / 600
+    if can < _FASTER * low:
+        raise Inconclusive(f"a run of {_FAST / 600:.0f} rpm comes to {can:.1f} rpm, and 16 bits say {low:.1f} rpm")
+    rpm, exchange = _fast(probe, command)
+    text = f"{command.name} by a max_speed of more than 16 bits is slower than a run by that speed"
+    probe.expect(rpm, at_least=(can + low) / 2, unit="rpm", refutes=text, exchange=exchange)
 
 
 def _moves_to_positions(dialect: Dialect) -> Iterator[Case]:

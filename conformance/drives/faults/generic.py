@@ -375,6 +375,8 @@ NUMBER: Rows = {
             asked("position", half_signed, MULTI_TURN)),
         Row("lk-asked-speed-24-bit", "0xA2 takes only the lower 24 bits of the speed", asked("speed", low_bits(24))),
         Row("lk-max-speed-24-bit", "moves keep only 24 bits of max_speed", asked("max_speed", low_bits(24))),
+        Row("lk-max-speed-at-most-65535", "a max_speed above 65535 counts as that",
+            asked("max_speed", lambda value, field: min(value, 0xFFFF))),
         Row("lk-asked-speed-int16", "0xA2 takes only the lower 16 bits of the speed", asked("speed", half_signed)),
         Row("lk-parameter-int16", "0xC1 takes only the lower 16 bits of limits and ramps",
             asked(WIDE_PARAMETERS, low_bits(16))),

@@ -384,6 +384,7 @@ REFUTES = {
     "ranges/run_speed/speed/width": "lk-asked-speed-int16",
     "ranges/run_speed/speed/inside": "lk-asked-speed-24-bit",
     "ranges/move_multi_turn_limited/max_speed/highest": "lk-max-speed-24-bit",
+    "motion/move_increment_limited/beyond-16-bits": "lk-max-speed-at-most-65535",
     "ranges/move_single_turn/angle/lowest": "lk-single-turn-36000-turned lk-angle-not-0",
     "ranges/models": "lk-runs-open-loop lk-rs485@1,model=MS,fault=lk-ms-runs-torque",
     "ranges/run_torque/torque_current/highest": "lk-torque-short",
