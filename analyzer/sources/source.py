@@ -9,7 +9,7 @@ Rules:
 1. Reading a source raises nothing but errors of this program; what a library raises becomes a problem where something
    was read before, and an UnreadableError where nothing was.
 2. Times are given on as the capture has them. Backward steps and impossible times are noted, not mended; a record
-   without a time among others that have one takes the time before it; comments before all others take the first.
+   without a time among others that have one takes the time before it; what stands before all others takes the first.
 3. Problems and notes are bounded, however bad the capture.
 """
 
@@ -46,6 +46,8 @@ QUOTE_LIMIT = 60
 PORT_LIMIT = 64
 #: Comments before the first traffic that are held back until its time is known.
 _HEAD_LIMIT = 1000
+#: As many chunks or frames wait for it.
+_HEAD_TRAFFIC = 20
 
 #: Bytes that are read together where records become blocks.
 TOGETHER = 3 << 19
@@ -291,7 +293,7 @@ class Source:
 
     def _run(self, records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock | ByteBlock]:
         try:
-            yield from _larger(self._joined(self._timed(_with_times_of_heads(records))))
+            yield from _larger(self._joined(self._timed(self._headed(records))))
         except ServotapError:
             raise
         # A damaged file can make a library's parser raise any exception.
@@ -313,6 +315,30 @@ class Source:
             if self.problem_count:
                 raise UnreadableError(f"{self.name}: cannot be read as {self.title}: {self.problems[0]}")
             self.note("the capture holds no traffic")
+
+    def _headed(self, records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock]:
+        """Give what has no time before the first time that one: without it, a log would begin in 1970.
+
+        Comments wait for a time; of a file, which ends by itself, some traffic does, too.
+        """
+        head: list[Record] = []
+        for record in records:
+            if isinstance(record, CanBlock):
+                first_ns: int | None = int(record.t_ns[0])
+            else:
+                first_ns = record.t_ns
+                limit = _HEAD_LIMIT if isinstance(record, Comment) else _HEAD_TRAFFIC * (self.size is not None)
+                if first_ns is None and len(head) < limit:
+                    head.append(record)
+                    continue
+            if first_ns is not None:
+                self._untimed += sum(isinstance(each, (Chunk, CanFrame)) for each in head)
+            yield from (msgspec.structs.replace(each, t_ns=first_ns) for each in head)
+            yield record
+            break
+        else:
+            yield from head
+        yield from records
 
     def _timed(self, records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock]:
         """Yield records with times that are possible, and blocks whose times never decrease."""
@@ -389,7 +415,7 @@ class Source:
         if self._impossible:
             yield f"{counted(self._impossible, 'time')} beyond any calendar: the time before each is used"
         if self._untimed:
-            yield f"{counted(self._untimed, 'record')} without a time: the time before each is used"
+            yield f"{counted(self._untimed, 'record')} without a time: the time before each is used, or the first"
 
     def _problem_notes(self) -> Iterator[str]:
         if self.problem_count == 0:
@@ -448,22 +474,6 @@ def _block_of(held: Sequence[Chunk | CanFrame]) -> Iterator[Record | CanBlock | 
         yield ByteBlock.of(cast("Sequence[Chunk]", held))
     else:
         yield CanBlock.of(cast("Sequence[CanFrame]", held))
-
-
-def _with_times_of_heads(records: Iterator[Record | CanBlock]) -> Iterator[Record | CanBlock]:
-    """Give comments before all traffic the time of the first: without one, a log would begin in 1970."""
-    head: list[Comment] = []
-    for record in records:
-        if isinstance(record, Comment) and record.t_ns is None and len(head) < _HEAD_LIMIT:
-            head.append(record)
-            continue
-        first_ns = int(record.t_ns[0]) if isinstance(record, CanBlock) else record.t_ns
-        yield from (msgspec.structs.replace(comment, t_ns=first_ns) for comment in head)
-        yield record
-        break
-    else:
-        yield from head
-    yield from records
 
 
 def clean_port(name: str) -> str:

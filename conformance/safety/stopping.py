@@ -1,8 +1,8 @@
 """Stopping a motor with proof: a stop by a ramp that keeps the torque, and reads that show the shaft standing.
 
 The proof: three times in a row the speed reads 0 and the position is that of the first look. If the ramped stops fail, the
-immediate stop is tried (it keeps the torque too). A motor is never disabled, for its load could fall. If nothing helps, the
-user's command to cut the power is run, and the run says NOT STOPPED.
+immediate stop is tried (it keeps the torque too), then a run by speed 0. A motor is never disabled, for its load could fall. If
+nothing helps, the user's command to cut the power is run, and the run says NOT STOPPED.
 
 Others may send on the line at the same time, and a stop or a reply that they run into is lost. So a stop is sent once more
 after each look that shows nothing, and each second while the shaft turns on. A look that shows nothing refutes no other look.
@@ -117,7 +117,8 @@ def _stop(
     if stands_at is not None and ramped and not ask(probe, ramped[0]) and not prove_standing(probe, _LOOK_NS, stands_at):
         return Stopped("by a ramp", "")
     ramp_ns = _RAMP_NS if told_ns is None else max(_AT_ONCE_NS, told_ns + _RAMP_NS - gate.now_ns())
-    for way, sent, limit_ns in (("by a ramp", ramped, ramp_ns), ("at once", at_once, _AT_ONCE_NS)):
+    ways = (("by a ramp", ramped, ramp_ns), ("at once", at_once, _AT_ONCE_NS), ("by speed 0", _runs(dialect), _AT_ONCE_NS))
+    for way, sent, limit_ns in ways:
         refused = [text for command in sent if (text := ask(probe, command))]
         if sent:
             failure = prove_standing(probe, limit_ns, thoroughly=thoroughly, again=sent)
@@ -186,7 +187,16 @@ def flood(count: int, duration_ns: int, line: Line) -> list[str]:
 
 
 def _gentle(command: Command) -> dict[str, int]:
-    return {"acceleration": GENTLE} if "acceleration" in command.request_forms[0].layout.named else {}
+    """Return what makes a command a stop: no speed, and a gentle ramp."""
+    return {
+        name: value for name, value in (("acceleration", GENTLE), ("speed", 0)) if name in command.request_forms[0].layout.named
+    }
+
+
+def _runs(dialect: Dialect) -> tuple[Command, ...]:
+    """Return the runs that speed 0 makes a stop and that are no stop of their own."""
+    stops = {command.code for command in dialect.motions(MotionKind.STOP)}
+    return tuple(command for command in dialect.motions(MotionKind.RUN) if command.code not in stops)
 
 
 def ramped_stops(dialect: Dialect) -> tuple[Command, ...]:

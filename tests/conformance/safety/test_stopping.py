@@ -186,6 +186,15 @@ def test_what_another_drive_answers_tells_nothing_of_this_one(name, monkeypatch)
         assert settings.read(probe, command, settings.every_selector(command)[0]) is None
 
 
+def test_a_drive_that_ignores_its_only_stop_is_stopped_by_speed_0(monkeypatch):
+    rig, probe, _ = _turning("lk-rs485@1")
+    stop = build(rig.dialect, "stop", 1)
+    sent = _lossy(probe, monkeypatch, heard=lambda number, item: item != stop, answered=lambda number: True)
+    assert stopping.stop(probe.gate.under(stopping.stopping(1)), rig.dialect, 1) == ("by speed 0", "")
+    assert sent.count(stop) > 1
+    assert motion.speed(probe).value == 0
+
+
 def test_a_shaft_that_turns_on_is_told_to_stop_each_second(monkeypatch):
     """Every reply comes, so the looks tell that the stops were lost."""
     rig, probe, _ = _turning()
