@@ -46,6 +46,7 @@ KINDS: Mapping[str, DriveClass] = {
 FAULTS = (
     "conformance.drives.faults.generic",
     "conformance.drives.faults.mks",
+    "conformance.drives.faults.mks_hearing",
     "conformance.drives.faults.mks_conditions",
     "conformance.drives.faults.mks_sequences",
     "conformance.drives.faults.mks_effects",

@@ -106,6 +106,11 @@ def instead(of: Of, behaviour: Behaviour) -> Change:
     return wrapped(of, lambda _, drive, request: behaviour(drive, request))
 
 
+def backwards(values: Values) -> bool:
+    """Say whether a motion of direction 1, or of a negative number, is asked for."""
+    return values.get("direction") == mks_shared.MotionDirection.CW or values.get("position", 0) < 0
+
+
 def lying(of: Of) -> Change:
     """Say that it is done, and do nothing."""
     return instead(of, lambda drive, request: dict(OK))

@@ -6,7 +6,6 @@ import pytest
 
 from analyzer import dialects
 from analyzer.catalogue import Role, Verb
-from analyzer.codec import codec
 from analyzer.encoder import build
 from analyzer.layout import FieldKind
 from conformance.drives.mks.drive import BEHAVIOURS
@@ -167,15 +166,6 @@ def test_counters_wrap_and_never_raise(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_angle_error_is_wanted_minus_real(name):
-    rig = Rig(name)
-    rig.drive.block()
-    rig.ask("move_relative_axis", speed=60, position=1638)  # 36 degrees
-    rig.wait(SECOND)
-    assert rig.value("read_angle_error") == pytest.approx(5120, abs=2)
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_ports(name):
     def pins(model, **options):
         rig = Rig(name, model=model, **options)
@@ -208,45 +198,6 @@ def test_ports(name):
         assert ports()["out_1"] == 1
         rig.drive.protect()
         assert ports()["out_1"] == 0
-
-
-def test_pulse_division_flips_the_port_once_a_turn():
-    rig = Rig("mks-can", division_period=3200)
-    levels = []
-    for _ in range(4):
-        levels.append(rig.ask("read_io")[0]["pend"])
-        rig.ask("move_relative_pulses", speed=3000, pulses=3200)
-        rig.wait(SECOND)
-    assert levels == [0, 1, 0, 1]
-    rig.ask("set_pulse_division", division_level=1, division_period=99)
-    assert rig.ask("read_io")[0]["pend"] == 1  # below 100: the port is the in-position signal again
-
-
-def test_version_and_user_id():
-    rig = Rig("mks-can", model="57E")
-    assert rig.ask("read_version")[0] == {
-        "series": 1, "calibration": 2, "hardware": 4, "firmware_major": 1, "firmware_minor": 0, "firmware_patch": 1,
-    }  # fmt: skip
-    assert rig.value("read_user_id") == 0
-    assert rig.status("write_user_id", user_id=0xDEADBEEF) == 1
-    rig.drive.power_cycle(rig.now)
-    rig.wait(SECOND)
-    assert rig.value("read_user_id") == 0xDEADBEEF
-
-
-@pytest.mark.parametrize("code", [c.code for c in dialects.get("mks-can").commands] + [0x77])
-def test_every_code_can_be_asked_for_by_the_parameter_read(code):
-    # Without a group there is no value to read that the manual has (an open point).
-    rig = Rig("mks-can", address=0x123, group_address=0x50)
-    (said,) = rig.send(rig.drive.dialect.link.completed(bytes((0, code)), 0x123))
-    assert said.can_id == 0x123
-    readable = [c for c in rig.drive.dialect.by_code.get(code, ()) if c.readable]
-    if not readable:
-        assert said.data == rig.drive.dialect.link.completed(bytes((code, 0xFF, 0xFF)), 0x123)
-        return
-    layout = readable[0].request_forms[0].layout
-    assert codec(layout).wire(said.data[1:-1]) == {n: rig.drive.settings[n] for n in layout.named}
-    assert rig.judged().rules == []
 
 
 @pytest.mark.parametrize("name", NAMES)

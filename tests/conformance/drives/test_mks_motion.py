@@ -137,6 +137,29 @@ def homed(name, **options):
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("side", "way"), [("left", -1), ("right", 1)])
+def test_end_limits_stop_a_move_at_the_switch(name, side, way):
+    rig = homed(name)
+    place = 0 if side == "left" else 50_000
+    if side == "left":
+        rig.ask("move_absolute_axis", speed=600, position=20_000)
+        rig.wait(MINUTE)
+    first = rig.ask("move_relative_axis", speed=600, acceleration=250, position=way * 100_000)
+    later = rig.wait_values(MINUTE)
+    assert [v["status"] for v in first + later] == ([1] if name == "mks-modbus" else [1, 3])
+    assert abs(rig.axis() - place) <= 1
+    # No longer to that side, but to the other one.
+    again = rig.ask("move_relative_axis", speed=600, position=way * 1000)
+    assert [v["status"] for v in again] == ([1] if name == "mks-modbus" else [1, 3])
+    assert abs(rig.axis() - place) <= 1
+    assert rig.status("run_speed", speed=60, direction=0 if way > 0 else 1) == 0
+    assert rig.status("run_speed", speed=60, direction=1 if way > 0 else 0) == 1
+    rig.wait(SECOND)
+    assert (rig.axis() - place) * way < -10_000
+    assert rig.judged().rules in ([], ["failed_status"], ["refused_write"])
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_limit_pressed_by_hand(name):
     rig = homed(name)
     rig.ask("move_relative_axis", speed=60, position=40_000)
