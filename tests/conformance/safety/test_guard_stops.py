@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import io
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +29,7 @@ from conformance.gate.permissions import READS, Allowance, parse_allow
 from conformance.motion import motion
 from conformance.motion.declared import GENTLE
 from conformance.pytest_plugin import plugin
+from conformance.safety import guard as guard_process
 from conformance.safety import guarded_line
 from conformance.safety import messages as say
 from conformance.safety.guard import Guard
@@ -377,6 +380,25 @@ def test_a_guard_that_hangs_in_its_driver_and_cannot_be_killed_holds_nothing_up(
             first.wait(10)
         assert (tmp_path / "cut").exists()
     assert "NOT STOPPED" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_where_the_suite_has_gone_and_the_port_hangs_the_power_is_cut(tmp_path, capsys, monkeypatch, moving):
+    ended = []
+    monkeypatch.setattr(guard_process, "_ALONE_SECONDS", 0)
+    monkeypatch.setattr(guard_process.os, "_exit", ended.append)
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    monkeypatch.setattr(sys.stderr, "close", lambda: None)
+    gone = threading.Thread()
+    gone.start()
+    with on_pty("mks-rs485@1") as path:
+        begin = beginning(endpoints.parse(f"serial:{path},baud=38400"), [(parse("mks-rs485@1").dialect, 1)], Allowance(READS))
+        guard = Guard(msgspec.structs.replace(begin, cut_power=f"touch {tmp_path / 'cut'}", moving=moving))
+        guard_process._watch(gone, guard)
+        guard.line.close()
+    assert ended == [20] * moving
+    assert (tmp_path / "cut").exists() is moving
+    assert ("NOT STOPPED: mks-rs485@1: the suite has gone" in sys.stderr.getvalue()) is moving
 
 
 def test_a_second_beginning_does_not_end_the_guard(tmp_path):
