@@ -7,7 +7,7 @@ what is sent and what is answered: then every address gets every stop, again and
 
 A port that goes meanwhile is opened anew, and all begins once more, for some seconds from the first time that it went.
 
-Exit status: 0 all stand, 2 wrong use, 20 a drive is not seen standing, or none answers.
+Exit status: 0 all stand, 2 wrong use, 20 a drive is not seen standing, none answers, or the port cannot be opened.
 """
 
 from __future__ import annotations
@@ -94,35 +94,39 @@ def run(arguments: argparse.Namespace) -> int:
     stand: list[str] = []
     failures: list[str] = []
     # Each try waits for the port by itself, for all of them have one deadline.
-    with as_interrupt(), gate_to(endpoint, Allowance(), opened=lambda at: LastingLine(at, lambda: False)) as gate:
-        drives = [_Drive(*each, gate.line.endpoint.bits_per_second) for each in named]
-        # On a full bus, frames of others must not make replies late. Orders to all are read: they may move what is stopped.
-        everyone = [dialect.broadcast for dialect in dialects if dialect.broadcast is not None]
-        if gate.line.acceptance is not None:
-            gate.line.acceptance.only([*everyone, *(each.address for each in drives), *([] if alone else addresses)])
-        everywhere = _Everywhere(gate, dialects, addresses, rates)
-        until_ns: int | None = None
-        try:
-            while until_ns is None or gate.now_ns() < until_ns:
-                stand, failures = [], []
-                try:
-                    for told, stands in _stopped(gate, drives, None if alone else everywhere):
-                        (stand if stands else failures).append(told)
-                    break
-                except LineLost as error:
-                    failures.append(str(error))
-                    until_ns = until_ns or gate.now_ns() + _LOST_NS
-                    time.sleep(_AGAIN_SECONDS)
-            if not drives and not failures:
-                failures.append(f"no drive answered on {arguments.endpoint}: {everywhere.said()}")
-        except ServotapError as error:
-            failures.append(str(error))
-        except Exception as error:
-            # No fault of ours may keep the power on.
-            report(error)
-            failures.append(f"a fault of servotap: {type(error).__name__}")
-        except KeyboardInterrupt:
-            failures.append(f"{', '.join(drive.name for drive in drives) or arguments.endpoint}: interrupted")
+    try:
+        with as_interrupt(), gate_to(endpoint, Allowance(), opened=lambda at: LastingLine(at, lambda: False)) as gate:
+            drives = [_Drive(*each, gate.line.endpoint.bits_per_second) for each in named]
+            # On a full bus, frames of others must not make replies late. Orders to all are read: they may move what is stopped.
+            everyone = [dialect.broadcast for dialect in dialects if dialect.broadcast is not None]
+            if gate.line.acceptance is not None:
+                gate.line.acceptance.only([*everyone, *(each.address for each in drives), *([] if alone else addresses)])
+            everywhere = _Everywhere(gate, dialects, addresses, rates)
+            until_ns: int | None = None
+            try:
+                while until_ns is None or gate.now_ns() < until_ns:
+                    stand, failures = [], []
+                    try:
+                        for told, stands in _stopped(gate, drives, None if alone else everywhere):
+                            (stand if stands else failures).append(told)
+                        break
+                    except LineLost as error:
+                        failures.append(str(error))
+                        until_ns = until_ns or gate.now_ns() + _LOST_NS
+                        time.sleep(_AGAIN_SECONDS)
+                if not drives and not failures:
+                    failures.append(f"no drive answered on {arguments.endpoint}: {everywhere.said()}")
+            except ServotapError as error:
+                failures.append(str(error))
+            except Exception as error:
+                # No fault of ours may keep the power on.
+                report(error)
+                failures.append(f"a fault of servotap: {type(error).__name__}")
+            except KeyboardInterrupt:
+                failures.append(f"{', '.join(drive.name for drive in drives) or arguments.endpoint}: interrupted")
+    # The port cannot be opened, so what turns turns on.
+    except UsageError as error:
+        failures.append(str(error))
     power = ""
     if failures:
         with undisturbed():

@@ -27,7 +27,7 @@ from analyzer.values import counted
 from conformance.claim import NotStopped, Outcome, RigFault, worst
 from conformance.cli.endpoint import say_rate
 from conformance.gate.permissions import add_gate_arguments
-from conformance.report import write_reports
+from conformance.report import check_places, write_reports
 from conformance.safety.signals import as_interrupt
 from conformance.suite import plan as suite
 from conformance.suite import target
@@ -89,31 +89,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 #: Reasons that are printed for why claims could not be chosen.
 _MOST_REASONS = 3
-#: What the outputs that a later run replaces begin with; no other file is replaced.
-_BEGINNINGS = {"report": b"<", "junitxml": b"<", "write_baseline": b"["}
-
-
-def _keep_others(arguments: argparse.Namespace) -> None:
-    """Raise UsageError where an output would replace a log, or a file of another kind."""
-    for name in ("log", *_BEGINNINGS):
-        place = getattr(arguments, name)
-        if not place or not (path := Path(place)).exists():
-            continue
-        if not path.is_file():
-            raise UsageError(f"{path} is not a regular file: name a file")
-        if arguments.force:
-            continue
-        with path.open("rb") as stream:
-            begins = stream.read(1)
-        if name == "log":
-            raise UsageError(f"{path} exists; --force replaces it")
-        if begins not in (b"", _BEGINNINGS[name]):
-            raise UsageError(f"{path} exists and is not what --{name.replace('_', '-')} writes; --force replaces it")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Test; return the exit status."""
-    _keep_others(arguments)
+    check_places(vars(arguments), force=arguments.force)
     apart(arguments, "baseline", "settings", "journal", "log", "report", "junitxml")
     apart(arguments, "settings", "journal", "log", "report", "junitxml", "write_baseline")
     plan = plan_of(arguments)
@@ -194,7 +174,7 @@ def _test(plan: Plan, arguments: argparse.Namespace, known: list[Deviation] | No
             stopped = isinstance(error.__context__, (KeyboardInterrupt, BrokenPipeError))
     done = _run_record(plan, began, time.monotonic() - started, stopped, trouble)
     status = _status(records, arguments, trouble)
-    refused = write_reports(records, done, vars(arguments), replace_log=arguments.force)
+    refused = write_reports(records, done, vars(arguments), force=arguments.force)
     try:
         if arguments.json:
             _print_json(done)

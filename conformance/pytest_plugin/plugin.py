@@ -104,6 +104,7 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     config.pluginmanager.register(_Controller(config), "servotap-controller")
     real = _any_real(config)
+    _check_places(config)
     if real or config.getoption("servotap_budget"):
         from analyzer.system.scratch import scratch_folder
 
@@ -121,6 +122,17 @@ def _any_real(config: pytest.Config) -> bool:
 
     try:
         return any_real(config.getoption("servotap_drive"), config.getoption("servotap_on"))
+    except ServotapError as error:
+        raise pytest.UsageError(f"servotap: {error}") from None
+
+
+def _check_places(config: pytest.Config) -> None:
+    """Raise pytest's UsageError where a report would replace a file that is none: before the run, not after it."""
+    from analyzer.errors import ServotapError
+    from conformance.report import check_places
+
+    try:
+        check_places({name: config.getoption(f"servotap_{name}") for name in ("report", "log")}, force=None)
     except ServotapError as error:
         raise pytest.UsageError(f"servotap: {error}") from None
 

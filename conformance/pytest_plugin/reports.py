@@ -30,7 +30,7 @@ def summarise(reporter: Any, config: pytest.Config, verdicts: Sequence[str]) -> 
     reporter.write(text.getvalue())
     arguments = arguments_of(config)
     places = {name: getattr(arguments, name) for name in ("report", "log", "failures")}
-    for reason in write_reports(records, run, places).values():
+    for reason in write_reports(records, run, places, force=None).values():
         reporter.write_line(reason, red=True)
         end_with(config, pytest.ExitCode.USAGE_ERROR.value)
 

@@ -48,7 +48,7 @@ from conformance.gate.gate import Allowance, Gate, Interpretation, Refused
 from conformance.safety import journal as journals
 from conformance.safety import messages as say
 from conformance.safety.keeper import PUTTING_BACK, link_changed, restore
-from conformance.safety.stopping import MAY_MOVE, standing_failure, stop_or_cut, stopping
+from conformance.safety.stopping import MAY_MOVE, not_stopped, standing_failure, stop_or_cut, stopping
 from conformance.talk.dialogue import Dialogue
 from conformance.talk.drive_state import read_drive_state
 
@@ -56,6 +56,8 @@ from conformance.talk.drive_state import read_drive_state
 LARGEST = 256
 _TICK_SECONDS = 0.2
 _STDERR = 2
+#: How long the guard may take alone to stop one drive, with all that comes before.
+_ALONE_SECONDS = 180.0
 #: How long the last words of the guard may take.
 _LAST_WORDS_SECONDS = 1.0
 #: What is told before a motor is stopped: two stops by a ramp, two at once, a port to wait for, and the user's power command.
@@ -251,6 +253,18 @@ class Guard:
         if self._not_stopped is not None:
             raise self._not_stopped
 
+    @property
+    def watched(self) -> int:
+        """How many drives are looked after."""
+        return len(self._drives)
+
+    def cut_what_turns(self) -> bool:
+        """Cut the power of drives that may be moving and are not stopped; return whether there are any."""
+        left = [drive for drive in self._drives if drive.moving and not drive.told] if self._not_stopped is None else []
+        for drive in left:
+            not_stopped(drive.dialect, drive.address, "the suite has gone, and its port hangs", self._begin.cut_power)
+        return bool(left)
+
     def restore_link(self) -> None:
         """Bring drives that may answer elsewhere back to where they can be stopped."""
         path = Path(self._begin.journal)
@@ -284,6 +298,16 @@ def _reader(stream: IO[bytes], into: queue.Queue[say.Request | None]) -> None:
             into.put(decode(say.take(stream)))
     except (EOFError, OSError, *UNDECODABLE):
         into.put(None)
+
+
+def _watch(reader: threading.Thread, guard: Guard) -> None:
+    """End this process where a motor is not stopped long after the suite has gone: the driver of a port may hang for ever."""
+    reader.join()
+    time.sleep(_ALONE_SECONDS * guard.watched)
+    if guard.cut_what_turns():
+        # What was said is written first.
+        sys.stderr.close()
+        os._exit(NotStopped.exit_status)
 
 
 class Aside(io.TextIOBase):
@@ -338,7 +362,8 @@ def _guard() -> int:
     requests: queue.Queue[say.Request | None] = queue.Queue()
     # Without a buffer: its lock would be held by the reading thread when the process ends.
     orders = os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0)
-    threading.Thread(target=_reader, args=(orders, requests), daemon=True).start()
+    reader = threading.Thread(target=_reader, args=(orders, requests), daemon=True)
+    reader.start()
     begin = requests.get()
     if not isinstance(begin, say.Begin):
         return 2
@@ -348,6 +373,7 @@ def _guard() -> int:
         _answer(answers, say.Failed("usage", str(error)))
         return 2
     _answer(answers, say.Done(guard.gate.now_ns()))
+    threading.Thread(target=_watch, args=(reader, guard), daemon=True).start()
     try:
         return _serve(guard, requests, answers)
     finally:

@@ -36,6 +36,8 @@ from conformance.safety.stopping import GuardLost
 _ROOT = Path(__file__).parents[2]
 #: How long the guard may take to stop motors and put settings back before it is killed.
 _FAREWELL_SECONDS = 60.0
+#: How long the end of one that was killed is waited for.
+_KILLED_SECONDS = 3.0
 #: How long it may take to start, and to answer beside what was asked for. A busy machine is slow at times.
 _START_SECONDS = 30.0
 _ANSWER_SECONDS = 3.0
@@ -87,6 +89,8 @@ class GuardedLine(Line):
             [sys.executable, "-P", "-m", "conformance.safety.guard"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            # A buffer is locked while a thread reads from it, and a guard that hangs in a driver may never end that.
+            bufsize=0,
             start_new_session=True,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))},
         )
@@ -98,6 +102,7 @@ class GuardedLine(Line):
         self._reader.start()
         self._decode = msgspec.msgpack.Decoder(say.Answer).decode
         self._closed = False
+        self._patience = _FAREWELL_SECONDS
         self._passed = 0
         self.not_stopped: NotStopped | None = None
         #: Whether a drive may be moving: the suite or the guard sent a motion, and nothing has shown a standstill since.
@@ -118,8 +123,7 @@ class GuardedLine(Line):
                 say.put(self._to, request)
                 answer = self._answer(_seconds(request))
             except queue.Empty:
-                self._process.kill()
-                self._process.wait()
+                self._kill()
                 raise GuardLost(f"{self.endpoint.text}: the process that owns the port did not answer and was killed") from None
             except (OSError, EOFError, ValueError) as error:
                 raise GuardLost(f"{self.endpoint.text}: the process that owns the port has gone ({error})") from None
@@ -215,14 +219,20 @@ class GuardedLine(Line):
         with contextlib.suppress(OSError):
             self._to.close()
         try:
-            return self._process.wait(_FAREWELL_SECONDS)
+            return self._process.wait(self._patience)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            self._kill()
             return None
         finally:
-            self._reader.join()
+            self._reader.join(_KILLED_SECONDS)
             self._from.close()
+
+    def _kill(self) -> None:
+        """Kill the guard. One that hangs in the driver of its port may outlive that: the motor must not wait for it."""
+        self._process.kill()
+        self._patience = _KILLED_SECONDS
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(self._patience)
 
 
 def _read(stream: IO[bytes], into: queue.SimpleQueue[bytes | None]) -> None:

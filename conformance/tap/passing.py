@@ -296,6 +296,8 @@ class Passing:
             self._storing.event(REPLY, "note", text=text)
         if opener.opened is None:
             return
+        # While the reason is known.
+        self._tell_losses()
         self._opener = None
         now_ns = time.monotonic_ns()
         # Another speed may have been set meanwhile; the terminal is looked at next.
@@ -347,7 +349,10 @@ class Passing:
             self._storing.event(REPLY, "note", text=text)
             self._unread = 0
         if self._unsent:
-            why = "the adapter was gone" if self._fd < 0 else "the adapter took no more"
+            took_no_more = self._blocked or self._to_adapter
+            why = (
+                "the adapter was gone" if self._fd < 0 else "the adapter took no more" if took_no_more else "the tap was ending"
+            )
             text = f"{counted(self._unsent, 'byte')} that the program wrote were not sent: {why}"
             self._storing.event(REPLY, "note", text=text)
             self._unsent = 0

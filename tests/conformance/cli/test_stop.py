@@ -274,6 +274,12 @@ def test_a_connection_that_is_reset_for_good_ends_with_the_deadline(capsys, monk
     assert (tmp_path / "cut").exists()
 
 
+def test_a_port_that_cannot_be_opened_cuts_the_power(tmp_path, capsys):
+    assert run("serial:/dev/nowhere,baud=38400", "mks-rs485@2", "--cut-power", f"touch {tmp_path / 'cut'}") == 20
+    assert (tmp_path / "cut").exists()
+    assert "NOT STOPPED: /dev/nowhere is not there" in capsys.readouterr().err
+
+
 def test_a_fault_of_ours_cuts_the_power(port, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(stop, "_stopped", lambda *about: [][0])
     monkeypatch.setenv(boundary.FOLDER, str(tmp_path))

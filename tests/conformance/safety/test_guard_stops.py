@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import io
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +29,8 @@ from conformance.gate.permissions import READS, Allowance, parse_allow
 from conformance.motion import motion
 from conformance.motion.declared import GENTLE
 from conformance.pytest_plugin import plugin
+from conformance.safety import guard as guard_process
+from conformance.safety import guarded_line
 from conformance.safety import messages as say
 from conformance.safety.guard import Guard
 from conformance.safety.guarded_line import GuardedLine, beginning
@@ -354,6 +358,47 @@ def test_a_guard_that_does_not_answer_is_killed_and_another_stops_the_motor(tmp_
         assert time.monotonic() - begun < 30
         assert speed_of(path) == 0
     assert "another one takes over" in capfd.readouterr().err
+
+
+def test_a_guard_that_hangs_in_its_driver_and_cannot_be_killed_holds_nothing_up(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(guarded_line, "_KILLED_SECONDS", 0.2)
+    with on_pty("mks-rs485@1,work_mode=sr_vfoc") as path:
+        rig = open_rig(path, tmp_path, cut_power=f"touch {tmp_path / 'cut'}")
+        probe = probe_of(rig)
+        motion.ready_to_move(probe, "sr_vfoc")
+        motion.run_at(probe, 60)
+        first = rig.gate.line._process
+        first.send_signal(signal.SIGSTOP)
+        try:
+            # The kernel kills no process that waits in a driver.
+            monkeypatch.setattr(first, "kill", lambda: None)
+            with pytest.raises(NotStopped, match="is in use by"):
+                rig.close()
+            assert first.poll() is None
+        finally:
+            first.send_signal(signal.SIGKILL)
+            first.wait(10)
+        assert (tmp_path / "cut").exists()
+    assert "NOT STOPPED" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_where_the_suite_has_gone_and_the_port_hangs_the_power_is_cut(tmp_path, capsys, monkeypatch, moving):
+    ended = []
+    monkeypatch.setattr(guard_process, "_ALONE_SECONDS", 0)
+    monkeypatch.setattr(guard_process.os, "_exit", ended.append)
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    monkeypatch.setattr(sys.stderr, "close", lambda: None)
+    gone = threading.Thread()
+    gone.start()
+    with on_pty("mks-rs485@1") as path:
+        begin = beginning(endpoints.parse(f"serial:{path},baud=38400"), [(parse("mks-rs485@1").dialect, 1)], Allowance(READS))
+        guard = Guard(msgspec.structs.replace(begin, cut_power=f"touch {tmp_path / 'cut'}", moving=moving))
+        guard_process._watch(gone, guard)
+        guard.line.close()
+    assert ended == [20] * moving
+    assert (tmp_path / "cut").exists() is moving
+    assert ("NOT STOPPED: mks-rs485@1: the suite has gone" in sys.stderr.getvalue()) is moving
 
 
 def test_a_second_beginning_does_not_end_the_guard(tmp_path):

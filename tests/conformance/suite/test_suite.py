@@ -303,3 +303,24 @@ def test_a_file_of_another_kind_is_replaced_only_when_told(option, kept, tmp_pat
     assert path.read_bytes() == kept
     assert main([*words, "--force"]) == 0
     assert path.read_bytes() != kept
+
+
+@pytest.mark.parametrize("option", ["--log", "--report", "--junitxml", "--write-baseline"])
+def test_a_file_that_was_written_during_the_run_is_kept(option, tmp_path, capsys, monkeypatch):
+    path = tmp_path / "kept"
+    # The first look finds nothing there.
+    monkeypatch.setattr(test_command, "check_places", lambda places, **how: path.write_bytes(b"PK"))
+    assert main(["test", "mks-rs485@1", "--claim", "*/shape/read_speed/code", option, str(path)]) == 2
+    told = capsys.readouterr()
+    assert "--force replaces it" in told.err
+    assert "1 of 1 claims ran" in told.out
+    assert path.read_bytes() == b"PK"
+
+
+@pytest.mark.parametrize("option", ["--log", "--report"])
+def test_pytest_replaces_reports_alone(option, tmp_path):
+    (tmp_path / "kept").write_bytes(b"PK")
+    done = pytest_run("--drive", "mks-can@1", "--claim", "*/shape/read_speed/code", option, "kept", cwd=tmp_path)
+    assert done.returncode == 4, done.stdout
+    assert f"kept exists and is not what {option} writes; name another file" in done.stderr
+    assert (tmp_path / "kept").read_bytes() == b"PK"

@@ -358,6 +358,19 @@ def test_what_a_blocked_adapter_did_not_take_is_told_at_the_end(tapped: Tapped) 
     assert any(said in note for note in tapped.notes()), tapped.notes()
 
 
+def test_what_a_program_writes_while_the_tap_ends_is_told_as_that(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
+    left = tapped.passing._left_by_program
+    with program(tapped) as fd:
+
+        def late() -> int:
+            os.write(fd, b"late")
+            return left()
+
+        monkeypatch.setattr(tapped.passing, "_left_by_program", late)
+        tapped.close()
+    assert "4 bytes that the program wrote were not sent: the tap was ending" in tapped.notes()
+
+
 def test_an_adapter_that_is_unplugged_comes_back_under_the_programs_feet(tapped: Tapped, far: Far) -> None:
     with program(tapped) as fd:
         os.write(fd, b"one")
