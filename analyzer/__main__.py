@@ -10,6 +10,8 @@ import sys
 
 # For each core, NumPy would start a thread that waits in a loop for matrices to multiply. Nothing here has any.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# pyarrow has its memory from where NumPy has it, so that each takes what the other gave back.
+os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 
 
 def main() -> int:

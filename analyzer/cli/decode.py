@@ -26,13 +26,12 @@ from analyzer.errors import UnreadableError, UsageError
 from analyzer.pipeline import Pipeline
 from analyzer.records import Severity
 from analyzer.sinks.forked import available
-from analyzer.sinks.mcap_file import McapFile
-from analyzer.sinks.mcap_log import LIBRARY, PROFILE, McapLog
 from analyzer.sinks.summary import Summary
 from analyzer.table.extras import needed
 from analyzer.values import printable
 
 if TYPE_CHECKING:
+    from analyzer.sinks.mcap_log import McapLog
     from analyzer.sinks.object_table import Table
     from analyzer.sinks.parquet import ParquetTables
     from analyzer.sinks.process import SinkProcess
@@ -150,6 +149,9 @@ class _Sinks:
                 from analyzer.sinks.parquet_file import files_in
 
                 return ParquetTables(files_in(output.part), source.clock), Summary()
+            from analyzer.sinks.mcap_file import McapFile
+            from analyzer.sinks.mcap_log import LIBRARY, PROFILE, McapLog
+
             byte_ns, bit_ns = options.byte_ns, options.synthetic_bit_ns
             file = McapFile(output.stream, profile=PROFILE, library=LIBRARY, packer=self._workers)
             return McapLog(file, byte_ns=byte_ns, bit_ns=bit_ns, clock=source.clock), Summary()

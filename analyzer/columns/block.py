@@ -40,7 +40,7 @@ class CanBlock:
     """CAN frames: data frames with identifiers of 11 bits. All arrays have one entry a frame.
 
     `t_ns`: times that never decrease. `data`: shape (frames, 8), zeros behind the `sizes` bytes that a frame has.
-    `directions`: numbers in `DIRECTIONS`. Identifiers have 16 bits, sizes and directions 8: all signed, and reckoned with as such.
+    `directions`: numbers in `DIRECTIONS`. Identifiers take 16 bits, sizes and directions 8; all are signed.
     """
 
     port: str

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise, takewhile
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 import numpy as np
@@ -26,7 +26,7 @@ from analyzer.columns.block import DIRECTIONS, CanBlock
 from analyzer.columns.codec import Flags, Integers, column_codec
 from analyzer.columns.groups import taken
 from analyzer.columns.plain import Plain
-from analyzer.columns.rows import alike, of_lanes, physical_column, states
+from analyzer.columns.rows import alike, physical_column, states
 from analyzer.decoder import physical, state_of
 from analyzer.entries import Entry, plain_entry
 from analyzer.layout import STATE_UNITS, Field, FieldKind
@@ -66,6 +66,8 @@ class _Table:
     def __init__(self, target: Target, schema: pyarrow.Schema, choices: Mapping[str, Field]) -> None:
         self.schema = schema
         self.choices = choices
+        #: NumPy's types of the columns that are numbers.
+        self.numbers = {f.name: f.type.to_pandas_dtype() for f in schema if str(f.type).startswith(("int", "uint", "double"))}
         self.rows: list[dict[str, Any]] = []
         self._target = target
         self._batches: list[pyarrow.Table] = []
@@ -86,6 +88,11 @@ class _Table:
     def held(self) -> int:
         """How many rows are held; one that was taken alone needs the room of some others."""
         return self.many + _ALONE * len(self.rows)
+
+    def wait(self) -> None:
+        """Copy what is held: as it came, it is a part of columns that stay as long as it does."""
+        if len(self._batches) > 1:
+            self._batches = [needed("pyarrow").concat_tables(self._batches).combine_chunks()]
 
     def write(self) -> None:
         """Write what is held, in order."""
@@ -123,16 +130,27 @@ class _Table:
         self._target.close()
 
 
-class _Places(NamedTuple):
-    """What tells where each row of a block belongs: its address and number."""
-
-    plain: Plain
-    addresses: Integers
-    sequences: Integers
-
-
 #: Rows, and their own columns as numbers.
-_Part = tuple[Integers, dict[str, NDArray[Any]]]
+_Part = tuple[Integers, Mapping[str, NDArray[Any]]]
+#: Columns as numbers, each with which of them count as none.
+_Own = Mapping[str, tuple[NDArray[Any], Flags | None]]
+#: What makes columns of some rows, which have these numbers.
+_Shared = Callable[[Plain, Integers, Integers], dict[str, "pyarrow.Array"]]
+
+
+def _merged(parts: Sequence[_Part]) -> tuple[Integers, _Own]:
+    """Return the rows of some parts in their order, and their columns; a part need not have all."""
+    rows, columns = parts[0]
+    if len(parts) == 1:
+        return rows, {name: (values, None) for name, values in columns.items()}
+    rows = np.sort(np.concatenate([own for own, _ in parts]))
+    merged: dict[str, tuple[NDArray[Any], Flags]] = {}
+    for own, columns in parts:
+        at = rows.searchsorted(own)
+        for name, values in columns.items():
+            whole, missing = merged.setdefault(name, (np.zeros(len(rows), values.dtype), np.ones(len(rows), np.bool_)))
+            whole[at], missing[at] = values, False
+    return rows, merged
 
 
 class ParquetTables:
@@ -191,65 +209,62 @@ class ParquetTables:
         tables = sorted(self._tables.values(), key=lambda table: -table.held)
         held = sum(table.held for table in tables)
         for table in tables:
-            if held <= HELD // 2:
-                break
-            held -= table.held
-            table.write()
+            if held > HELD // 2:
+                held -= table.held
+                table.write()
+            else:
+                table.wait()
         self._held = 0
 
     def _settle(self, plain: Plain, sequences: Integers) -> None:
         """Give the rows of a block that have a number to their tables."""
-        places = _Places(plain, of_lanes(plain, [lane.address for lane in plain.lanes], 0), sequences)
         keys = [(id(lane.form), lane.is_request, lane.start) for lane in plain.lanes]
         kinds: dict[str, list[tuple[Integers, Lane]]] = {}
         for rows, lane in alike(plain, keys, sequences > 0):
             kinds.setdefault(f"{lane.command.name}.{lane.role}", []).append((rows, lane))
         carried: list[_Part] = []
-        for each in kinds.values():
-            self._take(places, each, carried)
+        parts = [self._read(plain, each, carried) for each in kinds.values()]
+        self._give(parts, plain, sequences, self._framed)
         if carried:
-            rows, columns = self._merged(carried)
-            self._states().add({**self._placed(places, rows), **columns}, sequences.take(rows))
+            self._give([(self._states(), *_merged(carried))], plain, sequences, self._placed)
 
-    def _placed(self, places: _Places, rows: Integers) -> dict[str, Any]:
-        """Return the columns that all tables have."""
-        block = places.plain.block
+    def _give(self, parts: Sequence[tuple[_Table, Integers, _Own]], plain: Plain, sequences: Integers, shared: _Shared) -> None:
+        """Give rows and their own columns to tables. `shared`: makes what all have, of which each table takes a part."""
+        order = np.concatenate([rows for _, rows, _ in parts])
+        numbers, at = sequences.take(order), 0
+        columns = shared(plain, order, numbers)
+        for table, rows, own in parts:
+            count = len(rows)
+            parted = {name: column.slice(at, count) for name, column in columns.items()}
+            table.add(parted | {name: self._column(table, name, *each) for name, each in own.items()}, numbers[at : at + count])
+            at += count
+
+    def _placed(self, plain: Plain, rows: Integers, numbers: Integers) -> dict[str, pyarrow.Array]:
+        """Return the columns that all tables have. `numbers`: of the rows."""
+        block = plain.block
+        addresses = np.array([lane.address for lane in plain.lanes]).take(plain.lane.take(rows))
         return {
             "time": self._numbers(block.t_ns.take(rows)).view(self._time),
             "bus": self._pa.repeat(topic_name(block.port), len(rows)),
-            "address": self._numbers(places.addresses.take(rows)),
-            "sequence": self._numbers(places.sequences.take(rows)),
+            "address": self._numbers(addresses),
+            "sequence": self._numbers(numbers),
         }
 
-    def _take(self, places: _Places, kinds: Sequence[tuple[Integers, Lane]], carried: list[_Part]) -> None:
-        """Take the rows of one table, of each kind that reads in its own way. Add the states to `carried`."""
-        plain, lane = places.plain, kinds[0][1]
-        table = self._command(plain.dialect, lane.command, lane.role)
-        parts: list[_Part] = []
-        for own, each in kinds:
-            layout = each.form.layout
-            wire = column_codec(layout, each.start).wire(taken(plain.block.data, own))
-            fields = {name: physical_column(values, layout.named[name]) for name, values in wire.items()}
-            parts.append((own, fields | {f"{name}_name": wire[name] for name in wire.keys() & table.choices}))
-            if each.states:
-                carried.append((own, states(each, wire)))
-        rows, columns = self._merged(parts, table)
-        table.add({**self._framed(places, rows, lane), **columns}, places.sequences.take(rows))
-
-    def _framed(self, places: _Places, rows: Integers, lane: Lane) -> dict[str, Any]:
-        """Return the columns that all frames have. `lane`: of one of them."""
-        pa, plain, block = self._pa, places.plain, places.plain.block
-        count, sizes, whole = len(rows), block.sizes.take(rows), taken(block.data, rows)
+    def _framed(self, plain: Plain, rows: Integers, numbers: Integers) -> dict[str, pyarrow.Array]:
+        """Return the columns that all frames have; those of replies are of no meaning for requests."""
+        pa, block, count = self._pa, plain.block, len(rows)
+        sizes, whole = block.sizes.take(rows), taken(block.data, rows)
         stops = np.zeros(count + 1, dtype=np.int32)
         sizes.cumsum(dtype=np.int32, out=stops[1:])
-        # Most often all have one length.
-        same = (sizes == sizes[0]).all()
-        data = np.ascontiguousarray(whole[:, : sizes[0]] if same else whole[np.arange(whole.shape[1]) < sizes[:, None]])
+        data = whole[np.arange(whole.shape[1]) < sizes[:, None]]
+        latencies = plain.latencies.take(rows)
         columns = {
-            **self._placed(places, rows),
+            **self._placed(plain, rows, numbers),
             "_raw": pa.Array.from_buffers(pa.binary(), count, [None, pa.py_buffer(stops), pa.py_buffer(data)]),
             "_checksum_ok": pa.repeat(True, count),
             "_offset": self._numbers(plain.offsets.take(rows)),
+            "_latency": self._numbers(latencies / SECOND_NS, latencies <= 0),
+            "_request_sequence": self._numbers(numbers - plain.behind.take(rows)),
         }
         if isinstance(block, CanBlock):
             columns["_can_id"] = self._numbers(block.ids.take(rows).astype(np.int64))
@@ -257,33 +272,38 @@ class ParquetTables:
             if marks.any():
                 names = pa.array([None if role is Role.UNKNOWN else role.value for role in DIRECTIONS])
                 columns["_direction"] = names.take(pa.array(marks))
-        if not lane.is_request:
-            latencies = plain.latencies.take(rows)
-            columns["_latency"] = self._numbers(latencies / SECOND_NS, latencies <= 0)
-            columns["_request_sequence"] = self._numbers(places.sequences.take(rows) - plain.behind.take(rows))
         return columns
 
-    def _merged(self, parts: Sequence[_Part], table: _Table | None = None) -> tuple[Integers, dict[str, pyarrow.Array]]:
-        """Return the rows of some parts in their order, and their columns. `table`: has the types, and names of choices."""
-        rows, values = parts[0]
-        missing: dict[str, Flags] = {}
-        if len(parts) > 1:
-            rows = np.sort(np.concatenate([own for own, _ in parts]))
-            values = {name: np.zeros(len(rows), dtype=each.dtype) for _, found in parts for name, each in found.items()}
-            missing = {name: np.ones(len(rows), dtype=np.bool_) for name in values}
-            for own, found in parts:
-                at = rows.searchsorted(own)
-                for name, each in found.items():
-                    values[name][at], missing[name][at] = each, False
-        columns = {}
-        for name, each in values.items():
-            if table is not None and (field := table.choices.get(name.removesuffix("_name"))) and name.endswith("_name"):
-                columns[name] = self._names(each, field, missing.get(name))
-                continue
+    def _read(
+        self, plain: Plain, kinds: Sequence[tuple[Integers, Lane]], carried: list[_Part]
+    ) -> tuple[_Table, Integers, _Own]:
+        """Return a table, its rows, and their fields, of each kind that reads in its own way. Add the states to `carried`."""
+        lane = kinds[0][1]
+        table = self._command(plain.dialect, lane.command, lane.role)
+        parts: list[_Part] = []
+        for rows, each in kinds:
+            layout = each.form.layout
+            wire = column_codec(layout, each.start).wire(taken(plain.block.data, rows))
             # What pyarrow casts by would have to be loaded.
-            kind = np.float64 if table is None else table.schema.field(name).type.to_pandas_dtype()
-            columns[name] = self._numbers(each.astype(kind, copy=False), missing.get(name))
-        return rows, columns
+            fields = {
+                name: physical_column(values, layout.named[name]).astype(table.numbers[name], copy=False)
+                for name, values in wire.items()
+            }
+            parts.append((rows, fields | {f"{name}_name": wire[name] for name in wire.keys() & table.choices}))
+            if each.states:
+                carried.append((rows, states(each, wire)))
+        return table, *_merged(parts)
+
+    def _column(self, table: _Table, name: str, values: NDArray[Any], missing: Flags | None) -> pyarrow.Array:
+        """Return a table's own column: numbers, or the names of choices."""
+        field = None if name in table.numbers else table.choices.get(name.removesuffix("_name"))
+        if field is None:
+            return self._numbers(values, missing)
+        known = sorted(field.choice_names)
+        places = np.searchsorted(known, values).clip(0, len(known) - 1)
+        unnamed = np.array(known).take(places) != values
+        indices = self._numbers(places.astype(np.int32), unnamed if missing is None else unnamed | missing)
+        return self._pa.DictionaryArray.from_arrays(indices, [field.choice_names[value] for value in known])
 
     def _numbers(self, values: NDArray[Any], missing: Flags | None = None) -> pyarrow.Array:
         """Return numbers as a column that stands where they do. `missing`: which of them count as none."""
@@ -291,13 +311,6 @@ class ParquetTables:
         # By `pyarrow.array`, the masked arrays of NumPy would be loaded.
         known = None if missing is None or not missing.any() else pa.py_buffer(np.packbits(~missing, bitorder="little"))
         return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [known, pa.py_buffer(values)])
-
-    def _names(self, values: NDArray[np.int64], field: Field, missing: Flags | None) -> pyarrow.Array:
-        known = sorted(field.choice_names)
-        places = np.searchsorted(known, values).clip(0, len(known) - 1)
-        unnamed = np.array(known).take(places) != values
-        indices = self._numbers(places.astype(np.int32), unnamed if missing is None else unnamed | missing)
-        return self._pa.DictionaryArray.from_arrays(indices, [field.choice_names[value] for value in known])
 
     def _count_one(self) -> None:
         self._held += _ALONE

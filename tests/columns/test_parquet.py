@@ -7,6 +7,7 @@ import json
 import os
 import random
 import shutil
+import subprocess
 import sys
 
 import duckdb
@@ -147,6 +148,33 @@ def test_others_read_them(tmp_path, capsys, monkeypatch):
     (folder / "notes.txt").unlink()
     assert main([*words, "--force"]) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["can.parquet"]
+
+
+def test_forms_of_one_command_stand_in_order_and_what_tables_do_not_need_is_not_loaded(tmp_path):
+    """The two forms of a command have other fields and lengths. To load what is not needed takes as long as to decode much."""
+    capture, folder = tmp_path / "forms.log", tmp_path / "forms.parquet"
+    every = list(frames(MKS, random.Random(3), 1200, 0, 0, polls=("set_no_limit_home",)))
+    # Those that the drive says are done.
+    made = [frame for pair in zip(every[::2], every[1::2], strict=True) if pair[1].data[1] == 1 for frame in pair]
+    capture.write_text(
+        "".join(f"({f.t_ns // 10**9}.{f.t_ns % 10**9 // 1000:06d}) can0 {f.id:03X}#{f.data.hex()}\n" for f in made)
+    )
+    code = (
+        "import sys; from analyzer import __main__ as program; from analyzer import sources; from analyzer.cli import decode; "
+        "decode.LONG_CAPTURE = 0; sources.BLOCK = sources.stream.BLOCK = 1000; "
+        "assert program.main() == 0; "
+        "print([name for name in ('pandas', 'pyarrow.compute', 'analyzer.sinks.mcap_file') if name in sys.modules])"
+    )
+    words = ["decode", str(capture), "--dialect", "mks-can", "--jobs", "1", "--to", "parquet", "-o", str(folder)]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+    rows = parquet.read_table(folder / "mks-can.set_no_limit_home.request.parquet").to_pylist()
+    assert [row["_raw"] for row in rows] == [frame.data for frame in made[::2]]
+    lengths = {(row["home_current"] is None, len(row["_raw"])) for row in rows}
+    assert sorted(lengths) == sorted(lengths, key=lambda each: -each[1])
+    assert len(lengths) == 2
+    metadata = {row["name"]: row["value"] for row in parquet.read_table(folder / "metadata.parquet").to_pylist()}
+    assert int(metadata["frames_by_columns"]) > 300
 
 
 def test_without_pyarrow_nothing_is_made(tmp_path, capsys, monkeypatch):
