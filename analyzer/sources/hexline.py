@@ -454,7 +454,7 @@ class _Peeler:
                 self.stamp = Stamp("millis", value)
             elif group in ("word", "assist", "call"):
                 self.words.append(value.lower())
-                if value.lower() in SPEAKERS and found[0].lstrip().startswith("["):
+                if value.lower() in SPEAKERS and (found[0].lstrip().startswith("[") or _LEVEL.search(self.passed)):
                     self.tags.append(value.lower())
             elif group in ("host", "drive"):
                 self.words.append(group)
