@@ -75,6 +75,15 @@ def _thirteen(data: bytes, at: int) -> Carried | None:
     return Carried(13, identifier, payload) if small and not any(rest) else None
 
 
+def _twenty(data: bytes, at: int) -> Carried | None:
+    """Read `AA 55 01`, two kinds, an identifier with the low byte first, a count, eight bytes of data, `00`, and the sum."""
+    frame = data[at : at + 20]
+    if len(frame) < 20 or not frame.startswith(b"\xaa\x55\x01") or frame[9] > _MOST_DATA:
+        return None
+    fits = sum(frame[2:-1]) & 0xFF == frame[-1]
+    return Carried(20, int.from_bytes(frame[5:9], "little"), frame[10 : 10 + frame[9]]) if fits else None
+
+
 def _gvret(data: bytes, at: int) -> Carried | None:
     """Read `F1 00`, an identifier with the low byte first, the bus, a count, and data."""
     if not data.startswith(b"\xf1\x00", at) or len(data) < at + 8 or data[at + 7] > _MOST_DATA or data[at + 6] > 2:
@@ -96,6 +105,7 @@ ADAPTERS = (
     Adapter("a USB-CAN stick (AT ... CR LF)", _at, True),
     Adapter("a USB-CAN adapter that speaks slcan (Lawicel)", _slcan, True),
     Adapter("a USB-CAN adapter (AA ... 55)", _marked, True),
+    Adapter("a USB-CAN adapter (AA 55, 20 bytes a frame)", _twenty, True),
     Adapter("a USB-CAN adapter that speaks GVRET", _gvret, False),
     Adapter("a serial or Ethernet CAN gateway (13 bytes a frame)", _thirteen, False),
 )

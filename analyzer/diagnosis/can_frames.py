@@ -65,6 +65,10 @@ def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list
     yield from _too_long(frames)
     yield from _without_flag(scene, frames, standard)
     yield from _too_large(frames)
+    # Two sums of the drives are no chance among frames of other makers.
+    if wrong := list(_wrong_identifier(scene, standard, checked)):
+        yield from wrong
+        return
     switches = [(p, can) for p, can in standard if can.data[:-1] == b"\xff" * 7 and can.data[-1] in _MIT]
     if switches:
         piece, can = switches[0]
@@ -122,7 +126,6 @@ def strangers(scene: Scene, frames: list[tuple[Piece, CanFrame]], dialects: list
             tuple(Shown(p.offset, shown(p.data, c.id)) for p, c in open_frames[:4]),
         )  # fmt: skip
         return
-    yield from _wrong_identifier(scene, standard, checked)
     yield from _padded(scene, standard, checked)
     yield from _with_identifier(scene, standard)
     yield from _other_length(scene, standard, checked)

@@ -35,22 +35,21 @@ def _crc16(data: bytes, value: int, poly: int) -> int:
     return value
 
 
+def _turned(data: bytes, value: int, poly: int) -> int:
+    """Return a CRC of 16 bits that shifts to the right, as that of Modbus does. `poly`: with its bits turned round."""
+    for byte in data:
+        value ^= byte
+        for _ in range(8):
+            value = value >> 1 ^ (poly if value & 1 else 0)
+    return value
+
+
 def _crc8(data: bytes) -> int:
     value = 0
     for byte in data:
         value ^= byte
         for _ in range(8):
             value = (value << 1 ^ (0x07 if value & 0x80 else 0)) & 0xFF
-    return value
-
-
-def _arc(data: bytes) -> int:
-    """Return the CRC of Modbus begun with 0 instead of FFFF."""
-    value = 0
-    for byte in data:
-        value ^= byte
-        for _ in range(8):
-            value = value >> 1 ^ (0xA001 if value & 1 else 0)
     return value
 
 
@@ -80,10 +79,16 @@ RULES = (
     Rule("the two's complement of the sum", _RULE, lambda b, i: _byte(-sum(b) - i)),
     Rule("the inverted sum", _RULE, lambda b, i: _byte(~(sum(b) + i))),
     Rule("a CRC-8", _RULE, lambda b, i: _byte(_crc8(b))),
-    Rule("the CRC begun with 0 instead of FFFF", _RULE, lambda b, i: _arc(b).to_bytes(2, "little")),
+    Rule("the CRC begun with 0 instead of FFFF", _RULE, lambda b, i: _turned(b, 0, 0xA001).to_bytes(2, "little")),
     Rule("a CRC-16/CCITT", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x1021).to_bytes(2, "big")),
     Rule("a CRC-16/CCITT, low byte first", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x1021).to_bytes(2, "little")),
     Rule("a CRC-16/XMODEM", _RULE, lambda b, i: _crc16(b, 0, 0x1021).to_bytes(2, "big")),
+    Rule("a CRC-16/MCRF4XX", _RULE, lambda b, i: _turned(b, 0xFFFF, 0x8408).to_bytes(2, "little")),
+    Rule("a CRC-16/X-25", _RULE, lambda b, i: (_turned(b, 0xFFFF, 0x8408) ^ 0xFFFF).to_bytes(2, "little")),
+    Rule("a CRC-16/KERMIT", _RULE, lambda b, i: _turned(b, 0, 0x8408).to_bytes(2, "little")),
+    Rule("a CRC-16/USB", _RULE, lambda b, i: (modbus_crc(b) ^ 0xFFFF).to_bytes(2, "little")),
+    Rule("a CRC-16/CMS", _RULE, lambda b, i: _crc16(b, 0xFFFF, 0x8005).to_bytes(2, "big")),
+    Rule("a CRC-16/UMTS", _RULE, lambda b, i: _crc16(b, 0, 0x8005).to_bytes(2, "big")),
     Rule("the right CRC with bit 7 of its bytes lost", "wrong_parity", lambda b, i: _seven(modbus_crc(b))),
     Rule("the sum of all bytes in 16 bits", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "big")),
     Rule("the sum of all bytes in 16 bits, low byte first", _RULE, lambda b, i: (sum(b) & 0xFFFF).to_bytes(2, "little")),
@@ -105,6 +110,9 @@ _OF_TWO: tuple[tuple[str, Callable[[bytes, bytes], bytes]], ...] = (
     ("the sum of the head without its first byte", lambda h, d: h + _sum(h[1:]) + d + _sum(d)),
     ("one sum over the head, and none behind the data", lambda h, d: h + _sum(h) + d),
     ("the XOR of all bytes at its end", lambda h, d: h + _sum(h) + d + _byte(_xor(h + _sum(h) + d))),
+    ("the XOR of the data at its end", lambda h, d: h + _sum(h) + d + _byte(_xor(d))),
+    ("the inverted sums of head and data", lambda h, d: h + _byte(~sum(h)) + d + _byte(~sum(d))),
+    ("the two's complements of both sums", lambda h, d: h + _byte(-sum(h)) + d + _byte(-sum(d))),
     ("the XOR of head and data", lambda h, d: h + _byte(_xor(h)) + d + _byte(_xor(d))),
 )
 RULES_OF_TWO = tuple((Rule(name, _RULE, lambda b, i: b""), whole) for name, whole in _OF_TWO)

@@ -57,10 +57,11 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         scene.explained.update(each.trouble for each in missing)
         missing = []
     wrong = [each for each in failing if each.size]
-    # A write of any register could be anything by itself: two of one unit are no chance.
+    # A write of any register could be anything by itself: two of one unit, or one that answers, are no chance.
     writes = {each.right for each in wrong if is_write(each.right)}
     units = Counter(right[0] for right in writes)
-    wrong = [f for f in wrong if f.rules or f.right not in writes or units[f.right[0]] > 1]
+    there = {p.message.address for p in scene.pieces if p.is_reply and p.sound and p.message is not None}
+    wrong = [f for f in wrong if f.rules or f.right not in writes or units[f.right[0]] > 1 or f.right[0] in there]
     # One that is right shows that the host can: what fails then is a damaged frame, unless a rule says how.
     sound = [
         p for p in scene.pieces
@@ -74,8 +75,8 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         # What a program or its log shows as sent was sent so: no line has damaged it.
         unsure, sound = bool(sound) and not of_program, []
     kept = _deliberate([each for each in missing if not _summed(each)], sound)
-    # No chance takes the same byte of different requests.
-    whole_but_sum = [each for each in missing if each.is_counted]
+    # No chance takes the same byte of different requests, and no line takes one of those that a program shows as sent.
+    whole_but_sum = [each for each in missing if each.is_counted or (_is_sent(each) and not _summed(each))]
     kept = whole_but_sum if not kept and len({each.right for each in whole_but_sum}) > 1 else kept
     if short := [each for each in missing if each not in kept and (_summed(each) or _sent_short(each))]:
         first = short[0]
@@ -88,8 +89,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             f"Send all fields of the command: `servotap catalogue {first.name}` lists them",
             tuple(Shown(each.trouble.offset, shown(each.data)) for each in short),
         )  # fmt: skip
-    if missing := kept:
-        confidence = Confidence.CERTAIN if len(missing) > 1 else Confidence.LIKELY
+    # One that is short lacks a field or its sum.
+    if missing := kept or [each for each in short if not _summed(each)]:
+        confidence = Confidence.POSSIBLE if not kept else Confidence.CERTAIN if len(missing) > 1 else Confidence.LIKELY
         half = missing[0].trouble.stretch is not None and len(missing[0].trouble.stretch.data) + 1 == len(missing[0].right)
         what = "the last byte of its checksum" if half and len(missing[0].right) > READ_SIZE - 1 else "its checksum"
         yield _said("missing_checksum", confidence, missing, f"is sent without {what}", "Put the whole checksum behind it")
@@ -203,8 +205,13 @@ def _summed(failing: Failing) -> bool:
 def _sent_short(failing: Failing) -> bool:
     """Say whether the host has sent a serial request that is a byte short, and has fields."""
     stretch = failing.trouble.stretch
-    of_host = stretch is not None and stretch.can_id is None and stretch.direction is Role.REQUEST
-    return of_host and _is_short(failing)
+    return stretch is not None and stretch.can_id is None and stretch.direction is Role.REQUEST and _is_short(failing)
+
+
+def _is_sent(failing: Failing) -> bool:
+    """Say whether the capture shows a serial request as the host has sent it, in one piece."""
+    stretch = failing.trouble.stretch
+    return stretch is not None and stretch.direction is Role.REQUEST and stretch.opens and stretch.ends
 
 
 def _is_short(failing: Failing) -> bool:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
-from analyzer.catalogue import Risk
+from analyzer.catalogue import Risk, Role, Verb
+from analyzer.diagnosis.can_frames import sent_again
 from analyzer.diagnosis.exchanges import Exchange, Turn, awaited, chains
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown, whole
 from analyzer.link import FUNCTIONS, modbus_crc
 from analyzer.records import Message
 from analyzer.values import counted
 
+#: Commands behind which a drive is away for a while.
+_RESTARTS = frozenset((Verb.RESTART, Verb.RESTORE, Verb.CALIBRATE))
 #: Requests from which on it is no chance.
 _OFTEN = 2
 #: How many requests that are sent alone may come to one that is answered.
@@ -25,6 +28,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect requests that come too soon."""
     yield from _at_once(scene)
     yield from _too_fast(scene)
+    yield from _while_restarting(scene)
     yield from _one_of_row(scene)
     yield from _none_of_row(scene)
 
@@ -152,22 +156,25 @@ def _too_fast(scene: Scene) -> Iterator[Suspicion]:
     failing: list[tuple[int, Turn]] = []
     good: list[int] = []
     known: set[tuple[int, str]] = set()
-    for chain in chains(scene):
-        for pause, exchange, answered in _paused(chain):
-            request = exchange.request
-            if request.message is None or request.message.command is None or not awaited(request.message):
-                continue
-            if answered:
-                good.append(pause)
-                known.add(_asked_for(request.message))
-            else:
-                failing.append((pause, request))
+    for pause, request, answered in (
+        ((pause, exchange.request, answered) for chain in chains(scene) for pause, exchange, answered in _paused(chain))
+        if not any(p.can for p in scene.requests)
+        else _paused_on_can(scene)
+    ):
+        message = request.message
+        if message is None or message.command is None or not (awaited(message) or _is_awaited_on_can(message)):
+            continue
+        if answered:
+            good.append(pause)
+            known.add(_asked_for(request.message))
+        else:
+            failing.append((pause, request))
     failing = [(pause, r) for pause, r in failing if _asked_for(r.message) in known | silent]
     if len(failing) < _OFTEN or len(good) < _OFTEN:
         return
     longest = max(pause for pause, _ in failing)
     same = all(_asked_for(request.message) in known for _, request in failing)
-    if min(good) < 2 * longest or longest > (_LONG_NS if same else _SHORT_NS):
+    if min(good) <= longest or min(good) < 2 * longest or longest > (_LONG_NS if same else _SHORT_NS):
         return
     pause, request = failing[0]
     yield Suspicion(
@@ -183,9 +190,63 @@ def _too_fast(scene: Scene) -> Iterator[Suspicion]:
     )  # fmt: skip
 
 
+def _while_restarting(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect requests behind a restart, of which a drive answers none for a while, and then all again."""
+    again = sent_again(scene)
+    for at, piece in enumerate(scene.pieces):
+        message = piece.message
+        if (
+            message is None
+            or message.command is None
+            or message.command.verb not in _RESTARTS
+            or piece.sequence not in scene.replies
+        ):
+            continue
+        behind = [p for p in scene.pieces[at + 1 :] if p.message is not None and p.message.address == message.address]
+        behind = behind[1:] if behind and behind[0].is_reply else behind
+        silent = list(takewhile(lambda p: p.is_request or p in again, behind))
+        # The last of them is answered.
+        if len(silent) <= _OFTEN or len(silent) == len(behind):
+            continue
+        failing = silent[:-1]
+        troubles = [
+            t for t in scene.of("unanswered", "silent_address", "late_reply", "unsolicited_reply")
+            if t.piece in failing or (t.piece in behind and t.rule != "unanswered")
+        ]  # fmt: skip
+        yield Suspicion(
+            "too_fast", Confidence.LIKELY, troubles or [Trouble("unanswered", p.offset, None, p) for p in failing],
+            f"The drive restarts, and is asked before it is there again: {counted(len(failing), 'request')} have no reply.",
+            f"{whole(piece)} at byte {piece.offset} restarts it; {whole(failing[0])} at byte {failing[0].offset} has none, and "
+            f"{whole(silent[-1])} at byte {silent[-1].offset} has a reply",
+            "Wait after a restart until the drive answers, some two seconds, before the next command",
+            tuple(Shown(p.offset, whole(p)) for p in failing),
+        )  # fmt: skip
+        return
+
+
 def _asked_for(message: Message | None) -> tuple[int, str]:
     """Return what tells one request to a drive from another, apart from its values."""
     return (-1, "") if message is None or message.command is None else (message.address, message.command.name)
+
+
+def _is_awaited_on_can(message: Message) -> bool:
+    """Say whether a request on CAN is answered by the drive that it is for."""
+    one = message.frame.can is not None and message.address != message.frame.dialect.broadcast
+    return one and message.command is not None and bool(message.command.reply_forms)
+
+
+def _paused_on_can(scene: Scene) -> Iterator[tuple[int, Turn, bool]]:
+    """Yield each request on CAN but the first with the pause since the drive's frame before it, and whether it is answered."""
+    last: dict[tuple[int, str], int] = {}
+    for piece in scene.pieces:
+        message = piece.message
+        if message is None or piece.can is None:
+            continue
+        before = last.get(drive := (piece.can.id, piece.can.port))
+        last[drive] = piece.t_ns
+        if piece.is_request and before is not None:
+            turn = Turn(piece.offset, piece.data, piece.t_ns, Role.REQUEST, message, piece)
+            yield piece.t_ns - before, turn, piece.sequence in scene.replies
 
 
 def _paused(chain: Sequence[Exchange]) -> Iterator[tuple[int, Exchange, bool]]:

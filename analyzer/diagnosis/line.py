@@ -47,6 +47,8 @@ _DISTINCT = 3
 _STREAMS = 2
 #: The share of a sender's damaged bytes that a way has to explain.
 _ENOUGH = 0.4
+#: Bytes of which one has its bit 7, whatever is sent.
+_SEVENS = 40
 #: Different bytes of which all have one parity by no chance.
 _ONE_PARITY = 14
 #: The link of units whose reply begins as its request does, and a length that a short reply has.
@@ -105,12 +107,22 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         whole = all_of_seven(came) or (checked and read_otherwise(checked))
         garbled = came if whole else [each for each in came if not _is_checked(each)]
         # A line that is set up wrongly lets nothing through: of each sender if the capture does not tell them apart.
-        if garbled and _sound(scene, side) <= len(garbled):
+        seven = [] if _sound(scene, side) <= len(garbled) else _only_seven(scene, side, garbled)
+        if seven:
+            yield _said(Way("wrong_parity", 1.0, seven), garbled)
+        elif garbled and _sound(scene, side) <= len(garbled):
             found = list(_side(scene, side, garbled))
             parts = [] if found else [part for each in garbled for part in _periods(each)]
             if len(parts) > len(garbled):
                 found = [each for each in _side(scene, side, parts) if each.confidence is not Confidence.POSSIBLE]
             yield from found
+
+
+def _only_seven(scene: Scene, side: Role, garbled: Sequence[Garbled]) -> list[Fit]:
+    """Return what seven data bits explain where frames get through that have no byte from 80 on: no byte of the side has."""
+    came = b"".join(burst.data for burst in scene.bursts if burst.direction is side and burst.can_id is None)
+    fits = list(of_seven(garbled)) if garbled and len(came) >= _SEVENS and came.isascii() else []
+    return fits if len({fit.trouble for fit in fits}) == len(garbled) else []
 
 
 def _is_checked(garbled: Garbled) -> bool:
@@ -178,6 +190,7 @@ def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Susp
     ways = [
         Way("wrong_parity", 1.0, list(of_seven(garbled))),
         *(Way("inverted_lines", 1.0, list(of_inverted(rows))) for rows in (garbled, switched)),
+        Way("inverted_lines", 1.0, list(_turned_bits(scene.reader, garbled))),
         *(_back(scene.reader, switched, cause, line) for cause, line in LINES if line.inverted),
         # What a host has sent stands in its log as it was before the line.
         *(of_what_was_sent(scene, garbled) if side is not Role.REQUEST else ()),
@@ -196,6 +209,15 @@ def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Susp
         repeats = len({each.data for each in all_garbled}) < len(all_garbled)
         if same_line_noise(garbled, repeats=repeats) or no_reply_at_all(garbled):
             yield unknown(garbled)
+
+
+def _turned_bits(reader: Reader, garbled: Sequence[Garbled]) -> Iterator[Fit]:
+    """Yield what a UART explains that turns the data bits round alone, or a program that does."""
+    for trouble, data, replies in garbled:
+        turned = bytes(byte ^ 0xFF for byte in data)
+        reading = reader.best(turned)
+        if any(reply.stands(turned, 0) for reply in replies) or (reading is not None and reading.listed):
+            yield Fit(trouble, data, turned, len(data))
 
 
 def _is_told(way: Way) -> bool:

@@ -43,7 +43,9 @@ def _late(scene: Scene) -> Iterator[Suspicion]:
     late = [p for p in found if p.back and not p.shift]
     asked = sum(len(chain) for chain in chains(scene))
     yield from _of_another(scene, [p for p in late if _not_asked(scene, p)])
-    if len(late) < _LATE or len(found) < _ANSWERED * (asked - 1) or 2 * len(late) < len(found):
+    # All may have gone well before.
+    since = sum(p.read.offset >= late[0].read.offset for p in found) if late else 0
+    if len(late) < _LATE or len(found) < _ANSWERED * (asked - 1) or 2 * len(late) < since:
         return
     first = late[0]
     back = counted(first.back, "request")
@@ -78,7 +80,8 @@ def _late_on_can(scene: Scene) -> Iterator[Suspicion]:
             own, newer = asked[piece.asked_by], last[asked[piece.asked_by].message.address]  # type: ignore[union-attr]
             behind = own is not newer and piece.t_ns - own.t_ns > _BEHIND_NS and newer.t_ns - own.t_ns > _BEHIND_NS
             if behind or (own is not newer and not scene.timed and scene.behind.get(newer.sequence) is piece):
-                late.append(piece)
+                # What has the code of the newer request may be its reply.
+                late += [piece] if newer.data[:1] != piece.data[:1] else []
     if len(late) < _LATE or 2 * len(late) <= replies + 1:
         return
     yield Suspicion(
@@ -140,6 +143,9 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
         for exchange in chain:
             for turn in exchange.received:
                 reads += 1
+                if turn.data.startswith(exchange.request.data):
+                    # The host's own bytes push its reply back.
+                    continue
                 shift = _turned(exchange, turn)
                 turned += bool(shift)
                 shift = shift or crossing.get(turn.offset, 0) or _shift(exchange, turn)
@@ -156,7 +162,12 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
     turn, shift = first
     begins = bool(crosses) and not crosses[0].shift and not _whole_before(scene, crosses[0].read)
     # Who reads so many bytes each time is out of step from the first on; who reads what is there gets more or fewer.
-    counts = begins and shifted > _SHIFTED and len({len(t.data) for c in chains(scene) for e in c[1:] for t in e.received}) == 1
+    behind = [(exchange, turn) for chain in chains(scene) for exchange in chain[1:] for turn in exchange.received]
+    counts = (
+        begins
+        and shifted > _SHIFTED
+        and (len({len(turn.data) for _, turn in behind}) == 1 or all(_is_counted(exchange, turn) for exchange, turn in behind))
+    )
     if begins:
         yield Suspicion(
             "reply_cut", Confidence.POSSIBLE if counts else Confidence.CERTAIN, troubles or [Trouble("damaged", turn.offset)],
@@ -224,6 +235,12 @@ def _turned(exchange: Exchange, turn: Turn) -> int:
             if reply.stands(data[at:] + data[:at], 0):
                 return at
     return 0
+
+
+def _is_counted(exchange: Exchange, turn: Turn) -> bool:
+    """Say whether a read has as many bytes as a reply to its request."""
+    message = exchange.request.message
+    return message is not None and any(len(turn.data) == reply.size for reply in awaited(message))
 
 
 def _whole_before(scene: Scene, short: Turn) -> bool:

@@ -225,8 +225,8 @@ def of_replies(garbled: Sequence[Garbled]) -> Iterator[Way]:
                 value, head, mask = max(begun)
                 fits.append(Fit(trouble, heard, head, len(value)))
                 different.add(value)
-                # Of some bits of a byte more must agree.
-                least = max(least, FEWEST if mask.count(0xFF) == len(mask) else 2 * FEWEST)
+                # Where no byte is known whole, more must agree.
+                least = max(least, FEWEST if 0xFF in mask else 2 * FEWEST)
         # Where only one speed is tried, two fitting bytes are no coincidence.
         sure = line.inverted and any(fit.taken >= ALIKE for fit in fits)
         enough = len(fits) >= max(least, ALMOST_ALL * len(asked)) and len(different) >= _DISTINCT
@@ -295,14 +295,15 @@ def _starts(head: bytes, line: Line) -> frozenset[tuple[bytes, bytes]]:
         pair = [read(levels(head + tail, line), line, late) for tail in (bytes(8), b"\xff" * 8)]
         same = bytes(0xFF & ~(a ^ b) for a, b in zip(*pair, strict=False))
         whole = sum(1 for _ in takewhile(lambda bits: bits == 0xFF, same))
-        # A first byte that is known but for few bits tells something, too.
-        size = whole or (1 if same and same[0].bit_count() >= _KNOWN_BITS else 0)
-        if size:
+        # A byte that is known but for few bits tells something, too; behind zeros or ones alone it does not.
+        more = whole < len(same) and same[whole].bit_count() >= _KNOWN_BITS
+        more &= not whole or any(0 < byte < 0xFF for byte in pair[0][:whole])
+        for size in {whole, whole + more} - {0}:
             found.add((bytes(a & b for a, b in zip(pair[0], same, strict=False))[:size], same[:size]))
     return frozenset(found)
 
 
-#: Bits of a first byte that tell whose it is.
+#: Bits of a byte that tell whose it is.
 _KNOWN_BITS = 5
 
 

@@ -10,7 +10,7 @@ from analyzer.catalogue import Dialect, Role
 from analyzer.diagnosis.rendered import read_otherwise
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
 from analyzer.diagnosis.values import filled
-from analyzer.link import FUNCTIONS, REGISTER_READS, WRITE_MANY, WRITE_ONE
+from analyzer.link import FUNCTIONS, REGISTER_READS, WRITE_MANY, WRITE_ONE, modbus_crc
 from analyzer.values import counted
 
 _LOOK_UP = "Look the command up: `servotap catalogue` lists what the manual has"
@@ -40,7 +40,11 @@ _NUMBERED = (10001, 30001, 40001)
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect what the requests ask for."""
     found: dict[tuple[str, str], list[_Wrong]] = {}
-    answers = {p.asked_by for p in scene.pieces if p.is_reply and not _refuses(p) and not _is_long(p)}
+    asked_of = {p.sequence: p.data for p in scene.pieces if p.is_request}
+    answers = {
+        p.asked_by for p in scene.pieces
+        if p.is_reply and not _refuses(p) and not _is_long(p) and not _is_of_other(asked_of.get(p.asked_by or 0, b""), p.data)
+    }  # fmt: skip
     answered = {p.data for p in scene.pieces if p.is_request and p.sequence in answers}
     for troubles, piece, refusal in _failing(scene):
         if refusal is None and piece.sequence in answers:
@@ -83,6 +87,16 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         )  # fmt: skip
 
 
+def _is_of_other(asked: bytes, came: bytes) -> bool:
+    """Say whether registers came that are not as many as a Modbus read has asked for: they answer another."""
+    reads = len(asked) == _READ and asked[1] in REGISTER_READS and asked[:2] == came[:2] and not modbus_crc(asked)
+    return reads and came[2] != 2 * int.from_bytes(asked[4:6], "big")
+
+
+#: The size of a Modbus read.
+_READ = 8
+
+
 def _among_its_own(scene: Scene, piece: Piece) -> bool:
     """Say whether a frame stands among several of its dialect that are right."""
     dialect = piece.message.frame.dialect if piece.message is not None else None
@@ -123,7 +137,10 @@ def _failing(scene: Scene) -> Iterator[tuple[list[Trouble], Piece, Piece | None]
         refusal = refusals.get(piece.sequence)
         message = piece.message
         # What an exception answers is a request; a write of one register and its reply look alike.
-        asks = piece.is_request or refusal is not None or (known and _asks_nothing_known(piece)) or _is_long(piece)
+        asks = piece.is_request or refusal is not None or _is_long(piece)
+        # What is found unanswered was taken for a request, as a write of one register is, which its reply looks like.
+        asks |= "unanswered" in piece.rules
+        asks |= known and (_asks_nothing_known(piece) or _is_unprompted(scene, piece))
         if message is None or not asks or not message.frame.checksum_ok:
             if piece.is_reply and piece.asked_by is None and piece.sound and "modbus_exception" in piece.rules:
                 yield own[piece.sequence], piece, piece
@@ -140,6 +157,14 @@ def _asks_nothing_known(piece: Piece) -> bool:
         return False
     head = message.frame.dialect.link.parse(piece.data, None if piece.can is None else piece.can.id)
     return head.start == head.stop
+
+
+def _is_unprompted(scene: Scene, piece: Piece) -> bool:
+    """Say whether a frame on CAN of an unknown code comes where no reply is awaited: all its drive was asked is answered."""
+    if piece.can is None or piece.message is None or "unknown_command" not in piece.rules:
+        return False
+    before = scene.asked_before(piece.offset)
+    return before is None or before.sequence in scene.replies
 
 
 def _is_long(piece: Piece) -> bool:
@@ -264,11 +289,22 @@ def _register(dialect: Dialect, data: bytes, function: int, register: int) -> _W
         if function in REGISTER_READS and other != function and (other, register) in known:
             say = f"Register {register:04X} is read by function {other:02X}, not {function:02X}."
             return _Why("wrong_function", say, _with(dialect, data, other, register))
+    turned, count = register >> 8 | (register & 0xFF) << 8, data[4:6]
+    if function in REGISTER_READS and (function, turned) in known and count[0] and not count[1]:
+        right = dialect.link.completed(data[:2] + turned.to_bytes(2, "big") + count[::-1])
+        say = f"Register {register:04X} is {turned:04X} with its bytes in the wrong order, and so is the quantity."
+        return _Why("wrong_byte_order", say, right)
     meant = int(str(register), 16) if len(str(register)) <= 4 else 0
     if register > 9 and (function, meant) in known:
         say = f"The register {register:04X} is {register} in decimal: meant is {meant:04X}, in hexadecimal."
         return _Why("decimal_as_hex", say, _with(dialect, data, function, meant))
-    if register and (function, register - 1) in known:
-        say = f"Register {register:04X} is one above {register - 1:04X}."
-        return _Why("wrong_register", say, _with(dialect, data, function, register - 1))
+    # Numbers of old controllers begin at 30001 and 40001; some count them from 30000 and 40000.
+    first = max((n - less for n in _NUMBERED for less in (0, 1) if (function, register - n + less) in known), default=0)
+    if first:
+        say = f"Register {register:04X} is {register} in decimal, a number of old controllers: meant is {register - first:04X}."
+        return _Why("wrong_register", say, _with(dialect, data, function, register - first))
+    for meant, where in ((register - 1, "above"), (register + 1, "below")):
+        if register and (function, meant) in known:
+            say = f"Register {register:04X} is one {where} {meant:04X}."
+            return _Why("wrong_register", say, _with(dialect, data, function, meant))
     return None

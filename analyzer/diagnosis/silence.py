@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from analyzer.catalogue import Dialect, Risk, Role
 from analyzer.diagnosis.addresses import addressed
+from analyzer.diagnosis.can_frames import sent_again
 from analyzer.diagnosis.exchanges import reported
 from analyzer.diagnosis.reports import NOTHING_CAME, last_bytes
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown, whole
@@ -23,10 +24,14 @@ from analyzer.values import counted, identifier
 #: Requests without a reply, and their share, from which on a drive that answers others has fallen silent.
 _AGAIN = 2
 _OFTEN = 0.2
+#: Requests without a reply behind all that came, of however many.
+_STOPPED = 4
 #: Silent addresses that are a search, and those that are named.
 _SEARCHED, _SHOWN = 3, 8
 #: Causes that several addresses have alike.
 _ALIKE = frozenset(("no_reply", "wrong_address"))
+#: Motion commands of which none is answered by no chance.
+_NEVER = 3
 #: Findings of a reply that refuses.
 _FAILED = frozenset(("failed_status", "refused_write", "modbus_exception"))
 
@@ -287,13 +292,13 @@ def _falls_silent(scene: Scene, asked: _Asked, who: str) -> Iterator[Suspicion]:
         if p.is_request and p.message is not None and p.message.address == asked.address
         and p.message.frame.dialect is asked.dialect
     ]  # fmt: skip
-    if len(left) < _AGAIN or len(left) < _OFTEN * len(of_drive):
+    replies = [p.offset for p in scene.pieces if p.is_reply and p.message is not None and p.message.address == asked.address]
+    stops = bool(replies) and bool(left) and max(replies) < left[0].offset
+    if len(left) < _AGAIN or len(left) < min(_OFTEN * len(of_drive), _STOPPED if stops else len(of_drive)):
         return
     silent = {t.piece.sequence for t in left if t.piece is not None}
     good = {p.data for p in of_drive if p.sequence not in silent}
     first = left[0]
-    replies = [p.offset for p in scene.pieces if p.is_reply and p.message is not None and p.message.address == asked.address]
-    stops = bool(replies) and max(replies) < first.offset
     yield Suspicion(
         "no_reply", Confidence.LIKELY if stops else Confidence.POSSIBLE, left,
         f"Address {who} has answered, and then stops." if stops else f"Address {who} answers at times, and at times not.",
@@ -307,7 +312,8 @@ def _falls_silent(scene: Scene, asked: _Asked, who: str) -> Iterator[Suspicion]:
 
 def _switched(scene: Scene, dialect: Dialect, address: int) -> tuple[Piece, str, str, str] | None:
     """Return the setting after which a drive answers no more as it was asked: its cause, what it did, and what to do."""
-    replies = {p.asked_by: p for p in scene.pieces if p.is_reply and p.asked_by is not None}
+    again = sent_again(scene)
+    replies = {p.asked_by: p for p in scene.pieces if p.is_reply and p.asked_by is not None and p not in again}
     for at in range(len(scene.pieces) - 1, -1, -1):
         piece = scene.pieces[at]
         message = piece.message
@@ -322,7 +328,7 @@ def _switched(scene: Scene, dialect: Dialect, address: int) -> tuple[Piece, str,
         ]  # fmt: skip
         # One that is not answered itself counts where the drive has answered before.
         before = own is not None or any(p.is_reply and p.message and p.message.address == address for p in scene.pieces[:at])
-        if not before or any(p.is_reply for p in after) or not any(p.is_request for p in after):
+        if not before or any(p.is_reply and p not in again for p in after) or not any(p.is_request for p in after):
             continue
         for effect, name in message.command.effects.items():
             found = _effect(dialect, effect, message.values.get(name), _who(dialect, address))
@@ -469,17 +475,27 @@ _FEW = 4
 
 
 def _silenced(scene: Scene) -> Iterator[Trouble]:
-    """Yield the first motion command without a reply behind a setting that switches replies off: the pipeline expects that."""
+    """Yield the first motion command without a reply behind a setting that switches replies off: the pipeline expects that.
+
+    Or the first to a drive of which none is ever answered.
+    """
     off: set[tuple[str, int]] = set()
     answered = {piece.asked_by for piece in scene.pieces if piece.is_reply}
+    sent: dict[tuple[str, int], list[Piece]] = defaultdict(list)
     for piece in scene.pieces:
         message = piece.message
         if message is None or message.command is None or not piece.is_request:
             continue
         drive = (message.frame.dialect.name, message.address)
+        if message.command.silenced:
+            sent[drive].append(piece)
         value = message.values.get(message.command.sets(Effect.RESPOND))
         if value is not None and piece.sequence in answered:
             (off.discard if value else off.add)(drive)
         elif drive in off and message.command.silenced and piece.sequence not in answered:
             yield Trouble("silent_address", piece.offset, None, piece)
             return
+    # Without times each closes the one before it.
+    never = (pieces[0] for pieces in sent.values() if len(pieces) >= _NEVER and all(p.sequence not in answered for p in pieces))
+    for piece in never:
+        yield Trouble("silent_address", piece.offset, None, piece)

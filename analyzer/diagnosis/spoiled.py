@@ -119,7 +119,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         # They are the numbers of rows, and nothing is wrong with these frames.
         scene.explained.update(edge.trouble for edge in leading)
         leading = []
-    if leading and len(leading) * _OFTEN >= frames:
+    if leading and (len(leading) * _OFTEN >= frames or _is_all(scene, leading)):
         lacks = leading[0].lacks
         yield _said(
             "leading_glitch", leading, "Stray bytes stand before {}.",
@@ -128,12 +128,17 @@ def look(scene: Scene) -> Iterator[Suspicion]:
             "Bias the line (A up, B down, 120 Ohm at both ends), and drop bytes before a head; "
             + ("then read on to the end of the frame" if lacks else "the frame itself is whole"),
         )  # fmt: skip
-    if trailing and len(trailing) * _OFTEN >= frames:
+    if trailing and (len(trailing) * _OFTEN >= frames or _is_all(scene, trailing)):
         yield _said(
             "trailing_glitch", trailing, "Stray bytes stand behind {}.",
             f"{shown(trailing[0].stray)} stands behind the whole frame {shown(trailing[0].frame)}",
             "Release the driver only after the last stop bit and bias the line; take as many bytes as the frame has",
         )  # fmt: skip
+
+
+def _is_all(scene: Scene, edges: Sequence[_Edge]) -> bool:
+    """Say whether nothing but such strays is damaged, and several are: noise hits frames, too."""
+    return len(edges) >= _SEVERAL and len(edges) == len(scene.damaged)
 
 
 def _count_up(edges: Sequence[_Edge]) -> bool:
@@ -143,8 +148,8 @@ def _count_up(edges: Sequence[_Edge]) -> bool:
     return len(strays) >= _ROWS and max(map(len, strays)) == 1 and all(0 < step <= _DECIMAL_STEP for step in steps)
 
 
-#: Rows that count up by no chance; the step from 09 to 10, read as hexadecimal.
-_ROWS, _DECIMAL_STEP = 4, 7
+#: Strays that stand alike by no chance; the step from 09 to 10, read as hexadecimal.
+_ROWS, _SEVERAL, _DECIMAL_STEP = 4, 3, 7
 
 
 def _inside(scene: Scene, strays: set[bytes]) -> Iterator[_Edge]:

@@ -19,6 +19,8 @@ from analyzer.link import FUNCTIONS, READS, modbus_crc
 from analyzer.values import counted
 
 _REPLACED = b"\xef\xbf\xbd"
+#: Numbers of which one has three digits, and is no byte in hexadecimal.
+_DECIMAL, _LARGEST = re.compile(rb"(?=.*\b\d{3}\b)\d{1,3}(?:[ \t]+\d{1,3}){3,}\s*", re.DOTALL), 0xFF
 _HEX = re.compile(rb"(?:0x|\\x)?[0-9A-Fa-f]{2}(?:[\s,;:-]*(?:0x|\\x)?[0-9A-Fa-f]{2}){2,}[\s,;]*")
 _HEADER = 6
 _LEAST_COUNT = 3
@@ -116,9 +118,12 @@ _HEAD = b"\xfa"
 
 
 def _letters(reader: Reader, data: bytes) -> bytes | None:
-    if not _HEX.fullmatch(data):
+    if _DECIMAL.fullmatch(data):
+        frame = bytes(value for value in map(int, data.split()) if value <= _LARGEST)
+    elif _HEX.fullmatch(data):
+        frame = bytes.fromhex(re.sub(rb"0x|\\x|[^0-9A-Fa-f]", b"", data).decode())
+    else:
         return None
-    frame = bytes.fromhex(re.sub(rb"0x|\\x|[^0-9A-Fa-f]", b"", data).decode())
     known = reader.best(frame) is not None or reader.closed(frame) or _frames(reader, frame) * 2 > len(frame)
     return frame if known else None
 
@@ -147,7 +152,8 @@ def _tcp(reader: Reader, data: bytes) -> bytes | None:
         at += _HEADER + (len(body) if last else count)
     if not bodies or at != len(data):
         return None
-    return b"".join(body + modbus_crc(body).to_bytes(2, "little") for body in bodies)
+    # Of some the CRC stands behind the header, too.
+    return b"".join(body if modbus_crc(body) == 0 else body + modbus_crc(body).to_bytes(2, "little") for body in bodies)
 
 
 _LINE_ENDS = Dress(
@@ -300,9 +306,33 @@ _BACK = 8
 _SPEAKS_TCP = re.compile(r"\bmodbus\w*?[-_ ]?tcp|\btransaction[_ ]?id|\bmbap\b|\btcp-(?:client|response)", re.IGNORECASE)
 
 
+def _before_crc(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect headers of Modbus TCP before frames that have their CRC as well: a drive reads them as the beginning."""
+    at = {piece.offset: piece for piece in scene.pieces if piece.sound and piece.can is None}
+    found = [
+        (t, t.stretch.data, frame) for t in scene.damaged
+        if t.stretch is not None and len(t.stretch.data) == _HEADER and t.stretch.data[2:5] == b"\0\0\0"
+        and (frame := at.get(t.stretch.stop)) is not None and modbus_crc(frame.data) == 0
+        and len(frame.data) - t.stretch.data[5] in (0, 2)
+    ]  # fmt: skip
+    if not found:
+        return
+    first, header, frame = found[0]
+    own = {frame for _, _, frame in found}
+    yield Suspicion(
+        "tcp_framing", Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY,
+        [*(t for t, _, _ in found), *(t for t in scene.of(*SILENT) if t.piece in own)],
+        "The frame has the header of Modbus TCP, and its CRC: a drive takes the header for the beginning of a frame.",
+        f"{shown(header + frame.data)} at byte {first.offset}; {counted(len(found), 'time')}",
+        f"Switch the program or the gateway to Modbus RTU: {shown(frame.data)}",
+        tuple(Shown(t.offset, shown(h + f.data), shown(f.data)) for t, h, f in found),
+    )  # fmt: skip
+
+
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the dress."""
     yield from _of_header(scene)
+    yield from _before_crc(scene)
     yield from _split_headers(scene)
     yield from _told_twice(scene)
     yield from _marked_replies(scene)

@@ -94,7 +94,8 @@ SHAPES: tuple[Shape, ...] = (
     # In a sentence, or as a program prints it.
     _shape(
         "quoted",
-        r"(?:.*?(?P<error>error[ _]?frame\b))?.*?(?<![\w#/.-])(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#(?P<data>(?:[0-9A-F]{2}){1,8})"
+        r"(?:.*?(?P<error>error[ _]?frame\b))?(?P<before>.*?)(?<![\w#/.-])(?P<id>[0-9A-F]{3}|[0-9A-F]{8})#"
+        r"(?P<data>(?:[0-9A-F]{2}){1,8})"
         r"(?![0-9A-Z#]|\s[0-9A-F]{2}\b).*",
     ),
     _shape(
@@ -120,7 +121,7 @@ SHAPES: tuple[Shape, ...] = (
     _shape(
         "id-data",
         rf"(?:(?P<before>.*?)(?<![A-Za-z]))?(?:(?:can|cob|std|ext)[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:and\s+)?(?:(?:(?P<extended>ext\w*)|std|standard)[\s,;|]*)?"
-        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*|\[\s*)"
+        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|daten|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*|\[\s*)"
         rf"{_DATA}[\]}}\s]*(?:\((?P<port>[a-z]+\d+)\)\s*)?",
         near=r"\s*(?:\S+\s+)?id\s*[:=]",
     ),

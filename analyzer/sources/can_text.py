@@ -59,6 +59,8 @@ _BYTE = re.compile(r"[0-9A-Fa-f]{1,2}")
 #: Below this a number is the same in both, and with so many digits tools print hexadecimal.
 _ALIKE = 10
 _PADDED = (3, 4, 8)
+#: Digits of an identifier of 29 bits, as SocketCAN's tools write it.
+_EXTENDED_DIGITS = 8
 _EXTENDED_FLAG, _REMOTE_FLAG, _ERROR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _FLAGGED = 0xFFFF_FFFF
 _SLCAN_ID = {"t": 3, "T": 8, "r": 3, "R": 8}
@@ -345,6 +347,8 @@ def _of(found: re.Match[str], stamp: Stamp, role: Role, decimal: bool) -> _Line 
     elif groups.get("time"):
         stamp = Stamp("clock" if ":" in groups["time"] else "seconds", groups["time"])
     extended = bool(groups.get("extended")) or number > CAN_ID_LIMIT or "extended" in (groups.get("before") or "").lower()
+    # SocketCAN's tools write an identifier of 29 bits with eight digits.
+    extended |= f"{groups['id']}#" in found[0] and len(groups["id"]) == _EXTENDED_DIGITS
     if number > CAN_ID_MASK:
         # SocketCAN's own numbers: the three bits above are flags.
         error, remote = bool(number & _ERROR_FLAG), bool(number & _REMOTE_FLAG)

@@ -55,6 +55,12 @@ def has_fields(lines: Sequence[str]) -> bool:
     )
 
 
+def begins_dump(line: str) -> bool:
+    """Say whether a line is the first row of a dump."""
+    row = _DUMP_ROW.match(line)
+    return row is not None and int(row[1], 16) == 0
+
+
 def has_cells(lines: Sequence[str]) -> bool:
     """Say whether the cells of a frame stand below a line of words: of most frames some cell has two bytes, and some one."""
     runs = [list(rows) for _, rows in groupby(lines, key=lambda line: _CELL.fullmatch(line) is not None)]

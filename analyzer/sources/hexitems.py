@@ -22,7 +22,7 @@ WORDS_PATTERN = "|".join(sorted(WORDS, key=len, reverse=True))
 _RECEIVED = "|".join(sorted((word for word, way in ACTIONS.items() if way < 0), key=len, reverse=True))
 _letters = "|".join(LETTERS)
 SIGNS_PATTERN = "|".join(re.escape(sign) for sign in sorted(SIGNS, key=len, reverse=True))
-_END = r"(?![0-9A-Za-z_]|::)"
+_END = r"(?![0-9A-Za-z_]|::|\.[A-Za-z])"
 #: What some programs put before a time.
 TIMED = r"(?:@|T\+|(?:time|ts|t)\s*[=:]\s*\"?)?"
 DECORATION = r"[\s:=<>|\])→←◇◆：,;]*(?:-+[>\s]\s*)?"
@@ -35,7 +35,7 @@ CONTENT = r"(?:data|bytes?|frame|adu|pdu|buffer|buf|packet|msg|message|raw|数�
 #: What bytes can begin with.
 _BYTES = (
     rf"(?={PAIR}|0x(?:[0-9A-Fa-f]{{2}}){{3,}}\b|[\[{{(<\"'b]|"
-    r"[0-9A-Fa-f]{4,}\s*(?:$|->|<-|[→←|#])|(?:[0-9A-Fa-f]{2}\.){5}|-?\d{1,3}[\s,])"
+    r"[0-9A-Fa-f]{4,}\s*(?:$|->|<-|[→←|#])|(?:[0-9A-Fa-f]{2}\.){5}|(?:[0-9A-Fa-f]{2}\.)+[0-9A-Fa-f]{2}\s\(\d+\)|-?\d{1,3}[\s,])"
 )
 #: What stands between the name of a call and the bytes that it returned.
 _RETURNED = rf"\(\d{{0,5}}\)(?:\s*(?:[-=]>|[→=:])\s*{_BYTES}|\s+(?={PAIR}|(?:[0-9A-Fa-f]{{2}}){{3,}}(?:\s|$)|b['\"]|\[))"
@@ -99,7 +99,7 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         ),
         # Who sends to whom: `PC=>MOT`, `COM>TCP`, `[host <- drive]`.
         (When.UNMARKED, "", rf"\s*[\[(]?{_ENDS}"),
-        (When.ANY, "", rf"[\s#*<>=\[(-]*(?P<word>{WORDS_PATTERN})(?:_?{CONTENT})?(?:\(\):)?{_END}{DECORATION}"),
+        (When.ANY, "", rf"[\s#*<>=\[(-]*(?:VISA\s)?(?P<word>{WORDS_PATTERN})(?:_?{CONTENT}|HEX)?(?:\(\):)?{_END}{DECORATION}"),
         # `('TX', b'\\xfa')`, as Python prints pairs.
         (When.ANY, "'", rf"\s*[\[({{]?\s*'(?P<word>{WORDS_PATTERN})'\s*[,:]\s*"),
         (When.UNMARKED, "\t", r"\d{1,9}\t(?=\d+\.\d+\t)"),

@@ -453,7 +453,7 @@ class _Peeler:
                 self.stamp = Stamp(kind, value)
             elif group in ("word", "assist", "call"):
                 self.words.append(value.lower())
-                if value.lower() in SPEAKERS and found[0].lstrip().startswith("["):
+                if value.lower() in SPEAKERS and (found[0].lstrip().startswith("[") or _LEVEL.search(self.passed)):
                     self.tags.append(value.lower())
             elif group in _SAID:
                 self.words.append(_SAID[group])

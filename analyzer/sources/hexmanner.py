@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from analyzer.catalogue import Role
 from analyzer.link import REGISTER_READS, modbus_crc
-from analyzer.sources.hexfields import has_cells, has_fields
+from analyzer.sources.hexfields import begins_dump, has_cells, has_fields
 from analyzer.sources.hexline import LEADS, HexLine, Shape, bytes_of, take_apart
 from analyzer.sources.marks import OTHER_SIDE, TO, WORDS, role_of
 from analyzer.sources.prose import quotations
@@ -41,6 +41,16 @@ SINGLE = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,2}|\d{3})\s*")
 _DIGIT = re.compile(r"(?:(?P<call>.*\w)\(\):)?\s*(?P<digit>[0-9A-Fa-f])\s*")
 _QUOTED = re.compile(r"\s*>\s?")
 _ARROW = "->"
+
+
+def _is_count(part: HexLine) -> bool:
+    """Say whether a number stands alone behind a mark, as one byte does."""
+    return part.marked and (len(part.data) == 1 or (part.shape is Shape.BROKEN and part.text.strip(" :").isdecimal()))
+
+
+def _as_header(part: HexLine) -> HexLine:
+    """Return the mark above a dump without the number of its bytes."""
+    return part._replace(shape=Shape.HEADER, data=b"") if _is_count(part) else part
 
 
 def _asks(data: bytes) -> bool:
@@ -254,6 +264,8 @@ class Manner(NamedTuple):
     quoted: bool = False
     #: Numbers without a letter are decimal, because others can be nothing else.
     decimal: bool = False
+    #: What stands alone behind a mark is how many bytes the dump below it has.
+    counted: bool = False
     #: Each line is one byte.
     single: bool = False
     #: Each line is one byte behind its time or its mark.
@@ -302,6 +314,9 @@ class Manner(NamedTuple):
             return cls(single=True, decimal=is_decimal_column(lines))
         quoted = _is_quoted(lines)
         parts = [take_apart(_QUOTED.sub("", line, 1) if quoted else line) for line in lines]
+        counted = any(_is_count(part) and begins_dump(below) for part, below in zip(parts, lines[1:], strict=False))
+        if counted:
+            parts = [_as_header(part) for part in parts]
         traffic = list(_below(parts))
         roles = [p.role for p in parts if p.shape in (Shape.TRAFFIC, Shape.HEADER)]
         stamped = [p for p in parts if p.stamp.kind]
@@ -310,6 +325,7 @@ class Manner(NamedTuple):
         short = any(_is_short(line, part) for line, part in zip(lines, parts, strict=True))
         return cls(
             quoted=quoted,
+            counted=counted,
             lone=bool(traffic) and len(bytes_alone) >= _SINGLE_LINES and not any(len(p.data) > 1 for p in traffic),
             decimal=any(p.radix is Radix.DECIMAL for p in traffic),
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
@@ -339,6 +355,8 @@ class Manner(NamedTuple):
         if self.answer and (came := _NAMED.search(text)) is not None and came["name"].lower() == self.answer:
             text = f"{text[: came.start()]}received: {came['bytes']}"
         line = take_apart(_QUOTED.sub("", text, 1) if self.quoted else text, self.decimal, self.led)
+        if self.counted:
+            line = _as_header(line)
         if self.lone and _is_digit(line):
             found = _DIGIT.fullmatch(line.text)
             assert found is not None  # asked just before

@@ -59,6 +59,13 @@ _QUOTES = str.maketrans("", "", "'\"")
 _DIGITS = re.compile(r"-?\d{1,3}(?:[\s,;]+-?\d{1,3})*[\s,;]*|\d{1,3}(?:-\d{1,3})+")
 
 
+#: Bytes that a person has typed, with a letter O for a zero; a small one may be that of a word.
+_TYPED = re.compile(
+    r"(?<![^\s:=>|\[(])(?=[A-FO\s]*\d)(?=[\dA-F\s]*O)(?:[\dA-FO]{2}\s){2,}[\dA-FO]{2}(?![^\s.,;|\])])"
+    r"|(?<=: )(?=[\dA-F ]*O)(?:[\dA-FO]{2} )*[\dA-FO]{2}$"
+)
+
+
 def plain(line: str) -> str:
     """Return a line of a post without the marks of its layout, and without the casts that Java and C need."""
     if "`" in line and (quoted := _INLINE.fullmatch(line)) is not None:
@@ -67,6 +74,8 @@ def plain(line: str) -> str:
         line = _BULLET.sub("", line)
     if "**" in line:
         line = _EMPHASIS.sub("", line)
+    if "O" in line:
+        line = _TYPED.sub(lambda found: found[0].replace("O", "0"), line)
     if "</" in line or "[/" in line:
         line = _TAG.sub("", line)
     if '"Buffer"' in line:

@@ -134,6 +134,20 @@ FORMS = {
             f"{'TX' if m == '>' else 'RX'} | data | {0.1 * n + 0.001 * at:.4f} | 8.7E-05 | 0x{b:02X}" for at, b in enumerate(d)
         )
     ),
+    "typed by hand": lambda m, n, d: f"{'TX' if m == '>' else 'RX'}: {pairs(d).replace('0', 'O')}",
+    "a dump below a number": lambda m, n, d: f"{'WRITE' if m == '>' else 'READ'} {len(d)}\n0000  {pairs(d)}  |{'.' * len(d)}|",
+    "a logger named servo": lambda m, n, d: (
+        f"[2025-07-08T10:20:0{n}Z DEBUG servo] {'tx' if m == '>' else 'rx'} [{pairs(d, ', ', '0x', small=True)}]"
+    ),
+    "a program named motor": lambda m, n, d: (
+        f"{n}\t0.{n}0000000\tmotor.exe\tIRP_MJ_{'WRITE' if m == '>' else 'READ'}\tSerial0\t"
+        f"SUCCESS\tLength {len(d)}: {pairs(d)} \t"
+    ),
+    "visa": lambda m, n, d: f"{'VISA Write' if m == '>' else 'VISA Read'}\t{pairs(d)}",
+    "send hex": lambda m, n, d: f"[2025-07-08 10:20:0{n}.241] {'发送' if m == '>' else '接收'}HEX: {pairs(d)}",
+    "esphome-dots": lambda m, n, d: (
+        f"[20:25:0{n}.868][V][modbus:199]: Modbus {'write raw' if m == '>' else 'received'}: {pairs(d, '.')} ({len(d)})"
+    ),
     "android": lambda m, n, d: f"D/Modbus  ( 1234): {'write' if m == '>' else 'read'} {len(d)} bytes: {pairs(d)}",
 }
 
@@ -172,6 +186,7 @@ CAN_FORMS = {
         f"{' ' if m == '>' else '. '}"
     ),
     "ids": lambda m, i, d: f"ID: 0x{i:03X} DLC: {len(d.split())} Data: {d}\n",
+    "german": lambda m, i, d: f"{'Gesendet' if m == '>' else 'Empfangen'}: ID {i:03X}  Daten {d}\n",
     "ids in sentences": lambda m, i, d: (
         f"{'I send' if m == '>' else 'and I get'} ID: 0x{i:03X}, DLC: {len(d.split())}, Data: {d}{' ' if m == '>' else '. '}"
     ),
@@ -220,3 +235,14 @@ def test_an_arrow_between_two_names_tells_the_way_by_the_one_that_is_known(marks
 def test_an_arrow_between_unknown_names_tells_the_way_by_who_reads_registers():
     text = f"A=>B {pairs(ASK)}\nB=>A {pairs(ASK + REPLY)}\nA=>B {pairs(ASK_2)}\nB=>A {pairs(ASK_2 + REPLY_2)}\n"
     assert diagnosed(text).causes[0].suspicion.cause == "echo"
+
+
+def test_a_short_request_with_dots_is_no_version():
+    asked, came = "FA.06.30.30 (4)", "FB.06.30.FF.FF.FF.FF.3F.73.DF (10)"
+    text = f"[10:20:00][V][modbus:199]: Modbus write raw: {asked}\n[10:20:00][V][modbus:042]: Modbus received: {came}\n"
+    assert diagnosed(text * 2).verdict == "ok"
+
+
+def test_eight_digits_before_a_hash_are_an_identifier_of_29_bits():
+    found = diagnosed("00000007#3E45\n00000007#343B\n00000007#F301FB\n").causes
+    assert [each.suspicion.cause for each in found] == ["can_extended_id"]

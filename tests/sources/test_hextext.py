@@ -270,7 +270,7 @@ def test_comments(tmp_path: Path) -> None:
     ("line", "rest"),
     [
         ("TX: FA 01 G6 01", "FA 01 G6 01"),
-        ("FA 01 F6 01 4O 02", "FA 01 F6 01 4O 02"),
+        ("FA 01 F6 01 4Q 02", "FA 01 F6 01 4Q 02"),
         ("< FB0", "FB0"),
         ("FA01F6014", "FA01F6014"),
         ("12:00:00.5 RX: FB 01 F", None),
