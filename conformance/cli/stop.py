@@ -21,7 +21,7 @@ from analyzer.catalogue import Dialect
 from analyzer.cli.boundary import report
 from analyzer.cli.frame import parse_target
 from analyzer.dialects import drive_name
-from analyzer.errors import ServotapError
+from analyzer.errors import ServotapError, UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live import profile
 from analyzer.values import addresses as addresses_of
