@@ -162,6 +162,7 @@ class _Corners:
             yield self._switch(True)
             yield from self._look(Verb.READ_STATUS)
             yield self._go(next(follow), _SHORT)
+            yield from self._look(Verb.READ_POSITION)
         yield self._switch(False)
         for verb in (Verb.SET_ZERO, Verb.RELEASE_PROTECTION):
             yield from self._set(verb)
@@ -211,6 +212,6 @@ def steps(dialect: Dialect, part: str) -> Iterator[Step]:
 
 
 def _numbers(low: int, high: int) -> Sequence[int]:
-    """Return numbers of one byte or bit, within limits, and the limits."""
+    """Return the limits, a number that needs as many bits, and numbers of one bit."""
     inside = [n for bits in (16, 24, 31) for n in (1 << bits, -1 << bits) if low < n < high]
-    return (low, high, *inside) if low else (high, *inside)
+    return (low, high, low - low // 8, *inside) if low else (high, *inside)
