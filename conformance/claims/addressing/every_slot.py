@@ -20,14 +20,14 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.stops import expect_ended
 from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.declared import CALM, QUICK, SUBDIVISION
+from conformance.motion.declared import CALM, SUBDIVISION
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, Probe
 
 #: The ramp of a run, 1.3 ms for a rpm, and how long it rises: to 60 rpm. How far a motion would go (degrees).
 _RISING, _RISES_NS, _FAR = 230, 80 * MS, 10 * 360
-#: How far a move goes, of a count and pulses with two bytes each (degrees), and how fast at most (rpm).
-_WAY, _RPM = 50, 260
+#: How far a move goes, of a count and pulses with two bytes each (degrees), how fast at most (rpm), and its ramp.
+_WAY, _RPM, _RAMP = 50, 260, 254
 #: How long a shaft may go on behind a move by the law or a stop; how long a setting and a stop are listened to.
 _LATE_NS, _SETTING_NS, _HALTS_NS = 300 * MS, 20 * MS, 20 * MS
 #: Subdivisions that a slot sets, in turns.
@@ -52,7 +52,7 @@ def _in_each_slot(probe: Probe, command: Command, run: Command) -> None:
     """
     assert command.slots is not None
     motion.prepare(probe, run)
-    motion.begin(probe, run, _FAR, rpm=rpm_of(run, 1))
+    motion.begin(probe, run, _FAR, acceleration=_RISING)
     probe.wait(_RISES_NS)
     alone = math.copysign(1, motion.turning(probe).value)
     rest = motion.stand_still(probe)
@@ -77,7 +77,7 @@ def _turned_in_slot(
     assert command.slots is not None
     runs = declared.of(run).kind is MotionKind.RUN
     start, degrees = motion.place(probe, run), _FAR if runs else _WAY
-    how = {"acceleration": _RISING} if runs else {}
+    how = {"acceleration": _RISING if runs else _RAMP}
     own, other = (
         declared.values_of(probe.dialect, run, w * degrees, rpm=rpm_of(run, w), start=start, **how) for w in (way, -way)
     )
@@ -97,7 +97,7 @@ def _turned_in_slot(
         ended = probe.send(frame_of(probe, command, slots), timeout_ns=_HALTS_NS)
         text = f"{stop.name} in slot {number + 1} of a package does not stop the shaft"
         return sent, seen, expect_ended(probe, ended, text, _LATE_NS)
-    sent = probe.send(frame, timeout_ns=int(ramp.move_ns(_WAY / 360, _RPM, QUICK)))
+    sent = probe.send(frame, timeout_ns=int(ramp.move_ns(_WAY / 360, _RPM, _RAMP)))
     try:
         end = motion.wait_standing(probe, limit_ns=_LATE_NS)
     except Inconclusive:

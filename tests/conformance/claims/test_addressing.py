@@ -69,13 +69,13 @@ def test_the_reply_from_the_new_address_is_a_known_quirk():
     )
 
 
-@pytest.mark.parametrize("drive", ["mks-rs485", "mks-modbus"])
-def test_a_restart_by_broadcast_that_is_answered_is_refuted(drive):
+@pytest.mark.parametrize(("drive", "ways"), [("mks-rs485", {"broadcast", "package"}), ("mks-modbus", {"broadcast"})])
+def test_a_restart_by_broadcast_that_is_answered_is_refuted(drive, ways):
     def told(drive: Drive, message: Message, wanted: bool) -> bool:
         return wanted or (message.address == 0 and message.command is not None and message.command.verb is Verb.RESTART)
 
     fault = Fault("restart", (drive,), "a restart by broadcast is answered", "broadcast", lambda h: h.answer.append(told))
-    assert refuted(Theme.READ_BACK, f"{drive}@1", "save_speed", fault=fault) == {"save_speed/broadcast"}
+    assert refuted(Theme.READ_BACK, f"{drive}@1", "save_speed", fault=fault) == {f"save_speed/{way}" for way in ways}
 
 
 def test_a_motion_by_the_group_that_is_refused_and_answered_is_refuted():

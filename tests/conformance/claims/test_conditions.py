@@ -225,7 +225,7 @@ REFUTED_BY = {
     "broadcast-mode-ignored": "addressing/broadcast/set_work_mode",
     "broadcast-group-ignored": "addressing/broadcast/set_group_address",
     "broadcast-zero-ignored": "addressing/broadcast/set_zero_mode",
-    "group-restart-ignored": "read-back/save_speed/group",
+    "group-restart-ignored": "read-back/save_speed/broadcast",
     "group-ports-ignored": "addressing/group/write_io",
     "group-homing-ignored": "read-back/settings/restart-group",
     "calibration-goes-on": "motion/calibrate/halted",
