@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import cycle
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive
@@ -38,17 +39,17 @@ _SUBDIVISIONS = (8, 32)
 
 
 def _in_every_slot(dialect: Dialect) -> Iterator[Case]:
+    """Yield each motion twice: what turns one way in a slot turns the other way in the next, so that half of it shows much."""
     for case in motions(dialect):
-        yield Case(dialect, case.command, {"run": case["run"]}, case.facts)
+        for begins, name, slots in ((1, "every-slot", "first"), (-1, "every-slot-other-way", "second")):
+            yield Case(dialect, case.command, {"run": case["run"], "begins": begins, "name": name, "slots": slots}, case.facts)
 
 
-@of_packages(
-    "a shaft that stays, turns the other way, is slow, or goes elsewhere", name="{run}/every-slot", each=_in_every_slot
-)
-def _in_each_slot(probe: Probe, command: Command, run: Command) -> None:
-    """{run} in each slot of a package, beside other drives' slots, turns the shaft either way, and a move as far, as alone.
+@of_packages("a shaft that stays, turns the other way, is slow, or goes elsewhere", name="{run}/{name}", each=_in_every_slot)
+def _in_each_slot(probe: Probe, command: Command, run: Command, begins: int) -> None:
+    """{run} in each slot of a package turns the shaft, and a move as far, as alone: one way from the {slots} slot on, by turns.
 
-    A stop in each slot ends a run.
+    The slots of other drives stand beside it. A stop in each slot ends a run.
     """
     assert command.slots is not None
     motion.prepare(probe, run)
@@ -56,7 +57,7 @@ def _in_each_slot(probe: Probe, command: Command, run: Command) -> None:
     probe.wait(_RISES_NS)
     alone = math.copysign(1, motion.turning(probe).value)
     rest = motion.stand_still(probe)
-    for number, way in ((n, way) for n in range(command.slots.count) for way in (1, -1)):
+    for number, way in zip(range(command.slots.count), cycle((begins, -begins)), strict=False):
         sent, seen, rest = undamaged(probe, _turned_in_slot, command, run, number, way, rest=rest)
         key = f"{run.name} in a slot of a package does not turn the shaft as when it is sent alone"
         text = key.replace("a slot", f"slot {number + 1}")

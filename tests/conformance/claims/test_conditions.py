@@ -73,7 +73,7 @@ REFUTED_BY = {
     "group-speed-byte": "addressing/group/move_relative_axis/stop_relative_axis",
     "group-answered-backwards": "addressing/group/move_relative_pulses/stop_relative_pulses",
     "package-enabling-answered": "addressing/package/settings/every-slot",
-    "package-last-slot-unstopped": "addressing/package/run_speed/every-slot",
+    "package-last-slot-unstopped": "addressing/package/run_speed/every-slot-other-way",
     "kept-run-unstopped": "read-back/save_speed/clean-at-rest",
     "kept-run-not-disabled": "read-back/save_speed/as-it-was",
     "current-not-put-back": "motion/release_protection/limp-either-way",
