@@ -35,6 +35,7 @@ from benchmarks.run_time import TARGETS, everything, in_a_group, real, specifica
 from conformance.claim import Claim, Outcome
 from conformance.drives.can_bits import frame_bits
 from conformance.gate.gate import Gate
+from conformance.model import story
 from conformance.motion import resting
 from conformance.suite import engine, order
 from conformance.suite.dry_run import StandInRig
@@ -328,6 +329,8 @@ def make(target: Target, refuted_by: Refuted, rounds: int, new: Sequence[str]) -
 
 def _try(target: Target, claims: Sequence[Claim], refuted_by: Refuted, faults: Iterable[str]) -> None:
     """Try claims against faults; keep which refute which."""
+    # What is refuted counts, not by how few steps.
+    story.SHORTER = 0
     rows = {(dialect, fault): refuted for dialect, fault, refuted in map(_row, _lines(SEARCHED))}
     for fault in faults:
         rig = EmulatedRig(specification(target, f"{in_a_group(target)},fault={fault}"))

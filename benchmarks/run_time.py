@@ -65,8 +65,10 @@ def told(target: Target, more: str = "") -> dict[str, str]:
     """Return the settings of a new drive as a user would tell them (`--settings`)."""
     drive = make.make(specification(target, more))
     fields = {n: f for c in drive.dialect.commands if changes(c) for n, f in all_fields(c.request_forms).items()}
-    held = {name: value for name, value in drive.settings.items() if name in fields and not refusal(fields[name], value)}
-    return {name: f"{fields[name].physical(value):.12g}" for name, value in held.items()}
+    # What a restart forgets is not stored, but a user can say what it is: ports with their own signals.
+    held = vars(getattr(drive, "memory", object)) | drive.settings
+    known = {name: field for name, field in fields.items() if name in held and not refusal(field, held[name])}
+    return {name: f"{field.physical(held[name]):.12g}" for name, field in known.items()}
 
 
 def in_a_group(target: Target) -> str:

@@ -8,13 +8,14 @@ A refutation shows a shortened list of steps. The walk has some legs, one claim 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 
 from analyzer.catalogue import Certainty, Dialect, Doubt, Risk
 from conformance.claim import Aspect, Theme
-from conformance.claims.declare import Case, claim
+from conformance.claims.declare import Case, claim, with_values
 from conformance.drives.make import KINDS
 from conformance.gate.bounds import Leeway
-from conformance.model import conditions, route, story
+from conformance.model import conditions, corners, route, story
 from conformance.model.lk_parameters import need_room
 from conformance.motion import declared
 from conformance.talk.acceptance import need_plain_replies
@@ -40,6 +41,12 @@ def _legs(dialect: Dialect) -> Iterator[Case]:
         yield Case(dialect, None, {"leg": leg + 1}, facts)
 
 
+def _corners(dialect: Dialect) -> Iterator[Case]:
+    if dialect.ramp is not None:
+        for part, (statement, _) in corners.PARTS.items():
+            yield from with_values(lambda d: islice(_legs(d), 1), part=part, statement=statement)(dialect)
+
+
 def _first(probe: Probe) -> None:
     need_plain_replies(probe)
     need_room(probe)
@@ -61,3 +68,18 @@ def _walk(probe: Probe, leg: int) -> None:
     leeway = Leeway(allowance.bounds, allowance.subdivision, dialect=probe.dialect)
     waits = probe.rig.write_gap_ns > 0
     story.check(probe, route.steps(probe.dialect, seed=probe.rig.seed, leeway=leeway, leg=leg, legs=LEGS, waits=waits))
+
+
+@claim(
+    Theme.STATE,
+    each=_corners,
+    name="corners/{part}",
+    first=_first,
+    refuted_by="another answer, position, speed or setting than that of the ideal drive",
+    section="all",
+    rests_on=(Doubt.SEQUENCE,),
+    at_best=Certainty.LIKELY,
+)
+def _at_corners(probe: Probe, part: str) -> None:
+    """{statement}."""
+    story.check(probe, corners.steps(probe.dialect, part))

@@ -2,6 +2,7 @@
 
     addressed(probe, command, values, way, group)   the request, sent in one of the ways to it
     aside(probe, number, group)                     a frame that changes nothing: no motion, no setting, no reply that is due
+    spoiled(dialect, built, how)                    a request with a wrong check, or on CAN with another number of data bytes
 
 A drive does the same in each of these ways. A frame that is not for it changes nothing.
 """
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 #: A code that no manual has; a speed that would be seen if a drive took the run of another one; the bit above a byte.
 _UNKNOWN, _RPM, _ABOVE_BYTE = 0x99, 60, 0x100
+#: Bytes of data that a CAN frame has beside its code and its check.
+_CAN_DATA = 6
 
 
 class Way(IntEnum):
@@ -134,9 +137,31 @@ def aside(probe: Probe, number: int, group: int | None) -> Item:
         return probe.build(read, address=_to(probe, way, group)).item()
     built = probe.build(read)
     if number == Aside.WRONG_CHECK:
-        spoiled = bytearray(built.frame)
-        spoiled[dialect.link.checks(built.frame, built.can_id)[-1].start] ^= 1
-        return built.item(bytes(spoiled))
+        return spoiled(dialect, built, WRONG_CHECK)
     # One code behind the head and the address, or a register behind the function.
     code = bytes((0x00, _UNKNOWN, 0x00, 0x01)) if read.function else bytes((_UNKNOWN,))
     return dialect.link.completed(built.frame[:2] + code)
+
+
+#: How a request is spoiled: by a wrong check, or none; numbers from the last on stand for the number of its data bytes.
+WRONG_CHECK, _NO_CHECK, _OF_LENGTH = 1, 2, 3
+
+
+def lengths(dialect: Dialect, command: Command) -> tuple[int, ...]:
+    """Return what gives a request another length, as `spoiled` takes it. On a line the next frame would end it."""
+    own = command.request_forms[0].layout.byte_length
+    others = (_OF_LENGTH + n for n in range(_CAN_DATA + 1) if n != own)
+    return (_NO_CHECK, *others) if dialect.bus == "can" else ()
+
+
+def spoiled(dialect: Dialect, built: Built, how: int) -> Item:
+    """Return a request of which nothing comes."""
+    link = dialect.link
+    if how == WRONG_CHECK:
+        frame = bytearray(built.frame)
+        frame[link.checks(built.frame, built.can_id)[-1].start] ^= 1
+        return built.item(bytes(frame))
+    body = built.frame[:-1]
+    if how == _NO_CHECK:
+        return built.item(body)
+    return built.item(link.completed(body.ljust(1 + _CAN_DATA, b"\0")[: 1 + how - _OF_LENGTH], built.can_id))

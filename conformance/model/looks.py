@@ -1,7 +1,7 @@
 """Looks at the drive and its twin (`model.pair`): reads whose replies are compared, between steps and while a motion goes on.
 
 looks.some(first, count)     some of the reads, from one on
-looks.on_the_way(frame)      two looks at a motion before its end: how it goes there no place at its end tells
+looks.on_the_way(frame)      some looks at a motion before its end: how it goes there no place at its end tells
 looks.changing()             what tells how a speed changes
 looks.meanwhile()            as many as fit into the time for which the next setting has to wait
 """
@@ -42,7 +42,10 @@ class Looks:
             self._pair.look(self.reads[(first + number) % len(self.reads)])
 
     def on_the_way(self, frame: int) -> None:
-        """Look at a motion before its end is told. `frame`: one that changes nothing, sent meanwhile; 0: none."""
+        """Look at a motion before its end is told: as it begins, half-way, and as it ends.
+
+        `frame`: one that changes nothing, sent meanwhile; 0: none.
+        """
         pair, probe = self._pair, self._pair.probe
         drive: Any = pair.twin.drive
         left_ns = int(drive.motor.settled) - pair.twin.now_ns - 2 * probe.noise.latency_ns
@@ -56,6 +59,8 @@ class Looks:
         if pair.course.from_rest:
             probe.wait(half_ns - probe.gate.now_ns())
             pair.look(pair.dialect.by_verb[Verb.READ_POSITION])
+            probe.wait(half_ns + left_ns // 4 - probe.gate.now_ns())
+            self.changing()
 
     def changing(self) -> None:
         """Look at what tells how the speed changes."""

@@ -17,8 +17,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from analyzer.catalogue import Command, Verb
+from analyzer.catalogue import Command, Risk, Verb
 from conformance.claim import Inconclusive, NotRun, Refuted
+from conformance.gate.gate import Item
 from conformance.gate.gate import Refused as GateRefused
 from conformance.model.asides import Aside, aside
 from conformance.model.comparing import Comparing, Course
@@ -54,6 +55,8 @@ class Pair:
         spread_ns = _SPREAD_NS + probe.noise.latency_ns if self.dialect.ramp is not None else 0
         self.twin = Twin(self.dialect, probe.address, probe.rig.model or self.dialect.model, spread_ns=spread_ns)
         self._shift_ns = self.twin.now_ns - probe.gate.now_ns()
+        #: Steps that do nothing.
+        self._looks = {LOOK, *(command.name for command in self.dialect.commands if command.all_risks == {Risk.READ})}
 
     # --- their clocks -------------------------------------------------------------------------------------------------
 
@@ -97,11 +100,15 @@ class Pair:
         try:
             item = aside(self.probe, number, self.group)
             if number == Aside.UNKNOWN_CODE:
-                exchange = self.probe.send(item, until=Until.REPLY, timeout_ns=self.probe.noise.silence_ns)
+                self.send_beside(item, until=Until.REPLY, timeout_ns=self.probe.noise.silence_ns)
             else:
-                exchange = self.probe.send(item, timeout_ns=_APART_NS)
+                self.send_beside(item)
         except (GateRefused, NotRun):
             return
+
+    def send_beside(self, item: Item, **how: Any) -> None:
+        """Send a frame of which nothing comes. Raises Refused."""
+        exchange = self.probe.send(item, **{"timeout_ns": _APART_NS, **how})
         self.unasked.expect(self.twin.hear(item, self.twin_ns(exchange.sent_ns)))
 
     # --- comparing ----------------------------------------------------------------------------------------------------
@@ -196,5 +203,5 @@ class Pair:
             expected=f"{expected}{f', by {command.section}' if command else ''}",
             got=f"{got}, after {steps_text(self.steps)}",
             exchange=exchange or (self.probe.traffic[-1] if self.probe.traffic else None),
-            key=f"state: {what} after {next((step.name for step in reversed(self.steps) if step.name != LOOK), 'nothing')}",
+            key=f"state: {what} after {next((s.name for s in reversed(self.steps) if s.name not in self._looks), 'nothing')}",
         )

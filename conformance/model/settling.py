@@ -107,7 +107,9 @@ def rest(pair: Pair, *, watched: bool, lawful: bool) -> None:
     pair.anchor()
     if unasked.missing() > 0:
         probe.listen(_BEHIND_NS)
-    if (different := unasked.taken(pair.course.left)) is not None:
+    # What was left to itself has ended by now.
+    left, pair.course.left = pair.course.left, -1
+    if (different := unasked.taken(left)) is not None:
         pair.refute("what is said at the end of a motion", *different)
 
 

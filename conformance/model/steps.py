@@ -47,6 +47,8 @@ def parse_steps(text: str) -> list[Step]:
 LEAVE = "leave"
 #: How the request reaches the drive (`asides.Way`), and what is sent while its motion is under way (`asides.Aside`).
 WAY, ASIDE = "way", "aside"
+#: What makes a request one of which nothing comes (`asides.spoiled`).
+SPOILED = "spoiled"
 LOOK = "look"
 
 

@@ -26,10 +26,10 @@ from analyzer.catalogue import Command, MotionKind, Risk, Verb
 from conformance.claim import NotRun
 from conformance.gate.gate import Refused as GateRefused
 from conformance.model import adopting, settling
-from conformance.model.asides import Way, addressed
+from conformance.model.asides import Way, addressed, spoiled
 from conformance.model.looks import Looks
 from conformance.model.pair import Pair
-from conformance.model.steps import ASIDE, LEAVE, LOOK, WAY, Step, beginning
+from conformance.model.steps import ASIDE, LEAVE, LOOK, SPOILED, WAY, Step, beginning
 from conformance.motion import declared, motion
 from conformance.motion.declared import MOVES, QUICK, SUBDIVISION
 from conformance.talk.probe import MS, Probe, Until
@@ -111,6 +111,9 @@ class Walk:
             raise NotRun("no manual says what a drive is that is in a group of its own address")
         way = self._way(given)
         built = addressed(probe, command, values, way, pair.group)
+        if given.get(SPOILED):
+            pair.send_beside(spoiled(self._dialect, built, given[SPOILED]))
+            return
         if not built.risks <= probe.rig.allowed | {Risk.READ}:
             raise NotRun("not allowed")
         if Risk.SETTING in built.risks:
@@ -150,7 +153,7 @@ class Walk:
         """Return the values of a step as they are sent; those of a motion are its amounts, within the bounds."""
         told = command.motion
         if told is None or told.kind is MotionKind.STOP or not (told.speed or told.distance):
-            return {name: value for name, value in given.items() if name not in (LEAVE, WAY, ASIDE)}
+            return {name: value for name, value in given.items() if name not in (LEAVE, WAY, ASIDE, SPOILED)}
         bounds = self._probe.gate.allowance.bounds
         rpm, acceleration = given.get("rpm", 0), given.get("acceleration", QUICK)
         if bounds.speed is not None:
@@ -166,6 +169,8 @@ class Walk:
             subdivision=getattr(self.pair.twin.drive, "subdivision", SUBDIVISION),
             start=motion.place(self._probe, command),
         )
+        # A number of a distance as it is sent is in place of degrees.
+        values |= {told.distance: given[told.distance]} if told.distance in given else {}
         if not told.speed:
             return values
         return values | {told.speed: min(values[told.speed], declared.field_of(command, told.speed).high)}

@@ -16,6 +16,7 @@ from itertools import product
 from typing import Any
 
 from analyzer.catalogue import Certainty, Command, Dialect, MotionKind, Verb
+from analyzer.protocols.mks_shared import Protection
 from conformance.claim import Inconclusive
 from conformance.claims import bench
 from conformance.claims.control_reads import received_text
@@ -32,7 +33,7 @@ from conformance.claims.motion.refusals import expect_refused
 from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.declared import MOVES, QUICK, RUNS_AND_MOVES
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import MS, SECOND_NS, Probe, Until
+from conformance.talk.probe import MS, SECOND_NS, Probe
 
 _TURNS = 2.0
 _BEHIND_RELEASE = "behind 3D, with the motor told as enabled"
@@ -288,25 +289,27 @@ def _give_current(probe: Probe, on: bool) -> Exchange:
 
 #: How fast a motor without current is asked to turn; how long the drive has to see that the shaft lags.
 _LIMP_RPM, _LAGS_NS = 240, 500 * MS
+#: Between two looks whether it has.
+_LOOK_NS = 40 * MS
 
 
 def limp_move(
-    probe: Probe,
-    degrees: float,
-    watch_ns: int = _LAGS_NS,
-    move: Verb | Command = Verb.MOVE_RELATIVE_AXIS,
-    until: Until = Until.TIMEOUT,
+    probe: Probe, degrees: float, watch_ns: int = _LAGS_NS, move: Verb | Command = Verb.MOVE_RELATIVE_AXIS
 ) -> tuple[Exchange, float]:
     """Ask a motor without current for a move; return by how many degrees it went all the same.
 
-    `watch_ns`: how long the drive has, behind the time of the move, to see that the shaft lags. `until` it tells something,
-    by default the whole time: a drive that is protected may tell the end of the move.
+    `watch_ns`: how long the drive has, behind the time of the move, to see that the shaft lags.
     """
     before = motion.position(probe)
     _give_current(probe, False)
     exchange = motion.begin(probe, probe.command(move), degrees, rpm=_LIMP_RPM, acceleration=QUICK)
-    probe.listen(int(ramp.move_ns(degrees / 360, _LIMP_RPM, QUICK)) + watch_ns, until)
+    _watch(probe, int(ramp.move_ns(degrees / 360, _LIMP_RPM, QUICK)) + watch_ns)
     return exchange, motion.position(probe).value - before.value
+
+
+def _watch(probe: Probe, for_ns: int) -> None:
+    """Wait until 3E reads protected, which it does until 3D, or for so long."""
+    motion.wait_until(probe, lambda: is_protected(probe) == Protection.PROTECTED, every_ns=_LOOK_NS, limit_ns=for_ns)
 
 
 def end_limp(probe: Probe) -> None:
@@ -351,7 +354,7 @@ def _limp(probe: Probe, command: Command) -> None:
     """
     _prepare(probe, 1)
     _expect(probe, probe.traffic[-1], 0, "3E reads protected before the motor was to turn")
-    exchange, went = limp_move(probe, _TURNS * 360, until=Until.REPLY)
+    exchange, went = limp_move(probe, _TURNS * 360)
     if not is_protected(probe):
         _expect_free(probe, exchange, went)
     look_again = _expect_left(probe, exchange, _SOON_NS)
@@ -405,7 +408,7 @@ def _limp_either_way(probe: Probe) -> None:
             probe.expect(turning, at_least=_LIMP_RPM / 2, unit="rpm", refutes=text, exchange=probe.traffic[-1])
             exchange, went = _give_current(probe, False), 0.0
             # The shaft that runs out lags behind by two turns.
-            probe.wait(1500 * MS)
+            _watch(probe, 1500 * MS)
         else:
             exchange, went = limp_move(probe, way * _TURNS * 360, move=move)
         protected = is_protected(probe)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from conformance.claim import Refuted, Theme
+from conformance.claim import Outcome, Refuted, Theme
 from conformance.drives import make
-from conformance.model import route, story
+from conformance.model import corners, route, story
 from conformance.model.steps import parse_steps, steps_text
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance import theme_runs
@@ -30,6 +30,34 @@ def test_honest_drives_are_what_their_twins_are(drive, real):
     probe = walk(drive + real)
     assert probe.measured["steps"] > 10
     assert not probe.quirks
+
+
+@pytest.mark.parametrize("part", corners.PARTS)
+@pytest.mark.parametrize("drive", ["mks-modbus@1,real=bench", "mks-can@1,real=poor"])
+def test_honest_drives_are_what_their_twins_are_at_corners(drive, part):
+    rig = EmulatedRig(make.parse(drive))
+    probe = rig.probe(theme_runs.claims_of(Theme.STATE, rig, [f"corners/{part}"])[0])
+    story.check(probe, corners.steps(probe.dialect, part))
+    assert probe.measured["steps"] == len(list(corners.steps(probe.dialect, part)))
+
+
+#: Faults that show at a corner, and the part of the corners that it is in.
+CORNERS = (
+    ("mks-modbus", "slow-speed-tenfold", "speeds"),
+    ("mks-can", "falling-pulses-full", "ends"),
+    ("mks-can", "completion-missing-at-zero", "ends"),
+    ("mks-can", "low-word-stops-fe", "numbers"),
+    ("mks-modbus", "run-unstopped-by-fd", "stops"),
+    ("mks-modbus", "enabling-takes-up", "switches"),
+    ("mks-can", "emergency-without-check", "damage"),
+)
+
+
+@pytest.mark.parametrize(("dialect", "fault", "part"), CORNERS)
+def test_a_fault_of_a_corner_is_refuted_there(dialect, fault, part):
+    verdict = theme_runs.judge(f"{dialect}@1,fault={fault}", f"state/corners/{part}")
+    assert verdict.outcome is Outcome.REFUTED
+    assert len(verdict.steps) < 10
 
 
 #: Faults that show in one state, or after one deed, and the steps that show them.
@@ -57,6 +85,8 @@ FAULTS = (
         "end-untold-behind-group",
         "set_group_address group_address=80; move_relative_axis degrees=90 rpm=60 acceleration=248 aside=4",
     ),
+    ("mks-can", "low-word-stops-fe", "move_absolute_pulses position=65536 rpm=200 acceleration=255 leave=1; read_status"),
+    ("mks-can", "long-run-executed", "run_speed rpm=100 acceleration=255 spoiled=8; read_status"),
     ("mks-modbus", "broadcast-one-way", "run_speed rpm=-60 way=1; look first=0 count=6"),
     ("lk-rs485", "lk-off-still-moves", "motor_off; run_speed rpm=60; look first=0 count=8"),
 )
