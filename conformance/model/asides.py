@@ -79,8 +79,10 @@ def _unknown(dialect: Dialect) -> bool:
     return dialect.broadcast is not None and dialect.bus == "serial"
 
 
-def _other(probe: Probe) -> int:
-    return probe.address % (probe.dialect.addresses[1] - 1) + 1
+def _other(probe: Probe, group: int | None) -> int:
+    """Return an address that is neither the drive's nor its group's."""
+    last = probe.dialect.addresses[1] - 1
+    return next(n for n in (probe.address % last + 1, (probe.address + 1) % last + 1) if n != group)
 
 
 def _near(probe: Probe, group: int | None) -> int:
@@ -106,7 +108,7 @@ def addressed(probe: Probe, command: Command, values: Mapping[str, int], way: in
         assert package.slots is not None
         if max(form.layout.byte_length for form in command.request_forms) > package.slots.size - 2:
             raise NotRun("it is longer than a slot")
-        others = [{"address": _other(probe), "command": _read(dialect).name}] * (way - Way.PACKAGE)
+        others = [{"address": _other(probe, group), "command": _read(dialect).name}] * (way - Way.PACKAGE)
         return probe.build(package, {"slots": [*others, {"address": probe.address, "command": command.name, **values}]})
     return probe.build(command, values, address=_to(probe, way, group))
 
@@ -127,10 +129,10 @@ def aside(probe: Probe, number: int, group: int | None) -> Item:
     dialect = probe.dialect
     read = _read(dialect)
     if number == Aside.OTHER_READ:
-        return probe.build(read, address=_other(probe)).item()
+        return probe.build(read, address=_other(probe, group)).item()
     if number in (Aside.OTHER_RUN, Aside.NEAR_GROUP_RUN):
         run = dialect.motions(MotionKind.RUN)[0]
-        to = _other(probe) if number == Aside.OTHER_RUN else _near(probe, group)
+        to = _other(probe, group) if number == Aside.OTHER_RUN else _near(probe, group)
         return probe.build(run, declared.values_of(dialect, run, rpm=_RPM), address=to).item()
     if number in (Aside.BROADCAST_READ, Aside.GROUP_READ):
         way = Way.BROADCAST if number == Aside.BROADCAST_READ else Way.GROUP

@@ -1,8 +1,8 @@
 """The corners of motion, as the steps of short walks (`model.walk`): what a random route (`model.route`) seldom meets.
 
-    speeds      slow, fast and down again, in each mode of the bus and at odd subdivisions
+    speeds      slow and fast, in each mode of the bus, at other subdivisions, and with the direction turned
     ends        each move fast, at once, with a ramp behind that, and in place of another one
-    numbers     each move by numbers of which single bytes or bits are set, and places behind turns on either side of zero
+    numbers     each move by wide numbers, above the highest speed, and places behind many turns
     stops       each run and each move ended by each stop, and motion behind a stop that is not over yet
     switches    the motor switched on and off while the shaft turns, and on behind a stop at once
     damage      motions and stops with a wrong check or of another length, which do nothing
@@ -15,12 +15,12 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import cycle
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Verb
-from conformance.model.asides import Way, lengths, ways
-from conformance.model.steps import LEAVE, SPOILED, WAY, Step
+from conformance.model.asides import Way, asides, lengths, ways
+from conformance.model.steps import ASIDE, LEAVE, SPOILED, WAY, Step
 from conformance.motion import declared
 from conformance.motion.declared import MOVES, SUBDIVISION
 
@@ -29,7 +29,7 @@ _STEEP, _SEEN, _NONE = 255, 236, 0
 #: Speeds that are told in one digit, in two, and in a high byte.
 _SPEEDS = (3, 12, 560)
 #: Subdivisions below and above where speeds are as they are sent.
-_ODD = (25, 67)
+_SUBDIVISIONS = (25, 32, 128, 67)
 #: A moderate speed, one that needs no ramp, a fast one, and the fastest.
 _RPM, _AT_ONCE_RPM, _FAST_RPM, _FASTEST_RPM = 100, 60, 1600, 3000
 #: Degrees of a move with a ramp, a fast one, one that is replaced, one without a ramp, and one whose pulses need over 16 bits.
@@ -78,37 +78,52 @@ class _Corners:
     # --- parts --------------------------------------------------------------------------------------------------------
 
     def speeds(self) -> Iterator[Step]:
-        modes = declared.bus_modes(self.dialect)
-        for name in modes:
+        *others, last = declared.bus_modes(self.dialect)
+        for name in others:
+            # It is limited.
             yield from self._mode(name)
-            for rpm in _SPEEDS if name == modes[-1] else _SPEEDS[1:2]:
-                yield self._go(self.run, 1, rpm)
-                yield from self._look()
-            yield from self._look(*_PLACES[:3]) if name == modes[-1] else ()
+            yield self._go(self.run, 1, _FASTEST_RPM)
+            yield from self._look()
             yield self._stop()
-        for subdivision in (*_ODD, SUBDIVISION):
+        yield from self._mode(last)
+        for rpm in _SPEEDS:
+            yield self._go(self.run, 1, rpm)
+            yield from self._look()
+        yield from self._look(*_PLACES[:3])
+        yield self._stop()
+        moves = cycle((self.moves[:2], self.moves[2:]))
+        for subdivision in (*_SUBDIVISIONS, SUBDIVISION):
             yield from self._set(Verb.SET_SUBDIVISION, subdivision=subdivision)
-            yield self._go(self.run, 1)
-            yield from self._look(Verb.READ_SPEED)
-            yield self._stop()
-            yield from (self._go(c, _SHORT) for c in self.moves if declared.takes_pulses(c))
+            yield from self._each_way(next(moves), 1)
+        yield from self._set(Verb.SET_DIRECTION, motor_direction=1)
+        yield from self._each_way(self.moves, -1)
+        yield from self._set(Verb.SET_DIRECTION, motor_direction=0)
+
+    def _each_way(self, moves: Iterable[Command], turn: int) -> Iterator[Step]:
+        yield self._go(self.run, turn)
+        yield from self._look(Verb.READ_SPEED)
+        yield self._stop()
+        yield from (self._go(command, turn * _SHORT) for command in moves)
 
     def ends(self) -> Iterator[Step]:
-        turn, way = cycle((1, -1)), cycle(self.ways)
-        for command in self.moves:
-            yield self._go(command, next(turn) * _FAST, _FAST_RPM)
+        way, frame = cycle(self.ways[::-1]), cycle(asides(self.dialect))
+        for command, turn in zip(self.moves, cycle((1, -1)), strict=False):
+            yield self._go(command, turn * _FAST, _FAST_RPM)
+            yield self._go(command, -turn * _RAMPED, acceleration=_SEEN, **{WAY: int(next(way)), ASIDE: int(next(frame))})
             yield self._go(command, _SHORT, _AT_ONCE_RPM, _NONE)
             yield from self._look(Verb.READ_POSITION)
-            yield self._go(command, next(turn) * _RAMPED, acceleration=_SEEN, **{WAY: int(next(way))})
             yield self._go(command, _LONG, acceleration=_SEEN, **{LEAVE: 1})
-            yield self._go(command, -_SHORT, acceleration=_SEEN)
+            yield from self._look()
+            yield self._go(command, -_SHORT, acceleration=_SEEN, **{ASIDE: int(next(frame))})
             yield self._go(command, 0)
 
     def numbers(self) -> Iterator[Step]:
         for command in self.moves:
-            field = declared.distance_of(command)
-            for number in _numbers(field.low, field.high):
-                yield Step(command.name, {field.name: number, "rpm": 2 * _RPM, "acceleration": _STEEP, LEAVE: 1})
+            field, speed = declared.distance_of(command), declared.field_of(command, declared.of(command).speed)
+            above = speed.wire_maximum // 2 + _SPEEDS[0]
+            far = ({field.name: number, "rpm": 2 * _RPM} for number in _numbers(field.low, field.high))
+            for values in (*far, *([{"degrees": _LONG, speed.name: above}] if above > speed.high else [])):
+                yield Step(command.name, {**values, "acceleration": _STEEP, LEAVE: 1})
                 yield from self._look(Verb.READ_STATUS, Verb.READ_POSITION)
         yield self._stop()
         for turn in (-1, 2):
@@ -118,10 +133,13 @@ class _Corners:
         yield from self._look(*_PLACES)
 
     def stops_(self) -> Iterator[Step]:
+        way = cycle(self.ways[::-1])
         for stop, command in zip(self.stops, cycle(self.moves), strict=False):
-            for turn in (1, -1):
-                yield self._go(self.run, turn, _AT_ONCE_RPM)
-                yield self._stop(stop)
+            yield self._go(self.run, 1)
+            yield self._stop(stop)
+            yield self._go(self.run, -1, **{WAY: int(next(way))})
+            yield from self._look(Verb.READ_SPEED)
+            yield self._stop(stop, _SEEN, **{WAY: int(next(way))})
             yield self._go(command, _LONG, **{LEAVE: 1})
             yield self._stop(stop)
         for command in self.moves:
@@ -130,11 +148,11 @@ class _Corners:
             yield self._go(command, _RAMPED)
 
     def switches(self) -> Iterator[Step]:
-        emergency, going = self.verbs.get(Verb.EMERGENCY_STOP), (self.run, *self.moves)
+        emergency, going, way = self.verbs.get(Verb.EMERGENCY_STOP), (self.run, *self.moves), cycle(self.ways[::-1])
         for command in going:
             yield self._go(command, 1 if command is self.run else _LONG, **{LEAVE: 1})
             for on in (True, False, True):
-                yield self._switch(on, **{LEAVE: 1})
+                yield self._switch(on, **{LEAVE: 1, WAY: 0 if on else int(next(way))})
                 yield from self._look()
         follow = cycle(self.dialect.motions(MotionKind.MOVE_BY))
         for command in going if emergency is not None else ():
@@ -145,9 +163,13 @@ class _Corners:
             yield from self._look(Verb.READ_STATUS)
             yield self._go(next(follow), _SHORT)
         yield self._switch(False)
+        for verb in (Verb.SET_ZERO, Verb.RELEASE_PROTECTION):
+            yield from self._set(verb)
         for command in going:
-            yield self._go(command, 1 if command is self.run else _SHORT, **{WAY: int(self.ways[1 % len(self.ways)])})
-            yield from self._look(Verb.READ_STATUS)
+            for to in self.ways[:2]:
+                yield self._go(command, -1 if command is self.run else _SHORT, **{WAY: int(to)})
+                yield from self._look(Verb.READ_STATUS)
+        yield from self._look(Verb.READ_ENABLED)
         yield self._switch(True)
 
     def damage(self) -> Iterator[Step]:
@@ -169,13 +191,16 @@ class _Corners:
         yield from ({SPOILED: spoiled} for spoiled in lengths(self.dialect, command))
 
 
-#: The parts by name: what their claims say of a drive, and its steps.
+#: The parts by name: what their claims say, and the steps.
 PARTS: Mapping[str, tuple[str, Callable[[_Corners], Iterator[Step]]]] = {
-    "speeds": ("Slow and fast runs, in each mode and at odd subdivisions, are as fast as told", _Corners.speeds),
+    "speeds": ("Slow and fast runs and moves go as fast and that way as told, in each mode and subdivision", _Corners.speeds),
     "ends": ("Moves that are fast, at once, with a ramp or in place of others end where they are told to", _Corners.ends),
-    "numbers": ("Moves by small and wide numbers begin as they are told, and places behind turns are told", _Corners.numbers),
-    "stops": ("Each stop ends each motion, and what comes meanwhile begins", _Corners.stops_),
-    "switches": ("A motor that is switched on and off goes on, lets go, and does not go on by itself", _Corners.switches),
+    "numbers": ("Moves by wide numbers begin as they are told, and places behind many turns are told", _Corners.numbers),
+    "stops": ("Each stop ends runs and moves, and a motion behind one that is not over yet begins", _Corners.stops_),
+    "switches": (
+        "Motion goes on when the motor is switched on, ends when off, and does not begin by itself",
+        _Corners.switches,
+    ),
     "damage": ("Motions and stops with a wrong check or of another length do nothing", _Corners.damage),
 }
 

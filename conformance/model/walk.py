@@ -169,11 +169,11 @@ class Walk:
             subdivision=getattr(self.pair.twin.drive, "subdivision", SUBDIVISION),
             start=motion.place(self._probe, command),
         )
-        # A number of a distance as it is sent is in place of degrees.
-        values |= {told.distance: given[told.distance]} if told.distance in given else {}
-        if not told.speed:
-            return values
-        return values | {told.speed: min(values[told.speed], declared.field_of(command, told.speed).high)}
+        # Numbers as they are sent are in place of degrees and rpm.
+        sent = {name: given[name] for name in (told.distance, told.speed) if name in given}
+        if not told.speed or told.speed in sent:
+            return values | sent
+        return values | sent | {told.speed: min(values[told.speed], declared.field_of(command, told.speed).high)}
 
     def _set_going(self, command: Command, given: Mapping[str, int]) -> None:
         """Take note of when a motion begins, and how fast it goes."""

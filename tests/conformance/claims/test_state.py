@@ -7,6 +7,7 @@ import pytest
 from conformance.claim import Outcome, Refuted, Theme
 from conformance.drives import make
 from conformance.model import corners, route, story
+from conformance.model.asides import Aside, aside
 from conformance.model.steps import parse_steps, steps_text
 from conformance.suite.rig_emulated import EmulatedRig
 from tests.conformance import theme_runs
@@ -39,6 +40,12 @@ def test_honest_drives_are_what_their_twins_are_at_corners(drive, part):
     probe = rig.probe(theme_runs.claims_of(Theme.STATE, rig, [f"corners/{part}"])[0])
     story.check(probe, corners.steps(probe.dialect, part))
     assert probe.measured["steps"] == len(list(corners.steps(probe.dialect, part)))
+
+
+def test_a_frame_for_another_drive_is_not_for_the_group():
+    rig = EmulatedRig(make.parse("mks-can@16,group_address=17"))
+    probe = rig.probe(theme_runs.claims_of(Theme.STATE, rig)[0])
+    assert aside(probe, Aside.OTHER_RUN, 17).id not in (16, 17)
 
 
 #: Faults that show at a corner, and the part of the corners that it is in.
