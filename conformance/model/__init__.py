@@ -7,8 +7,8 @@ by itself at the end of a motion is compared when it stands (`unasked`, `settlin
 other reads while a setting has to wait (`looks`). A request goes to the drive, to all, to its group or in a package; between
 requests come frames that are for another drive or for none (`asides`). Where the manual leaves open what becomes of the shaft,
 the twin takes over what the drive tells (`adopting`). A `walk` does one step after the other, so that the whole history counts.
-Its `route` lets any two `conditions` meet, in an order and with `values` drawn by a seed. If a drive is refuted, its `story` is
-shortened to the fewest steps that show it.
+Its `route` lets any two `conditions` meet, in an order and with `values` drawn by a seed. `corners` are short walks, always the
+same, to where a route seldom comes. If a drive is refuted, its `story` is shortened to the fewest steps that show it.
 
 Beside walks stand what claims and tests draw from: covering arrays (`covering`), limits of fields (`limits`), strategies of
 Hypothesis (`strategies`) and the parameters of LK drives (`lk_parameters`).

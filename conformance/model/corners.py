@@ -29,7 +29,7 @@ _STEEP, _SEEN, _NONE = 255, 236, 0
 #: Speeds that are told in one digit, in two, and in a high byte.
 _SPEEDS = (3, 12, 560)
 #: Subdivisions below and above where speeds are as they are sent.
-_SUBDIVISIONS = (25, 32, 128, 67)
+_SUBDIVISIONS = (32, 128, 25, 67)
 #: A moderate speed, one that needs no ramp, a fast one, and the fastest.
 _RPM, _AT_ONCE_RPM, _FAST_RPM, _FASTEST_RPM = 100, 60, 1600, 3000
 #: Degrees of a move with a ramp, a fast one, one that is replaced, one without a ramp, and one whose pulses need over 16 bits.
@@ -114,7 +114,7 @@ class _Corners:
             yield from self._look(Verb.READ_POSITION)
             yield self._go(command, _LONG, acceleration=_SEEN, **{LEAVE: 1})
             yield from self._look()
-            yield self._go(command, -_SHORT, acceleration=_SEEN, **{ASIDE: int(next(frame))})
+            yield self._go(command, -_SHORT, acceleration=_SEEN, **{WAY: int(next(way)), ASIDE: int(next(frame))})
             yield self._go(command, 0)
 
     def numbers(self) -> Iterator[Step]:
@@ -137,7 +137,7 @@ class _Corners:
         for stop, command in zip(self.stops, cycle(self.moves), strict=False):
             yield self._go(self.run, 1)
             yield self._stop(stop)
-            yield self._go(self.run, -1, **{WAY: int(next(way))})
+            yield self._go(self.run, -1, 2 * _RPM, **{WAY: int(next(way))})
             yield from self._look(Verb.READ_SPEED)
             yield self._stop(stop, _SEEN, **{WAY: int(next(way))})
             yield self._go(command, _LONG, **{LEAVE: 1})
@@ -162,6 +162,7 @@ class _Corners:
             yield self._switch(True)
             yield from self._look(Verb.READ_STATUS)
             yield self._go(next(follow), _SHORT)
+            yield from self._look(Verb.READ_POSITION)
         yield self._switch(False)
         for verb in (Verb.SET_ZERO, Verb.RELEASE_PROTECTION):
             yield from self._set(verb)
@@ -211,6 +212,6 @@ def steps(dialect: Dialect, part: str) -> Iterator[Step]:
 
 
 def _numbers(low: int, high: int) -> Sequence[int]:
-    """Return numbers of one byte or bit, within limits, and the limits."""
+    """Return the limits, a number that needs as many bits, and numbers of one bit."""
     inside = [n for bits in (16, 24, 31) for n in (1 << bits, -1 << bits) if low < n < high]
-    return (low, high, *inside) if low else (high, *inside)
+    return (low, high, low - low // 8, *inside) if low else (high, *inside)

@@ -111,11 +111,11 @@ class Walk:
             raise NotRun("no manual says what a drive is that is in a group of its own address")
         way = self._way(given)
         built = addressed(probe, command, values, way, pair.group)
+        if not built.risks <= probe.rig.allowed | {Risk.READ}:
+            raise NotRun("not allowed")
         if given.get(SPOILED):
             pair.send_beside(spoiled(self._dialect, built, given[SPOILED]))
             return
-        if not built.risks <= probe.rig.allowed | {Risk.READ}:
-            raise NotRun("not allowed")
         if Risk.SETTING in built.risks:
             self._looks.meanwhile()
             settling.let_end(pair)
