@@ -83,7 +83,7 @@ class TurnedBefore(EmulatedRig):
         return drive
 
 
-@pytest.mark.parametrize("degrees", (0, 120, 276, 300))
+@pytest.mark.parametrize("degrees", [0, 120, 276, 300])
 def test_a_zero_by_broadcast_shows_wherever_the_shaft_is(degrees):
     rig = TurnedBefore(make.parse("mks-rs485@1"))
     rig.degrees = degrees
