@@ -133,14 +133,14 @@ def read(probe: Probe, command: Command, values: Mapping[str, int]) -> dict[str,
     answer = exchange.reply
     if answer is None or not answer.message.frame.checksum_ok or probe.refused(exchange):
         return None
-    names = all_fields(command.request_forms).keys()
-    found = {name: int(value) for name, value in answer.values.items() if name in names}
-    if command.name == SET_POSITION and refusal(all_fields(command.request_forms)["position"], found["position"]):
-        return {"position": 0}
+    fields = all_fields(command.request_forms)
+    found = {name: int(value) for name, value in answer.values.items() if name in fields}
     if command.verb is Verb.WRITE_PARAMETER:
         return found if len(found) > 1 else None
-    whole = {name for form in command.request_forms for name in form.layout.named}
-    return found if found.keys() >= whole else None
+    if len(found) < len(fields):
+        return None
+    unfit = command.name == SET_POSITION and refusal(fields["position"], found["position"])
+    return {"position": 0} if unfit else found
 
 
 def _switch(probe: Probe, command: Command) -> dict[str, int] | None:

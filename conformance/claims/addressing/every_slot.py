@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import cycle
 
 from analyzer.catalogue import Command, Dialect, MotionKind, Risk, Verb
 from conformance.claim import Inconclusive
@@ -20,14 +21,14 @@ from conformance.claims.declare import Case
 from conformance.claims.motion.stops import expect_ended
 from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.attempts import undamaged
-from conformance.motion.declared import CALM, QUICK, SUBDIVISION
+from conformance.motion.declared import CALM, SUBDIVISION
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, Probe
 
 #: The ramp of a run, 1.3 ms for a rpm, and how long it rises: to 60 rpm. How far a motion would go (degrees).
 _RISING, _RISES_NS, _FAR = 230, 80 * MS, 10 * 360
-#: How far a move goes, of a count and pulses with two bytes each (degrees), and how fast at most (rpm).
-_WAY, _RPM = 50, 260
+#: How far a move goes, of a count and pulses with two bytes each (degrees), how fast at most (rpm), and its ramp.
+_WAY, _RPM, _RAMP = 50, 260, 254
 #: How long a shaft may go on behind a move by the law or a stop; how long a setting and a stop are listened to.
 _LATE_NS, _SETTING_NS, _HALTS_NS = 300 * MS, 20 * MS, 20 * MS
 #: Subdivisions that a slot sets, in turns.
@@ -38,25 +39,25 @@ _SUBDIVISIONS = (8, 32)
 
 
 def _in_every_slot(dialect: Dialect) -> Iterator[Case]:
+    """Yield each motion twice: what turns one way in a slot turns the other way in the next, so that half of it shows much."""
     for case in motions(dialect):
-        yield Case(dialect, case.command, {"run": case["run"]}, case.facts)
+        for begins, name, slots in ((1, "every-slot", "first"), (-1, "every-slot-other-way", "second")):
+            yield Case(dialect, case.command, {"run": case["run"], "begins": begins, "name": name, "slots": slots}, case.facts)
 
 
-@of_packages(
-    "a shaft that stays, turns the other way, is slow, or goes elsewhere", name="{run}/every-slot", each=_in_every_slot
-)
-def _in_each_slot(probe: Probe, command: Command, run: Command) -> None:
-    """{run} in each slot of a package, beside other drives' slots, turns the shaft either way, and a move as far, as alone.
+@of_packages("a shaft that stays, turns the other way, is slow, or goes elsewhere", name="{run}/{name}", each=_in_every_slot)
+def _in_each_slot(probe: Probe, command: Command, run: Command, begins: int) -> None:
+    """{run} in each slot of a package turns the shaft, and a move as far, as alone: one way from the {slots} slot on, by turns.
 
-    A stop in each slot ends a run.
+    The slots of other drives stand beside it. A stop in each slot ends a run.
     """
     assert command.slots is not None
     motion.prepare(probe, run)
-    motion.begin(probe, run, _FAR, rpm=rpm_of(run, 1))
+    motion.begin(probe, run, _FAR, acceleration=_RISING)
     probe.wait(_RISES_NS)
     alone = math.copysign(1, motion.turning(probe).value)
     rest = motion.stand_still(probe)
-    for number, way in ((n, way) for n in range(command.slots.count) for way in (1, -1)):
+    for number, way in zip(range(command.slots.count), cycle((begins, -begins)), strict=False):
         sent, seen, rest = undamaged(probe, _turned_in_slot, command, run, number, way, rest=rest)
         key = f"{run.name} in a slot of a package does not turn the shaft as when it is sent alone"
         text = key.replace("a slot", f"slot {number + 1}")
@@ -77,7 +78,7 @@ def _turned_in_slot(
     assert command.slots is not None
     runs = declared.of(run).kind is MotionKind.RUN
     start, degrees = motion.place(probe, run), _FAR if runs else _WAY
-    how = {"acceleration": _RISING} if runs else {}
+    how = {"acceleration": _RISING if runs else _RAMP}
     own, other = (
         declared.values_of(probe.dialect, run, w * degrees, rpm=rpm_of(run, w), start=start, **how) for w in (way, -way)
     )
@@ -97,7 +98,7 @@ def _turned_in_slot(
         ended = probe.send(frame_of(probe, command, slots), timeout_ns=_HALTS_NS)
         text = f"{stop.name} in slot {number + 1} of a package does not stop the shaft"
         return sent, seen, expect_ended(probe, ended, text, _LATE_NS)
-    sent = probe.send(frame, timeout_ns=int(ramp.move_ns(_WAY / 360, _RPM, QUICK)))
+    sent = probe.send(frame, timeout_ns=int(ramp.move_ns(_WAY / 360, _RPM, _RAMP)))
     try:
         end = motion.wait_standing(probe, limit_ns=_LATE_NS)
     except Inconclusive:

@@ -27,8 +27,8 @@ from conformance.talk.probe import MS, Probe
 
 #: A motion that shows: degrees, and rpm where it can be told.
 _DEGREES, RPM = 20, 30
-#: How far a shaft is brought away from zero (deg).
-_OFF_ZERO = 36
+#: How far a shaft is brought away from zero (deg), and how often until its angle is that far from zero.
+_OFF_ZERO, _AWAY_MOST = 36, 3
 #: How long a motion that is executed has until it is looked for; a shaft that went less than `_STILL` (deg) stays.
 WATCH_NS, _STILL = 150 * MS, 4 * SAME
 _POWER_OFF, _RELEASED, _READ_BRAKE = 0x00, 0x01, 0x10
@@ -180,15 +180,25 @@ def _without_zero(probe: Probe) -> None:
 
 
 def _goes_back(probe: Probe) -> float:
-    """Bring the shaft away, restart, and return how far it is then from where it was left, in degrees within the turn."""
+    """Bring the shaft away, restart, and return how far it is then from where it was left, in degrees within the turn.
+
+    One that went back reads zero then, so it is left where the angle is none near zero.
+    """
     motion.ready_to_move(probe)
-    arriving.follow(probe, declared.any_move(probe.dialect), _OFF_ZERO)
-    left = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
+    for _ in range(_AWAY_MOST):
+        arriving.follow(probe, declared.any_move(probe.dialect), _OFF_ZERO)
+        left = probe.read(Verb.READ_ENCODER_CARRY, "encoder")
+        if _within_turn(probe, left) >= _OFF_ZERO:
+            break
     restarts.restart(probe)
     motion.wait_standing(probe)
+    return _within_turn(probe, probe.read(Verb.READ_ENCODER_CARRY, "encoder") - left)
+
+
+def _within_turn(probe: Probe, counts: int) -> float:
+    """Return the least angle between two places that are so many counts apart, in degrees."""
     turn = probe.dialect.counts_per_turn
-    went = (probe.read(Verb.READ_ENCODER_CARRY, "encoder") - left) % turn
-    return min(went, turn - went) * 360 / turn
+    return min(counts % turn, -counts % turn) * 360 / turn
 
 
 def _halt(probe: Probe) -> object:

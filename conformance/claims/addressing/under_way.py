@@ -36,7 +36,7 @@ from conformance.talk.probe import MS, SECOND_NS, Probe, Until
 #: How fast what comes turns the shaft (rpm), and how far a move is to go (degrees).
 _RPM, _FAR = 2 * CALM, 720
 #: How long the shaft turns before, until a newer motion surely has its speed, and how long what ends it is listened to.
-_GOING_NS, _RUNS_NS, _ENDS_NS = 60 * MS, 130 * MS, 60 * MS
+_GOING_NS, _RUNS_NS, _ENDS_NS = 40 * MS, 130 * MS, 20 * MS
 #: How long the shaft has to stand, and to run out.
 _STANDS_NS, _RUNS_OUT_NS = 500 * MS, 4_000 * MS
 #: What turns the shaft, and what ends that, with its values.
@@ -100,7 +100,7 @@ def _values(probe: Probe, command: Command) -> dict[str, int]:
 # --- the end of a motion ----------------------------------------------------------------------------------------------
 
 #: How far a move goes (degrees, at `CALM`), the ramp of a stop and how long it takes; a request to others, the pause behind it.
-_WAY, _RAMP, _BETWEEN_NS = 90, 206, 10 * MS
+_WAY, _RAMP, _BETWEEN_NS = 27, 226, 10 * MS
 _FALLS_NS = CALM * ramp.step_ns(_RAMP)
 #: A motion that is told to end, and its stop: without one it goes as far as it was sent.
 _Told = tuple[Command, Command | None]

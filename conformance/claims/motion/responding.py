@@ -30,10 +30,10 @@ from conformance.talk.restarts import restart
 
 #: The answered commands that are neither motions nor settings.
 _LOUD = (Verb.RELEASE_PROTECTION, Verb.EMERGENCY_STOP)
-_TURNS, _MOVE_RPM = 0.2, 120
+_TURNS, _MOVE_RPM = 0.1, 120
 #: 60 rpm, and 0.15 s from it to a stop.
 _RPM, _RAMP, _RAMP_NS = 60, 206, 150 * MS
-#: How long is listened to what must not come: such a move takes 0.2 s, and a reply to it was seen to be 0.7 s late.
+#: How long is listened to what must not come: such a move takes 0.1 s, and a reply to it was seen to be 0.7 s late.
 _LISTEN_NS = 750 * MS
 #: How long the shaft turns until it is asked.
 _BEGINS_NS = 100 * MS

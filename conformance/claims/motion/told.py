@@ -20,7 +20,7 @@ from conformance.claims.declare import Case, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.motion import motion
 from conformance.motion.declared import QUICK
-from conformance.talk.probe import MS, Probe
+from conformance.talk.probe import MS, Probe, Until
 
 #: What reads the state of a motor, and in which field.
 _STATES = ((Verb.READ_ENABLED, "enabled"), (Verb.READ_PROTECTION, "status"), (Verb.READ_ZERO_STATUS, "status"))
@@ -100,8 +100,9 @@ def _each_check(probe: Probe, command: Command) -> None:
             continue
         degrees = (place - here) * 360 / probe.dialect.counts_per_turn
         motion.begin(probe, move, degrees, acceleration=QUICK, start=here)
-        # Nothing is read until then: a reply that does not check is what is looked for.
-        probe.wait(250 * MS)
+        # Nothing is read until its end is told: a reply that does not check is what is looked for.
+        probe.listen(_ARRIVES_NS, Until.REPLY)
+        probe.wait(_SETTLES_NS)
         bad: set[str] = set()
         for _ in range(_LOOKS):
             exchange = probe.ask(command, quiet_ns=0)
@@ -116,3 +117,5 @@ def _each_check(probe: Probe, command: Command) -> None:
 
 #: How often a place is read: an encoder that trembles shows it now and then, and it must show twice.
 _LOOKS = 8
+#: How long such a move takes at most, and a shaft to settle behind it.
+_ARRIVES_NS, _SETTLES_NS = 250 * MS, 30 * MS

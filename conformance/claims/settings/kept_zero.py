@@ -24,7 +24,6 @@ from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by
 from conformance.claims.settings.read_back import of_read_back
-from conformance.claims.settings.setting_effects import STEEP
 from conformance.motion import arriving, declared, motion
 from conformance.motion.declared import SUBDIVISION
 from conformance.talk.exchange import Exchange
@@ -82,13 +81,16 @@ class _Came(NamedTuple):
 
 
 #: By the shorter way though the direction says the other one; by the direction the longer way.
-#: Each direction has the fastest way back, for which no other speed could be taken, and one of them the slowest too.
+#: Each direction has the fastest way back, for which no other speed could be taken, and one of them the slowest too; what is
+#: slow has a short way.
 _BACKS = (
-    _Back(_NEAR, _CCW, 0, 0.3),
+    _Back(_NEAR, _CCW, 0, 0.18),
     _Back(_BY_DIRECTION, _CW, 4, 0.3),
     _Back(_BY_DIRECTION, _CCW, 4, -0.3),
-    _Back(_BY_DIRECTION, _CCW, 0, -0.45),
+    _Back(_BY_DIRECTION, _CCW, 0, 0.35),
 )
+#: How the shaft leaves its zero: a third of a turn takes less time than the drive to start.
+_LEAVES_RPM, _LEAVES_RAMP = 300, 252
 #: Between two looks at a shaft on its way back, and the speed of one that surely turns; how long it has to set off.
 _ON_WAY_NS, _TURNS_RPM, _UNDER_WAY_NS = 25 * MS, 10, 150 * MS
 
@@ -150,7 +152,7 @@ def _come_back(probe: Probe, command: Command, back: _Back, sense: int) -> _Came
 
 
 def _go_away(probe: Probe, turns: float) -> None:
-    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns * 360, rpm=120, acceleration=STEEP)
+    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns * 360, rpm=_LEAVES_RPM, acceleration=_LEAVES_RAMP)
 
 
 def _on_its_way(probe: Probe) -> float | None:

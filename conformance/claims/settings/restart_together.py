@@ -5,7 +5,7 @@
     settings/restart-group        to its group
     settings/restart-package      in a slot of a package
     SETTING/restart-group-FIELD   a field of it that shows by hands on an emulated drive, and so for all ways but the first
-    save_speed/broadcast, ...     a run that is kept and forgotten so, and a restart that is asked for so
+    save_speed/broadcast, ...     a run that is kept so, and forgotten and restarted in the next ways, one after the other
 
 Rules kept here:
 - What the drive is told by one of the latter is not answered, so that only what is there after a restart tells.
@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import cycle, islice
 
 from analyzer.catalogue import Command, Dialect, Doubt, Risk, Verb
 from conformance.claims.addressing import package, ways
@@ -181,44 +182,50 @@ def _saved(dialect: Dialect) -> Iterator[Case]:
     command = dialect.by_verb.get(Verb.SAVE_SPEED)
     if command is None or not declared.can_move(dialect):
         return
-    for way in _WAYS[1:]:
-        if way.heard(dialect):
-            risks = command.all_risks | dialect.by_verb[Verb.RESTART].all_risks | way.risks(dialect)
-            facts = {
-                "fields": ("save_state",),
-                "risks": declared.risks(dialect, Risk.UNBOUNDED, *risks - {Risk.UNKNOWN}),
-                "settings": (*declared.settings(dialect), *way.settings),
-                "alone": True,
-                "parameters": {},
-            }
-            given = {"way": way, "kind": way.kind.removeprefix("restart-"), "how": way.how}
-            yield Case(dialect, command, given, facts)
+    heard = [way for way in _WAYS[1:] if way.heard(dialect)]
+    for number in range(len(heard)):
+        # Each way keeps, restarts and forgets in one of the claims.
+        ways = tuple(islice(cycle(heard), number, number + 4))
+        risks = command.all_risks.union(dialect.by_verb[Verb.RESTART].all_risks, *(way.risks(dialect) for way in ways))
+        facts = {
+            "fields": ("save_state",),
+            "risks": declared.risks(dialect, Risk.UNBOUNDED, *risks - {Risk.UNKNOWN}),
+            "settings": (*declared.settings(dialect), *(name for way in heard for name in way.settings)),
+            "alone": True,
+            "parameters": {},
+        }
+        how = {deed: way.how for deed, way in zip(("keeps", "restarts", "forgets"), ways, strict=False)}
+        yield Case(dialect, command, {"ways": ways, "kind": ways[0].kind.removeprefix("restart-"), **how}, facts)
 
 
 @of_read_back(each=_saved, name="{command}/{kind}", refuted_by="another run, or none", rests_on=(Doubt.VALUES,))
-def _kept_run(probe: Probe, command: Command, way: _Way) -> None:
-    """A run that is kept, sent {how}, goes on after a restart, sent so, in place of a newer one; forgotten so, it does not."""
+def _kept_run(probe: Probe, command: Command, ways: tuple[_Way, ...]) -> None:
+    """{command} sent {keeps} keeps a run over a restart sent {restarts}, and sent {forgets} forgets it."""
     need_axis_lock(probe)
     motion.ready_to_move(probe, subdivision=SUBDIVISION)
-    way.ready(probe)
+    for way in ways[:-1]:
+        way.ready(probe)
+    keeps, restarts, forgets, restarts_again = ways
     motion.run_at(probe, _RPM)
-    way.send(probe, command, _KEEP)
+    keeps.send(probe, command, _KEEP)
     # Which way a positive speed turns the manual does not say for sure.
     sense = 1 if motion.turning(probe).value > 0 else -1
     motion.run_at(probe, -_RPM)
-    kept, sent = _after_restart(probe, way, _RPM / 2)
+    kept, *sent = _after_restart(probe, restarts, _RPM / 2)
     kept *= sense
     forgotten = 0.0
     if kept > _RPM / 2:
-        way.send(probe, command, _FORGET)
-        forgotten, sent = _after_restart(probe, way)
+        forgets.send(probe, command, _FORGET)
+        forgotten, again = _after_restart(probe, restarts_again)
+        sent.append(again)
     probe.ask(command, _FORGET)
     motion.stand_still(probe)
     got = f"{kept:+g} rpm, and {forgotten:+g} rpm once it was forgotten"
-    text = f"{command.name} and restart {way.how} do not keep and forget a run"
+    text = f"{command.name} {keeps.how} and a restart {restarts.how} do not keep a run, or the next ways do not forget it"
     holds = kept > _RPM / 2 and abs(forgotten) <= 1 + probe.noise.rpm
-    probe.expect(got, holds=holds, expected=f"{_RPM:+g} rpm, and then a shaft that stands", refutes=text, exchange=sent)
-    expect_silence(probe, sent, f"a restart {way.how} is answered")
+    probe.expect(got, holds=holds, expected=f"{_RPM:+g} rpm, and then a shaft that stands", refutes=text, exchange=sent[-1])
+    for exchange in sent:
+        expect_silence(probe, exchange, "a restart is answered that is not sent to the drive alone")
 
 
 def _after_restart(probe: Probe, way: _Way, rpm: float = math.inf) -> tuple[float, Exchange]:

@@ -7,9 +7,12 @@ import pytest
 from analyzer.catalogue import Verb
 from analyzer.records import Frame, Message
 from conformance.claim import Outcome, Theme
+from conformance.drives import make
 from conformance.drives.drive import Drive, Fault
 from conformance.drives.mks.core import MksCore
-from tests.conformance.theme_runs import refuted, run
+from conformance.suite import engine
+from conformance.suite.rig_emulated import EmulatedRig
+from tests.conformance.theme_runs import claims_of, refuted, run
 
 
 def test_a_package_that_is_executed_whatever_its_sum_is_refuted():
@@ -69,13 +72,32 @@ def test_the_reply_from_the_new_address_is_a_known_quirk():
     )
 
 
-@pytest.mark.parametrize("drive", ["mks-rs485", "mks-modbus"])
-def test_a_restart_by_broadcast_that_is_answered_is_refuted(drive):
+class TurnedBefore(EmulatedRig):
+    """A rig whose drives have turned by some degrees before a claim."""
+
+    degrees = 0
+
+    def make_drive(self):
+        drive = super().make_drive()
+        drive.motor.jump(drive.now_ns, round(self.degrees * 16384 / 360))
+        return drive
+
+
+@pytest.mark.parametrize("degrees", [0, 120, 276, 300])
+def test_a_zero_by_broadcast_shows_wherever_the_shaft_is(degrees):
+    rig = TurnedBefore(make.parse("mks-rs485@1"))
+    rig.degrees = degrees
+    (claim,) = claims_of(Theme.ADDRESSING, rig, ["broadcast/set_zero_mode"])
+    assert engine.run_claim(claim, rig).outcome is Outcome.CONFIRMED
+
+
+@pytest.mark.parametrize(("drive", "ways"), [("mks-rs485", {"broadcast", "package"}), ("mks-modbus", {"broadcast"})])
+def test_a_restart_by_broadcast_that_is_answered_is_refuted(drive, ways):
     def told(drive: Drive, message: Message, wanted: bool) -> bool:
         return wanted or (message.address == 0 and message.command is not None and message.command.verb is Verb.RESTART)
 
     fault = Fault("restart", (drive,), "a restart by broadcast is answered", "broadcast", lambda h: h.answer.append(told))
-    assert refuted(Theme.READ_BACK, f"{drive}@1", "save_speed", fault=fault) == {"save_speed/broadcast"}
+    assert refuted(Theme.READ_BACK, f"{drive}@1", "save_speed", fault=fault) == {f"save_speed/{way}" for way in ways}
 
 
 def test_a_motion_by_the_group_that_is_refused_and_answered_is_refuted():

@@ -453,8 +453,7 @@ REFUTES = {
     "read-back/set_baud_rate/restart": "baud-rate-lost",
     "read-back/set_modbus/restart": "dialect-lost",
     "read-back/save_speed/package": "package-without-run-kept",
-    "read-back/save_speed/broadcast": "broadcast-run-not-kept+",
-    "read-back/save_speed/group": "group-restart-ignored",
+    "read-back/save_speed/broadcast": "broadcast-run-not-kept+ group-restart-ignored",
     "read-back/restore/home-trigger": "home-trigger-kept",
     "read-back/restore/home-direction": "home-direction-kept",
     "read-back/restore/end-limit": "end-limit-kept",
@@ -561,9 +560,8 @@ REFUTES = {
     "addressing/broadcast/outcomes": "off-obeys-all+",
     "addressing/package/outcomes": "pulse-mode-obeys-package",
     "addressing/broadcast/protection": "protected-obeys-all+ unguarded-by-all+",
-    "addressing/package/run_speed/every-slot": (
-        "package-last-slot-unstopped package-third-slot-turned package-last-slot-speed-byte"
-    ),
+    "addressing/package/run_speed/every-slot": "package-third-slot-turned package-last-slot-speed-byte",
+    "addressing/package/run_speed/every-slot-other-way": "package-last-slot-unstopped",
     "addressing/broadcast/settings": "tolerance-of-all-lost",
     "addressing/group/move_absolute_axis/stop_absolute_axis": "hears-bad-group-bit-4",
     "addressing/package/behind_setting": "package-compares-with-first package-first-motion",

@@ -195,6 +195,12 @@ def test_a_drive_that_ignores_its_only_stop_is_stopped_by_speed_0(monkeypatch):
     assert motion.speed(probe).value == 0
 
 
+def test_an_echo_of_the_request_tells_no_setting():
+    drive = make.make(make.parse("lk-rs485@1,fault=echo"))
+    probe = plain_probe(drive.dialect, 1, Gate(EmulatedLine([drive]), Allowance()))
+    assert settings.read(probe, drive.dialect.by_name[settings.SET_POSITION], {}) is None
+
+
 def test_a_shaft_that_turns_on_is_told_to_stop_each_second(monkeypatch):
     """Every reply comes, so the looks tell that the stops were lost."""
     rig, probe, _ = _turning()
