@@ -21,7 +21,7 @@ from conformance.claim import Inconclusive, Observed
 from conformance.claims.declare import Case, commands, motions
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import command_of, of_motion, risks_by
-from conformance.claims.motion.moves import with_max_speed, without_max_speed
+from conformance.claims.motion.moves import takes_angle, without_max_speed
 from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
 from conformance.motion import declared, motion
 from conformance.motion.declared import CALM, FORCE, MOVES
@@ -206,7 +206,8 @@ def _fast(probe: Probe, command: Command) -> tuple[float, Exchange]:
 
 
 @of_motion(
-    each=with_max_speed,
+    # A move within a turn is too short to come to such a speed.
+    each=motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO, where=lambda c: takes_angle(c) and bool(declared.of(c).speed)),
     refuted_by="the speed of 65535",
     settings=("position", "speed_limit"),
     own=lambda case: {Risk.SETTING},
