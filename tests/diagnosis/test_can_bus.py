@@ -217,3 +217,11 @@ OTHER = "(5.1000) can0 001#3031\n(5.1005) can0 001#30000000001E61B0\n(6.1000) ca
 )
 def test_a_request_that_is_sent_again_is_no_reply_to_itself(log, cause, causes_of):
     assert causes_of(log)[:1] == ([cause] if cause else [])
+
+
+def test_no_pace_is_blamed_where_error_frames_come():
+    lost = ["001#3132", "002#3133", "002#3100000000400174"]
+    rows = [row for _ in range(6) for row in (*lost, "001#3132", STUFF, "001#3100000000200052")]
+    assert [each.cause for each in causes(can(*rows))][0] == "can_bit_errors"
+    assert "too_fast" not in {each.cause for each in causes(can(*rows))}
+    assert "too_fast" in {each.cause for each in causes(can(*(row for row in rows if row != STUFF)))}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise, product
 
 import pytest
+from msgspec.structs import replace
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Role
@@ -479,18 +480,30 @@ REPLIES_OF_THREE = ("FB 05 32 00 28 5A", "FB 06 32 00 29 5C", "FB 07 32 00 2A 5E
         (SPEEDS_OF_THREE, REPLIES_OF_THREE[2:], 1.5, True),
         # A host that waits longer than the reply takes finds two drives that are not there.
         (SPEEDS_OF_THREE, REPLIES_OF_THREE[2:], 40, False),
+        # One drive answers some of a row, and no others.
+        ((SPEEDS_OF_THREE[0], "FA 05 31 30", "FA 05 F1 F0"), REPLIES_OF_THREE[:1], 1.5, True),
+        # Two of three drives are there.
+        (SPEEDS_OF_THREE, REPLIES_OF_THREE[1:], 1.5, False),
         # All answer in the end.
         (SPEEDS_OF_THREE, REPLIES_OF_THREE, 1.5, False),
         # Motion commands that no drive answers, by its setting, and a read behind them.
         (("FA 05 F6 00 50 02 47", "FA 06 F6 00 50 02 48", "FA 07 32 33"), REPLIES_OF_THREE[2:], 1.5, False),
     ],
-    ids=["rows", "waits", "answered", "silent by setting"],
+    ids=["rows", "waits", "one drive", "two of three drives", "answered", "silent by setting"],
 )
 def test_only_the_last_of_requests_that_follow_each_other_at_once_is_answered(requests, replies, gap_ms, too_fast):
     causes = [each.suspicion.cause for each in diagnosed(rows_of_requests(requests, replies, gap_ms)).causes]
     assert ("too_fast" in causes) is too_fast
     # Whom the host has not let answer is not looked for.
     assert not ("wrong_address" in causes and too_fast)
+
+
+def test_some_of_requests_that_follow_each_other_at_once_are_answered():
+    sent = (SPEEDS_OF_THREE[0], "FA 05 31 30", "FA 05 3A 39", "FA 05 F1 F0")
+    came = (REPLIES_OF_THREE[:1], (REPLIES_OF_THREE[0], "FB 05 F1 01 F2")) * 2
+    rows = [rows_of_requests(sent, replies, 1.8, rounds=1) for replies in came]
+    items = [replace(item, t_ns=item.t_ns + 500 * MS * n) for n, row in enumerate(rows) for item in row]
+    assert [each.suspicion.cause for each in diagnosed(items).causes] == ["too_fast"]
 
 
 def test_requests_of_which_none_is_answered_are_not_compared_with_what_did_not_come(monkeypatch):
