@@ -181,7 +181,7 @@ def _cut(scene: Scene, run: list[Piece]) -> Iterator[Turn]:
 
 @lru_cache(maxsize=1)
 def fragments(scene: Scene) -> tuple[tuple[Exchange, Message], ...]:
-    """Return the exchanges of a host that gets two or three bytes of each request back and nothing else, each with what it asks.
+    """Return the exchanges of a host that gets two or three bytes of each request back alone, each with what it asks.
 
     A drive in the other mode does that; it may drop the first byte, which it does not know. Empty where all can be replies.
     """

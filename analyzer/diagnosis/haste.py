@@ -25,8 +25,9 @@ _LONG_NS = 1_000_000_000
 
 
 def look(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect requests that come too soon. Where error frames come they have destroyed requests or replies, whatever the pace."""
+    """Suspect requests that come too soon."""
     yield from _while_restarting(scene)
+    # Error frames destroy requests and replies, whatever the pace.
     if scene.of("can_error_frame"):
         return
     yield from _at_once(scene)
