@@ -497,14 +497,14 @@ _FEW = 4
 def _silenced(scene: Scene) -> Iterator[Trouble]:
     """Yield the first motion command without a reply behind a setting that switches replies off: the pipeline expects that.
 
-    Or the first to a drive of which none is ever answered.
+    Or the first to a drive of which none is ever answered. No drive takes one that is wrong itself.
     """
     off: set[tuple[str, int]] = set()
     answered = {piece.asked_by for piece in scene.pieces if piece.is_reply}
     sent: dict[tuple[str, int], list[Piece]] = defaultdict(list)
     for piece in scene.pieces:
         message = piece.message
-        if message is None or message.command is None or not piece.is_request:
+        if message is None or message.command is None or not (piece.is_request and piece.sound):
             continue
         drive = (message.frame.dialect.name, message.address)
         if message.command.silenced:

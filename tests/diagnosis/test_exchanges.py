@@ -251,6 +251,19 @@ def test_respond_is_switched_off_in_the_capture():
     assert told(*exchanged("mks-rs485@1,work_mode=sr_vfoc", READ, off, READ)) == []
 
 
+def test_motion_commands_that_are_wrong_themselves_say_nothing_of_respond():
+    read, run = "FA 01 30 2B", [build(NATIVE, "run_speed", 1, {"speed": n, "acceleration": 2}) for n in (80, 160, 240)]
+    reply = "FB 01 30 00 00 00 00 00 00 2C"
+    rows = [f"> {read}", f"< {reply}", *((">", frame) for frame in run), f"> {read}", f"< {reply}"]
+    assert "respond_off" in {each.cause for each in told(*rows)}
+    for wrong in (
+        [frame[:-1] + b"\x77" for frame in run],
+        [frame[:5] + frame[6:-1] + bytes((sum(frame[:5]) + 2 & 0xFF,)) for frame in run],
+    ):
+        rows[2:5] = [(">", frame) for frame in wrong]
+        assert "respond_off" not in {each.cause for each in told(*rows)}
+
+
 def test_a_drive_that_answers_at_times():
     one, other = exchanged("mks-rs485@1", READ), [(">", READ)]
     found = told(*one, *other, *one, *other, *other, *one)
