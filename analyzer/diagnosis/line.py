@@ -8,7 +8,7 @@ that the capture shows as sent. The setting that explains most of the bytes is t
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -78,7 +78,7 @@ _WORDS = {
         "Set both sides to 8 data bits, no parity, 1 stop bit (8N1)",
     ),
     "wrong_baud": _Words(
-        "The sender's speed is {:g} times the receiver's.",
+        "The sender's speed is {:.3g} times the receiver's.",
         "{} is {} read so",
         "Set both sides to one speed; the ratio fits {}. `servotap record serial:PORT,baud=auto` finds the speed",
     ),
@@ -286,8 +286,11 @@ def _back(reader: Reader, garbled: Sequence[Garbled], cause: str, line: Line) ->
         if len(tried) > _TRIED and not fits:
             break
         frames: Counter[bytes] = Counter()
+        came: dict[bytes, bytes] = {}
         at = missed = 0
-        for start in _places(each.data):
+        places = deque(_places(each.data))
+        while places:
+            start = places.popleft()
             if start < at or missed >= (_STARTS_AFTER if frames else _MOST_STARTS):
                 continue
             found = _sent(reader, each.data[start : start + _AT_ONCE], line, each.replies)
@@ -296,7 +299,10 @@ def _back(reader: Reader, garbled: Sequence[Garbled], cause: str, line: Line) ->
                 continue
             frames[found[0]] += found[1]
             at = start + found[1]
-        own = [Fit(each.trouble, each.data, frame, taken) for frame, taken in frames.items()]
+            came.setdefault(found[0], each.data[start:at])
+            # A frame can begin where another ends.
+            places.appendleft(at)
+        own = [Fit(each.trouble, each.data, frame, taken, came[frame]) for frame, taken in frames.items()]
         if fits or frames.total() >= LEAST:
             fits += own
         elif frames.total() == len(each.data):

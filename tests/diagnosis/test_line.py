@@ -392,6 +392,11 @@ def test_an_exchange_of_which_a_slow_receiver_skips_bits(ratio):
     assert unbroken(polled("native"), ratio=ratio) == ["wrong_baud"]
 
 
+def test_a_receiver_that_samples_on_the_edges_reads_either_bit():
+    rows = exchanged("mks-rs485@1", *[build(NATIVE, "read_position", 1), build(NATIVE, "read_speed", 1)] * 12)
+    assert unbroken(rows, ratio=2 / 3, shaky=random.Random(21)) == ["wrong_baud"]
+
+
 @pytest.mark.parametrize("name", LONG)
 def test_an_unbroken_recording_of_a_right_line(name):
     assert unbroken(LONG[name]) == unbroken(polled(name)) == []
