@@ -27,7 +27,7 @@ from analyzer.diagnosis.rendered import (
     of_what_was_sent,
     read_otherwise,
 )
-from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, shown
+from analyzer.diagnosis.scene import SILENT, Confidence, Scene, Shown, Stretch, Suspicion, shown, whole
 from analyzer.diagnosis.seven_bits import all_of_seven, of_seven
 from analyzer.diagnosis.ways import ALMOST_ALL, FEWEST, LEAST, LINES, MOST_READ, MOST_STRETCHES, Fit, Garbled, Way
 from analyzer.link import FUNCTIONS, ModbusLink
@@ -88,6 +88,7 @@ _WORDS = {
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the line, where no frame explains the bytes."""
     yield from _of_one_parity(scene)
+    yield from _of_format(scene)
     sides: dict[Role, list[Garbled]] = defaultdict(list)
     for trouble in scene.of("damaged"):
         stretch = trouble.stretch
@@ -149,6 +150,27 @@ def _begun(scene: Scene, stretch: Stretch) -> list[Awaited]:
     if sent is None or sent.direction is not Role.REQUEST or stretch.direction is not Role.REPLY:
         return []
     return [Awaited(sent.data[:2], _SHORT, _MODBUS)] if sent.data[1:2] and sent.data[1] in FUNCTIONS else []
+
+
+def _of_format(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the host's parity where levels show one, and no drive answers: the manuals have none."""
+    silent = [t for t in scene.of(*SILENT) if t.piece is not None and t.piece.message is not None
+              and t.piece.message.command not in (None, *t.piece.message.frame.dialect.fallbacks.values())]  # fmt: skip
+    with_parity = [word for word in scene.uarts if "N" not in word]
+    if (
+        not silent
+        or len(with_parity) < len(scene.uarts)
+        or not with_parity
+        or any(p.is_reply and p.sound for p in scene.pieces)
+    ):
+        return
+    first = silent[0].piece
+    yield Suspicion(
+        "wrong_parity", Confidence.LIKELY, silent, _WORDS["wrong_parity"].say,
+        f"{whole(first)} at byte {silent[0].offset} stands on the line as {', '.join(with_parity)}; "
+        f"{counted(len(silent), 'request')} unanswered",
+        _WORDS["wrong_parity"].next, tuple(Shown(t.offset, whole(t.piece)) for t in silent),
+    )  # fmt: skip
 
 
 def _of_one_parity(scene: Scene) -> Iterator[Suspicion]:
