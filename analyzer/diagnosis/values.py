@@ -125,7 +125,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         scene, sent, "decimal_as_hex", digits, "The decimal digits of the values are sent as hexadecimal ones.",
         "Convert the number before it is sent",
     )  # fmt: skip
-    yield from _out_of_range(scene, {**swapped, **signed, **digits})
+    told = {**swapped, **signed, **digits}
+    yield from _out_of_range(scene, told)
+    yield from _beyond_a_model(scene, [(piece, message) for piece, message in sent if _key(message) not in told])
 
 
 def _key(message: Message) -> tuple[str, bytes]:
@@ -173,6 +175,32 @@ def _out_of_range(scene: Scene, explained: dict[tuple[str, bytes], Odd]) -> Iter
         f"A value is outside the range of the manual: {text}.",
         f"{shown(piece.data, _id(piece))} at byte {piece.offset}; {counted(len(found), 'time')}",
         "Send a value within the range; if it should be in it, look at its unit",
+        tuple(Shown(p.offset, shown(p.data, _id(p))) for p, _ in found),
+    )  # fmt: skip
+
+
+def _beyond_a_model(scene: Scene, sent: list[tuple[Piece, Message]]) -> Iterator[Suspicion]:
+    """Suspect values that are refused, and are beyond the range of one of the models."""
+    refused = {t.piece.asked_by for t in scene.of("failed_status", "refused_write") if t.piece is not None}
+    found: list[tuple[Piece, list[str]]] = []
+    for piece, message in sent if refused else ():
+        limited = message.form is not None and any(field.models for field in message.form.layout.fields)
+        if limited and message.form is not None and piece.sequence in scene.replies and not piece.rules & _RANGE:
+            layout, every = message.form.layout, message.frame.dialect.models
+            models = [model for model in every if codec(layout.for_model(model)).broken(message.data)]
+            if models and piece.sequence not in refused:
+                # Some drive here takes such a value.
+                return
+            found += [(piece, models)] if models else []
+    if not found:
+        return
+    piece, models = found[0]
+    yield Suspicion(
+        "value_out_of_range", Confidence.LIKELY if len(found) > 1 else Confidence.POSSIBLE,
+        [trouble for each, _ in found for trouble in _troubles(scene, each)],
+        f"The drive refuses a value that is beyond the range of {', '.join(models)}.",
+        f"{shown(piece.data, _id(piece))} at byte {piece.offset} is refused; {counted(len(found), 'time')}, and none is taken",
+        f"Look up the range of this model: `servotap diagnose --model {models[0]}` says where a value is outside it",
         tuple(Shown(p.offset, shown(p.data, _id(p))) for p, _ in found),
     )  # fmt: skip
 

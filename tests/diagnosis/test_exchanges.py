@@ -316,6 +316,21 @@ def test_a_value_out_of_range():
     assert "0..5200 mA" in found[0].say
 
 
+def test_a_value_that_a_model_does_not_take():
+    rows = [
+        row
+        for current in (5000, 4000)
+        for row in ((">", build(NATIVE, "set_current", 1, {"current": current})), "< FB 01 83 00 7F")
+    ]
+    found = told(*rows)
+    assert [(each.cause, each.confidence) for each in found] == [("value_out_of_range", Confidence.LIKELY)]
+    assert "42D" in found[0].say
+    # A drive that takes such a value has another reason.
+    assert "value_out_of_range" not in {each.cause for each in told(*rows, rows[0], "< FB 01 83 01 80")}
+    low = [row for current in (1000, 2000) for row in ((">", build(NATIVE, "set_current", 1, {"current": current})), rows[1])]
+    assert "value_out_of_range" not in {each.cause for each in told(*low)}
+
+
 def test_a_choice_that_is_not_listed():
     assert first((">", word(build(NATIVE, "set_work_mode", 1, {"work_mode": 5}), 3, b"\x0b"))) == "value_out_of_range"
 
