@@ -82,6 +82,7 @@ def _diagnose(path: str, arguments: argparse.Namespace) -> tuple[str, Diagnosis,
                 watch.take(item)
                 pipeline.feed(item)
         pipeline.close()
+    watch.uarts = frozenset(reading.source.uarts)
     return ",".join(d.name for d in reading.dialects), diagnosis(watch, reading.dialects), list(reading.source.notes)
 
 

@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 #: Cells that a byte has: start, eight bits, stop.
 CELLS = 10
+#: So near to an edge the middle of a bit is on it.
+NEAR = 0.06
 #: By so many first bytes `read` can be told what is looked for.
 BEGUN = 3
 #: Cells that are set in one search, before it is given up.
@@ -28,14 +30,14 @@ class Line(NamedTuple):
     """A receiver against a sender of 8N1.
 
     `ratio`: the sender's speed over its own. `parity`: it takes one bit more for a parity. `missed`: it listens only from
-    this cell on, and a low level then looks like a start bit. `late`: how far behind the middle it samples, in cells.
+    this cell on, and a low level then looks like a start bit. `loose`: a bit that it samples on an edge is read either way.
     """
 
     ratio: float = 1.0
     inverted: bool = False
     parity: int = 0
     missed: int = 0
-    late: float = 0.0
+    loose: bool = False
 
 
 #: A receiver that is set up as the sender.
@@ -63,10 +65,13 @@ def _listen(line: Line, cells: bytes, ear: _Ear, wanted: bytes) -> _Ear | None:
             if place >= len(cells):
                 return -1, place, 0, read
             edge, bit = place, 0
-        place = int(edge + (bit + 0.5) * line.ratio + line.late)
+        middle = edge + (bit + 0.5) * line.ratio
+        place = round(middle) if line.loose and abs(middle - round(middle)) < NEAR else int(middle)
         if place >= len(cells):
             return edge, at, bit, read
         seen = cells[place] == high
+        if bit and line.loose and place > middle - NEAR and cells[place - 1] != cells[place] and read < len(wanted):
+            seen = bool(wanted[read] >> (bit - 1) & 1)
         if bit == 0:
             if seen:
                 edge, at = -1, edge + 1

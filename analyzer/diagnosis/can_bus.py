@@ -131,19 +131,23 @@ def _sorted(errors: list[tuple[Piece, CanFrame]]) -> _Errors:
 
 
 def _recovers(errors: list[tuple[Piece, CanFrame]]) -> bool:
-    """Say whether the counters of an adapter fall, or its state turns back to active: not where all begins anew."""
-    before: dict[str, tuple[int, int]] = {}
+    """Say whether the counters of an adapter fall, or its state turns back to active: not where all begins anew.
+
+    Drivers read the counters of a change of state and those of an error at other times, so that each have their own row.
+    """
+    before: dict[tuple[str, int], tuple[int, int]] = {}
     for _, can in errors:
+        row = can.port, can.id & _CONTROLLER
         if can.id & _BUS_OFF or len(can.data) < _LONGEST:
-            before.pop(can.port, None)
+            before = {other: counters for other, counters in before.items() if other[0] != can.port}
             continue
         counters = can.data[_SENT_COUNTER], can.data[_RECEIVED_COUNTER]
         if not any(counters):
             continue
-        last = before.get(can.port, (0, 0))
+        last = before.get(row, (0, 0))
         if (can.id & _CONTROLLER and can.data[_STATE] & _ACTIVE) or any(a < b for a, b in zip(counters, last, strict=True)):
             return True
-        before[can.port] = counters
+        before[row] = counters
     return False
 
 
@@ -194,6 +198,8 @@ def _errors(scene: Scene, errors: _Errors, heard: list[Piece], changed: Piece | 
             "Bits that the adapter sends come back changed: another node drives the line, or it is short or open."
             if on_sending
             else "Frames get through, and others are destroyed on the line."
+            if heard
+            else "Frames are destroyed on the line; a counter of errors falls, as it does where others get through."
         )
         yield _suspicion(
             "can_bit_errors", sure, _of(all_errors, errors.garbled), errors.garbled, heard, say,

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from analyzer.catalogue import Role
-from analyzer.diagnosis.exchanges import replies_to
+from analyzer.diagnosis.exchanges import fragments, replies_to
 from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown
 from analyzer.link import READS, modbus_crc, read_bytes
 from analyzer.values import counted
@@ -25,6 +25,8 @@ _DROP = f"{_OFF}, or drop as many bytes as were sent before reading the reply"
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect an echo."""
+    if fragments(scene):
+        return
     repeated = scene.repeated
     # What the capture says was sent is no echo: it was sent again.
     back = [e for e in scene.of("host_echo") if e not in repeated and scene.direction(e.offset) is not Role.REQUEST]

@@ -180,6 +180,35 @@ def _cut(scene: Scene, run: list[Piece]) -> Iterator[Turn]:
 
 
 @lru_cache(maxsize=1)
+def fragments(scene: Scene) -> tuple[tuple[Exchange, Message], ...]:
+    """Return the exchanges of a host that gets two or three bytes of each request back alone, each with what it asks.
+
+    A drive in the other mode does that; it may drop the first byte, which it does not know. Empty where all can be replies.
+    """
+    found: list[tuple[Exchange, Message]] = []
+    telling: set[bytes] = set()
+    for exchange in (each for chain in chains(scene) for each in chain if each.received):
+        sent, came = exchange.request.data, exchange.data
+        size, asked = len(came), exchange.request.message or _bare(scene, sent)
+        if asked is None or size not in _FRAGMENT or size + 1 >= len(sent) or came not in (sent[:size], sent[1 : size + 1]):
+            return ()
+        found.append((exchange, asked))
+        if not any(reply.begins(came) for reply in awaited(asked)):
+            telling.add(sent)
+    return tuple(found) if telling and len({exchange.request.data for exchange, _ in found}) > 1 else ()
+
+
+#: Bytes of a request that a drive in the other mode gives back.
+_FRAGMENT = (2, 3)
+
+
+def _bare(scene: Scene, data: bytes) -> Message | None:
+    """Return the request that lacks its check."""
+    readings = (scene.reader.best(d.link.completed(data), role=Role.REQUEST) for d in scene.reader.dialects)
+    return next((reading.message for reading in readings if reading is not None), None)
+
+
+@lru_cache(maxsize=1)
 def placed(scene: Scene) -> tuple[Placed, ...]:
     """Return the sound replies among what was received, wherever they stand."""
     return tuple(found for chain in chains(scene) for found in _place(chain))

@@ -26,10 +26,13 @@ _LONG_NS = 1_000_000_000
 
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect requests that come too soon."""
+    yield from _while_restarting(scene)
+    # Error frames destroy requests and replies, whatever the pace.
+    if scene.of("can_error_frame"):
+        return
     yield from _at_once(scene)
     yield from _too_fast(scene)
-    yield from _while_restarting(scene)
-    yield from _one_of_row(scene)
+    yield from _some_of_row(scene)
     yield from _none_of_row(scene)
 
 
@@ -69,11 +72,12 @@ def _none_of_row(scene: Scene) -> Iterator[Suspicion]:
     )  # fmt: skip
 
 
-def _one_of_row(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect a host that sends several requests before anything comes, where one reply comes for each such row.
+def _some_of_row(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a host that sends several requests before anything comes, where fewer replies come for each such row.
 
     Where it is not that of the last, the host has not waited for it, whatever the times; nor where the next request follows
     sooner than any reply comes. Alone the same requests are answered, or those of the same kind.
+    Several replies tell something of one drive: of several drives one may be absent.
     """
     rows = list(_piece_rows(scene))
     quickest = min((replies[0].t_ns - asked[-1].t_ns for asked, replies in rows if _answers(replies[0], asked[-1])), default=0)
@@ -89,8 +93,9 @@ def _one_of_row(scene: Scene) -> Iterator[Suspicion]:
             return
         soon = scene.timed and asked[-1].t_ns - asked[0].t_ns < _SOON_NS
         waited &= own[-1:] == asked[-1:]
-        if len(asked) > 1 and len(own) == len(replies) == 1 and (soon or not scene.timed):
-            hasty.append((asked, [piece for piece in asked if piece is not own[0]]))
+        few = len(own) == 1 or len({_asked_for(piece.message)[0] for piece in asked}) == 1
+        if few and len(own) == len(replies) < len(asked) and (soon or not scene.timed):
+            hasty.append((asked, [piece for piece in asked if piece not in own]))
             sooner &= scene.timed and all(other.t_ns - one.t_ns < quickest for one, other in pairwise(asked))
     failing = [piece for _, left in hasty for piece in left]
     if waited and not scene.timed:
@@ -115,7 +120,7 @@ def _one_of_row(scene: Scene) -> Iterator[Suspicion]:
         [t for t in scene.of("unanswered", "silent_address", "late_reply", "unsolicited_reply")
          if t.piece is not None and t.piece.message is not None and t.piece.message.address in addresses]
         or [Trouble("unanswered", piece.offset, None, piece) for piece in failing],
-        "The host sends several requests without waiting for their replies: one of them is answered.",
+        "The host sends several requests without waiting for their replies: few of them are answered.",
         f"{whole(other)} at byte {other.offset} follows {whole(one)}{pause} before anything comes; "
         f"{counted(len(failing), 'request')} without a reply in {counted(len(hasty), 'row')}",
         "Send one request, wait for its reply or the timeout, then send the next, also to another address",

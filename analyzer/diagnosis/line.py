@@ -8,7 +8,7 @@ that the capture shows as sent. The setting that explains most of the bytes is t
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -27,7 +27,7 @@ from analyzer.diagnosis.rendered import (
     of_what_was_sent,
     read_otherwise,
 )
-from analyzer.diagnosis.scene import Confidence, Scene, Shown, Stretch, Suspicion, shown
+from analyzer.diagnosis.scene import SILENT, Confidence, Scene, Shown, Stretch, Suspicion, shown, whole
 from analyzer.diagnosis.seven_bits import all_of_seven, of_seven
 from analyzer.diagnosis.ways import ALMOST_ALL, FEWEST, LEAST, LINES, MOST_READ, MOST_STRETCHES, Fit, Garbled, Way
 from analyzer.link import FUNCTIONS, ModbusLink
@@ -78,7 +78,7 @@ _WORDS = {
         "Set both sides to 8 data bits, no parity, 1 stop bit (8N1)",
     ),
     "wrong_baud": _Words(
-        "The sender's speed is {:g} times the receiver's.",
+        "The sender's speed is {:.3g} times the receiver's.",
         "{} is {} read so",
         "Set both sides to one speed; the ratio fits {}. `servotap record serial:PORT,baud=auto` finds the speed",
     ),
@@ -88,6 +88,7 @@ _WORDS = {
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the line, where no frame explains the bytes."""
     yield from _of_one_parity(scene)
+    yield from _of_format(scene)
     sides: dict[Role, list[Garbled]] = defaultdict(list)
     for trouble in scene.of("damaged"):
         stretch = trouble.stretch
@@ -149,6 +150,27 @@ def _begun(scene: Scene, stretch: Stretch) -> list[Awaited]:
     if sent is None or sent.direction is not Role.REQUEST or stretch.direction is not Role.REPLY:
         return []
     return [Awaited(sent.data[:2], _SHORT, _MODBUS)] if sent.data[1:2] and sent.data[1] in FUNCTIONS else []
+
+
+def _of_format(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the host's parity where levels show one, and no drive answers: the manuals have none."""
+    silent = [t for t in scene.of(*SILENT) if t.piece is not None and t.piece.message is not None
+              and t.piece.message.command not in (None, *t.piece.message.frame.dialect.fallbacks.values())]  # fmt: skip
+    with_parity = [word for word in scene.uarts if "N" not in word]
+    if (
+        not silent
+        or len(with_parity) < len(scene.uarts)
+        or not with_parity
+        or any(p.is_reply and p.sound for p in scene.pieces)
+    ):
+        return
+    first = silent[0].piece
+    yield Suspicion(
+        "wrong_parity", Confidence.LIKELY, silent, _WORDS["wrong_parity"].say,
+        f"{whole(first)} at byte {silent[0].offset} stands on the line as {', '.join(with_parity)}; "
+        f"{counted(len(silent), 'request')} unanswered",
+        _WORDS["wrong_parity"].next, tuple(Shown(t.offset, whole(t.piece)) for t in silent),
+    )  # fmt: skip
 
 
 def _of_one_parity(scene: Scene) -> Iterator[Suspicion]:
@@ -286,8 +308,11 @@ def _back(reader: Reader, garbled: Sequence[Garbled], cause: str, line: Line) ->
         if len(tried) > _TRIED and not fits:
             break
         frames: Counter[bytes] = Counter()
+        came: dict[bytes, bytes] = {}
         at = missed = 0
-        for start in _places(each.data):
+        places = deque(_places(each.data))
+        while places:
+            start = places.popleft()
             if start < at or missed >= (_STARTS_AFTER if frames else _MOST_STARTS):
                 continue
             found = _sent(reader, each.data[start : start + _AT_ONCE], line, each.replies)
@@ -296,7 +321,10 @@ def _back(reader: Reader, garbled: Sequence[Garbled], cause: str, line: Line) ->
                 continue
             frames[found[0]] += found[1]
             at = start + found[1]
-        own = [Fit(each.trouble, each.data, frame, taken) for frame, taken in frames.items()]
+            came.setdefault(found[0], each.data[start:at])
+            # A frame can begin where another ends.
+            places.appendleft(at)
+        own = [Fit(each.trouble, each.data, frame, taken, came[frame]) for frame, taken in frames.items()]
         if fits or frames.total() >= LEAST:
             fits += own
         elif frames.total() == len(each.data):

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from analyzer.catalogue import Risk, Role, Verb
 from analyzer.diagnosis.exchanges import Turn, awaited, chains
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Suspicion, Trouble, shown
+from analyzer.layout import Effect
 from analyzer.link import FUNCTIONS, LAST_EXCEPTION, LAST_UNIT, MOST_REGISTERS, READS, HeadLink, modbus_crc
 from analyzer.protocols.mks_shared import MotorStatus
 from analyzer.values import counted
@@ -156,9 +157,11 @@ def _is_unchecked(data: bytes) -> bool:
 def _no_end(scene: Scene) -> Iterator[Suspicion]:
     """Suspect motions that began and of whose end no reply came: it stands, or words say so."""
     begun: list[Piece] = []
-    told = False
+    told = passive = False
     for piece in scene.requests:
         command = None if piece.message is None else piece.message.command
+        if command is not None and piece.message is not None:
+            passive |= piece.message.values.get(command.sets(Effect.ACTIVE)) == 0
         if command is None or command.motion is None or not command.motion.tells_end:
             continue
         last = [r.message.values.get(command.replies.status) for r in scene.replies.get(piece.sequence, ()) if r.message][-1:]
@@ -166,20 +169,29 @@ def _no_end(scene: Scene) -> Iterator[Suspicion]:
         told |= bool(last) and command.replies.final.issuperset(last)
     said = next((found[0] for words in scene.words if (found := _NO_END.search(words)) is not None), "")
     shows = f" ({said!r} in the text)" if said else ", and the motor stands"
-    own = begun[-1:] if said else [piece for piece in begun if told and _stands(scene, piece)]
-    if not own:
+    own = begun[-1:] if said else [piece for piece in begun if told and _stands(scene, piece) >= _HABIT]
+    # A setting from before the capture may have switched the report off: only who still waits for it misses it.
+    waits = bool(begun) and not (own or told or passive) and _stands(scene, begun[-1], alone=True) >= _WAITED
+    if not (own := begun[-1:] if waits else own):
         return
     yield _said(
-        Confidence.LIKELY, [Trouble("no_end", piece.offset, None, piece) for piece in own],
+        Confidence.POSSIBLE if waits else Confidence.LIKELY, [Trouble("no_end", piece.offset, None, piece) for piece in own],
         "A motion began, and the drive never reports its end.",
         f" was answered by its start alone{shows}",
         "Read the status (F1) or the position until the motor stands, and wait for no report; see whether 8C has switched "
-        "replies off, and look for other firmware",
+        "replies or this report off, and look for other firmware",
     )  # fmt: skip
 
 
-def _stands(scene: Scene, motion: Piece) -> bool:
-    """Say whether a drive tells more than once that it stands, before it is asked for anything but readings."""
+#: A drive that stands is asked so often for its status alone by a host that waits.
+_WAITED = 4
+
+
+def _stands(scene: Scene, motion: Piece, *, alone: bool = False) -> int:
+    """Return how often a drive tells that it stands, before it is asked for anything but readings.
+
+    `alone`: 0 where the host asks for anything but the status.
+    """
     standing = 0
     for piece in scene.requests[bisect_right(scene.requests, motion.offset, key=lambda p: p.offset) :]:
         message = piece.message
@@ -190,7 +202,9 @@ def _stands(scene: Scene, motion: Piece) -> bool:
         if message.command.verb is Verb.READ_STATUS:
             replies = [r.message.values for r in scene.replies.get(piece.sequence, ()) if r.message is not None]
             standing += any(values.get("status") == MotorStatus.STOPPED for values in replies)
-    return standing >= _HABIT
+        elif alone:
+            return 0
+    return standing
 
 
 def _slowing_still(scene: Scene) -> Iterator[Suspicion]:

@@ -14,7 +14,7 @@ from itertools import takewhile
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, Role
 from analyzer.codec import codec
-from analyzer.diagnosis.bits import BEGUN, Line, Rows, levels, read
+from analyzer.diagnosis.bits import BEGUN, NEAR, Line, Rows, levels, read
 from analyzer.diagnosis.scene import Scene
 from analyzer.diagnosis.ways import (
     ALIKE,
@@ -38,8 +38,6 @@ RATES = (9600, 19200, 25000, 38400, 57600, 115200, 256000, 500000, 1000000)
 _SLOWEST, _FASTEST = 0.15, 7.0
 #: Where the middle of a receiver's bit falls on an edge it can see either level: of start bits, and of the others.
 _LATE = ((-0.05, -0.05), (0.05, 0.05), (-0.05, 0.05))
-#: So near to an edge a middle is on it.
-_NEAR = 0.06
 #: How many replies must begin differently where their beginnings alone fit.
 _DISTINCT = 2
 #: Bytes that are sent and bytes that are read: so many must agree before one comes from the other.
@@ -209,7 +207,7 @@ def _at_other_speeds(different: frozenset[bytes]) -> list[tuple[float, dict[byte
 def _lates(ratio: float) -> tuple[tuple[float, float], ...]:
     """Return where a receiver samples: it matters where the middle of a bit falls on an edge."""
     places = [(bit + 0.5) * ratio for bit in range(9)]
-    return _LATE if any(abs(place - round(place)) < _NEAR for place in places) else _LATE[:1]
+    return _LATE if any(abs(place - round(place)) < NEAR for place in places) else _LATE[:1]
 
 
 def of_replies(garbled: Sequence[Garbled]) -> Iterator[Way]:

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from analyzer.catalogue import Dialect, Risk, Role
 from analyzer.diagnosis.addresses import addressed
 from analyzer.diagnosis.can_frames import sent_again
-from analyzer.diagnosis.exchanges import reported
+from analyzer.diagnosis.exchanges import fragments, reported
 from analyzer.diagnosis.reports import NOTHING_CAME, last_bytes
 from analyzer.diagnosis.scene import Confidence, Piece, Scene, Shown, Stretch, Suspicion, Trouble, shown, whole
 from analyzer.dialects import drive_name
@@ -57,6 +57,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     if not answering:
         yield from _searched(scene, every)
     yield from _in_other_dialect(scene, answering)
+    yield from _in_fragments(scene)
     for part in (_of_others, _reported, addressed, _respond, _switched_off):
         yield from part(scene)
 
@@ -107,6 +108,25 @@ def _in_other_dialect(scene: Scene, answering: dict[int, str]) -> Iterator[Suspi
         f"{shown(asked.frame.data)} at byte {trouble.offset}; {counted(len(found), 'request')} without a reply",
         f"Speak {spoken} to it, or switch the drive over",
         tuple(Shown(t.offset, shown(m.frame.data)) for t, m in found),
+    )  # fmt: skip
+
+
+def _in_fragments(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the dialect where each request is answered by some of its own bytes, as by a drive in the other mode."""
+    found = fragments(scene)
+    if not found:
+        return
+    exchange, asked = found[0]
+    dialect, came = asked.frame.dialect, exchange.data
+    parts = {turn.offset for each, _ in found for turn in (each.request, *each.received)}
+    yield Suspicion(
+        "wrong_dialect", Confidence.LIKELY, [t for t in scene.troubles if t.offset in parts],
+        f"The host speaks {dialect.name}, and some bytes of each request come back: the drive is in another mode.",
+        f"{shown(came)} answers {shown(exchange.request.data)} at byte {exchange.request.offset}; "
+        f"{counted(len(found), 'request')}, and nothing else comes",
+        f"Ask the drive in {' or '.join(dialect.siblings) or 'another dialect'}, or switch it over in its menu; "
+        "else look whether the adapter gives the host its own bytes",
+        tuple(Shown(each.request.offset, shown(each.request.data)) for each, _ in found),
     )  # fmt: skip
 
 
@@ -477,14 +497,14 @@ _FEW = 4
 def _silenced(scene: Scene) -> Iterator[Trouble]:
     """Yield the first motion command without a reply behind a setting that switches replies off: the pipeline expects that.
 
-    Or the first to a drive of which none is ever answered.
+    Or the first to a drive of which none is ever answered. No drive takes one that is wrong itself.
     """
     off: set[tuple[str, int]] = set()
     answered = {piece.asked_by for piece in scene.pieces if piece.is_reply}
     sent: dict[tuple[str, int], list[Piece]] = defaultdict(list)
     for piece in scene.pieces:
         message = piece.message
-        if message is None or message.command is None or not piece.is_request:
+        if message is None or message.command is None or not (piece.is_request and piece.sound):
             continue
         drive = (message.frame.dialect.name, message.address)
         if message.command.silenced:

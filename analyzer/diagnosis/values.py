@@ -6,6 +6,7 @@ of the same bytes the rounder one is meant.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -25,6 +26,8 @@ _ROUND = {2: 2, 3: 3, 4: 4, 8: 5}
 _ENOUGH = 2
 #: Digits of a number that is meant even if it is the only one, by the bytes of its field; of two bytes none tells enough.
 _FEW_DIGITS = {2: 0, 3: 2, 4: 3, 8: 3}
+#: A number of the words that is no chance.
+_NUMBER = re.compile(r"(?<![\w.:/-])\d{3,}(?![\w:]|\.\d)")
 _RANGE = frozenset(("out_of_range", "unknown_choice"))
 
 
@@ -98,12 +101,11 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     sizes = {size for size, weight in by_swap.items() if weight >= _ENOUGH and weight > 2 * kept[size]}
     swapped = {_key(message): _swapped(piece, message, word, sizes) for piece, message, word in rounder if word.size in sizes}
     # All digits of some numbers that are out of range are decimal, and read so they are in it, and round.
-    digits = {
-        _key(message): _as_written(piece, message, word)
-        for piece, message, word in worded
-        if _by_digits(message, word) is not None
-    }
-    if len(digits) > 1 and digits.keys() >= swapped.keys():
+    written = [(p, m, word, number) for p, m, word in worded if (number := _by_digits(m, word)) is not None]
+    beyond = {_key(m): number for _, m, word, number in written if not word.allowed(m.data[word.start : word.stop])}
+    digits = {_key(m): _as_written(p, m, word, n) for p, m, word, n in written if _key(m) in beyond.keys() | swapped.keys()}
+    said = {number for words in scene.words for number in _NUMBER.findall(words)}
+    if (len(beyond) > 1 or not said.isdisjoint(map(str, beyond.values()))) and digits.keys() >= swapped.keys():
         swapped = {}
     else:
         digits = {}
@@ -123,7 +125,9 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         scene, sent, "decimal_as_hex", digits, "The decimal digits of the values are sent as hexadecimal ones.",
         "Convert the number before it is sent",
     )  # fmt: skip
-    yield from _out_of_range(scene, {**swapped, **signed, **digits})
+    told = {**swapped, **signed, **digits}
+    yield from _out_of_range(scene, told)
+    yield from _beyond_a_model(scene, [(piece, message) for piece, message in sent if _key(message) not in told])
 
 
 def _key(message: Message) -> tuple[str, bytes]:
@@ -171,6 +175,32 @@ def _out_of_range(scene: Scene, explained: dict[tuple[str, bytes], Odd]) -> Iter
         f"A value is outside the range of the manual: {text}.",
         f"{shown(piece.data, _id(piece))} at byte {piece.offset}; {counted(len(found), 'time')}",
         "Send a value within the range; if it should be in it, look at its unit",
+        tuple(Shown(p.offset, shown(p.data, _id(p))) for p, _ in found),
+    )  # fmt: skip
+
+
+def _beyond_a_model(scene: Scene, sent: list[tuple[Piece, Message]]) -> Iterator[Suspicion]:
+    """Suspect values that are refused, and are beyond the range of one of the models."""
+    refused = {t.piece.asked_by for t in scene.of("failed_status", "refused_write") if t.piece is not None}
+    found: list[tuple[Piece, list[str]]] = []
+    for piece, message in sent if refused else ():
+        limited = message.form is not None and any(field.models for field in message.form.layout.fields)
+        if limited and message.form is not None and piece.sequence in scene.replies and not piece.rules & _RANGE:
+            layout, every = message.form.layout, message.frame.dialect.models
+            models = [model for model in every if codec(layout.for_model(model)).broken(message.data)]
+            if models and piece.sequence not in refused:
+                # Some drive here takes such a value.
+                return
+            found += [(piece, models)] if models else []
+    if not found:
+        return
+    piece, models = found[0]
+    yield Suspicion(
+        "value_out_of_range", Confidence.LIKELY if len(found) > 1 else Confidence.POSSIBLE,
+        [trouble for each, _ in found for trouble in _troubles(scene, each)],
+        f"The drive refuses a value that is beyond the range of {', '.join(models)}.",
+        f"{shown(piece.data, _id(piece))} at byte {piece.offset} is refused; {counted(len(found), 'time')}, and none is taken",
+        f"Look up the range of this model: `servotap diagnose --model {models[0]}` says where a value is outside it",
         tuple(Shown(p.offset, shown(p.data, _id(p))) for p, _ in found),
     )  # fmt: skip
 
@@ -241,22 +271,22 @@ def _swapped(piece: Piece, message: Message, word: Word, sizes: set[int]) -> Odd
     return Odd(piece, message, _text(word, word.value(got)), _text(word, word.value(got[::-1])), bytes(right))
 
 
-def _by_digits(message: Message, word: Word) -> bytes | None:
-    """Return the bytes of the number whose decimal digits are the hexadecimal ones of a value out of range."""
-    data = message.data[word.start : word.stop]
-    big = data if word.field.order is Order.BIG else data[::-1]
-    if word.allowed(data) or not big.hex().isdecimal():
-        return None
-    meant = int(big.hex())
-    right = meant.to_bytes(len(data), "big" if word.field.order is Order.BIG else "little")
-    return right if word.allowed(right) and _digits(meant) <= _ROUND[len(data)] else None
+def _by_digits(message: Message, word: Word) -> int | None:
+    """Return the round number in range whose decimal digits are the hexadecimal ones of a value."""
+    digits = message.data[word.start : word.stop][:: 1 if word.field.order is Order.BIG else -1].hex()
+    meant = int(digits) if digits.isdecimal() else -1
+    sound = meant >= 0 and word.allowed(_packed(word, meant)) and _digits(meant) <= _ROUND[word.size]
+    return meant if sound else None
 
 
-def _as_written(piece: Piece, message: Message, word: Word) -> Odd:
-    meant = _by_digits(message, word) or b""
-    right = message.data[: word.start] + meant + message.data[word.stop :]
-    got = message.data[word.start : word.stop]
-    return Odd(piece, message, _text(word, word.value(got)), _text(word, word.value(meant)), right)
+def _packed(word: Word, value: int) -> bytes:
+    return value.to_bytes(word.size, "big" if word.field.order is Order.BIG else "little")
+
+
+def _as_written(piece: Piece, message: Message, word: Word, meant: int) -> Odd:
+    right = message.data[: word.start] + _packed(word, meant) + message.data[word.stop :]
+    got = word.value(message.data[word.start : word.stop])
+    return Odd(piece, message, _text(word, got), _text(word, word.value(_packed(word, meant))), right)
 
 
 def filled(layout: Layout, data: bytes) -> bytes:

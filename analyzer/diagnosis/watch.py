@@ -87,6 +87,8 @@ class Watch:
         #: Frames and findings that came by, kept or not.
         self.frames = self.found = 0
         self.timed = self._words = self._asks = self._late = False
+        #: How bytes stand on the line, as `8E1`; empty where levels do not tell.
+        self.uarts: frozenset[str] = frozenset()
 
     def take(self, item: Item, offset: int | None = None) -> None:
         """Take an item of the source. `offset`: its first byte on its bus; None: it follows the item before."""
@@ -287,4 +289,5 @@ class Watch:
             bus, dialects, kept,
             [each.read for each in reads],
             told, self.frames, self.timed, self._words and not self._asks, tuple(self._said), len(findings) - len(told),
+            self.uarts,
         )  # fmt: skip

@@ -64,6 +64,24 @@ def _line_ends(reader: Reader, data: bytes) -> bytes | None:
     return frame if frame != data and reader.best(frame) is not None else None
 
 
+def _turned_ends(reader: Reader, data: bytes) -> bytes | None:
+    """Put the ends of lines back that a port has turned into the other one: of some of them the check says that they were."""
+    came, was = (b"\n", b"\r") if b"\r" not in data else (b"\r", b"\n")
+    count = data.count(came)
+    if not 0 < count <= _MOST_ENDS or was in data or reader.best(data) is not None:
+        return None
+    parts = data.split(came)
+    for ends in sorted(product((came, was), repeat=count), key=lambda ends: ends.count(was)):
+        frame = parts[0] + b"".join(end + part for end, part in zip(ends, parts[1:], strict=True))
+        if (reading := reader.best(frame)) is not None and reading.listed:
+            return frame
+    return None
+
+
+#: Ends of lines in one frame that are tried.
+_MOST_ENDS = 5
+
+
 def _flow_control(reader: Reader, data: bytes) -> bytes | None:
     """Put bytes back that software flow control takes away."""
     if not 2 < len(data) <= _LONGEST or reader.best(data) is not None:
@@ -182,6 +200,10 @@ DRESSES = (
         "Write and read bytes, not strings", 2,
     ),
     _LINE_ENDS,
+    Dress(
+        "text_mode", _turned_ends, "A port in text mode turns one end of a line into the other: 0D into 0A, or the reverse.",
+        "Open the port raw: no conversion of line ends (stty raw -icrnl -inlcr)", 2,
+    ),
     _FLOW_CONTROL,
     Dress(
         "wrong_dialect", _of_can, "These are frames of the CAN manual on a serial line: identifier, data, and their sum.",

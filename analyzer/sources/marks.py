@@ -30,6 +30,8 @@ ACTIONS: dict[str, int] = {
          "alındı", "수신", "收到", "rd", "empfängt", "réception", "reçus", "recibidos", "ricevuti", "recebido", "recebidos"),
         _RECEIVED,
     ),
+    # Events of a serial port, as Node.js, Qt and .NET name them.
+    **dict.fromkeys(("data event", "on data", "ondata", "readyread", "datareceived"), _RECEIVED),
 }  # fmt: skip
 #: Who speaks: the host is meant where none is named.
 SPEAKERS: dict[str, int] = {

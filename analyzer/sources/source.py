@@ -113,6 +113,8 @@ class Source:
         self.channels = channels
         self.inverted = inverted
         self.uart = uart
+        #: How bytes stand on the channels that are read (`8E1`); known with the first record, empty where no levels are.
+        self.uarts: set[str] = set()
         self.problems: list[Problem] = []
         self.problem_count = 0
         self._notes: list[str] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import NamedTuple
 
 STEPS = 16
@@ -34,8 +35,19 @@ def both(one: list[int], other: list[int]) -> list[int]:
     return [a & b for a, b in zip(one, other, strict=True)]
 
 
-def received(line: list[int], ratio: float = 1.0, form: Format = BYTES, *, inverted: bool = False, missed: int = 0) -> bytes:
-    """Return what a receiver reads. `ratio`: the sender's speed over its own; `missed`: bits until it listens."""
+def received(
+    line: list[int],
+    ratio: float = 1.0,
+    form: Format = BYTES,
+    *,
+    inverted: bool = False,
+    missed: int = 0,
+    shaky: Random | None = None,
+) -> bytes:
+    """Return what a receiver reads. `ratio`: the sender's speed over its own; `missed`: bits until it listens.
+
+    `shaky`: each sample comes up to half a step early or late.
+    """
     idle = 40 * STEPS
     line = [1] * STEPS + line + [1] * idle
     line = [1 - level for level in line] if inverted else line
@@ -45,6 +57,8 @@ def received(line: list[int], ratio: float = 1.0, form: Format = BYTES, *, inver
         if not (line[at] == 0 and line[at - 1] == 1 and line[round(at + bit / 2)] == 0):
             at += 1
             continue
-        found.append(sum(line[int(at + (i + 1.5) * bit)] << i for i in range(form.bits)))
+        found.append(
+            sum(line[int(at + (i + 1.5) * bit + (shaky.uniform(-0.5, 0.5) if shaky else 0))] << i for i in range(form.bits))
+        )
         at = round(at + (1.5 + form.bits + form.even) * bit)
     return bytes(found)

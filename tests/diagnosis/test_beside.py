@@ -51,3 +51,20 @@ def test_a_status_that_stays_when_the_shaft_stands(status, speed, causes, causes
     one, other = ("".join(f"tx {asked.hex(' ')}\nrx {came.hex(' ')}\n" for asked, came in rows[at:]) for at in (0, 1))
     assert causes_of(one * 4) == causes
     assert causes_of(one + other * 3) == []
+
+
+@pytest.mark.parametrize(
+    ("before", "polls", "causes"),
+    [
+        ("", [(0xF1, 1)] * 4, ["firmware_quirk"]),
+        # Who has switched the report off, asks no more, or logs what the drive does, does not miss it.
+        ("active off", [(0xF1, 1)] * 4, []),
+        ("", [(0xF1, 1)] * 2, []),
+        ("", [(0xF1, 1), (0x3A, 1)] * 4, []),
+    ],
+)
+def test_a_host_that_waits_for_the_end_of_a_motion(before, polls, causes, causes_of):
+    rows = [(native(1, 0x8C, 1, 0), reply(1, 0x8C, 1))] if before else []
+    rows += [(native(1, 0xF4, 3, 0xE8, 16, 0, 0, 0x40, 0), reply(1, 0xF4, 1))]
+    rows += [(native(1, code), reply(1, code, status)) for code, status in polls]
+    assert causes_of("".join(f"tx {asked.hex(' ')}\nrx {came.hex(' ')}\n" for asked, came in rows)) == causes

@@ -37,6 +37,11 @@ def first(*rows):
         (["001#3132", WARNING, PASSIVE, PASSIVE], "can_no_ack"),
         (["001#3132", WARNING, PASSIVE, OFF], "can_bus_off"),
         ([STUFF] * 8, "can_wrong_bitrate"),
+        # The counters of a change of state run ahead of those of the errors around it; no counter falls.
+        (
+            [f"20000088#00000403000000{n:02X}" for n in (8, 16)] + ["20000004#0004000000000068"] + [f"{STUFF[:-2]}18"] * 8,
+            "can_wrong_bitrate",
+        ),
         (["001#3132", *[RECESSIVE] * 3, PASSIVE], "can_bit_errors"),
         ([RECESSIVE], "can_bit_errors"),
         # Frames of others show that speed and wires are right.
@@ -217,3 +222,11 @@ OTHER = "(5.1000) can0 001#3031\n(5.1005) can0 001#30000000001E61B0\n(6.1000) ca
 )
 def test_a_request_that_is_sent_again_is_no_reply_to_itself(log, cause, causes_of):
     assert causes_of(log)[:1] == ([cause] if cause else [])
+
+
+def test_no_pace_is_blamed_where_error_frames_come():
+    lost = ["001#3132", "002#3133", "002#3100000000400174"]
+    rows = [row for _ in range(6) for row in (*lost, "001#3132", STUFF, "001#3100000000200052")]
+    assert first(*rows) == "can_bit_errors"
+    assert "too_fast" not in {each.cause for each in causes(can(*rows))}
+    assert "too_fast" in {each.cause for each in causes(can(*(row for row in rows if row != STUFF)))}

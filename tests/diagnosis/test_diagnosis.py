@@ -266,6 +266,11 @@ def test_the_drive_speaks_another_dialect():
     assert first(*rows) == "wrong_dialect"
 
 
+def test_a_drive_in_the_other_mode_gives_fragments_back():
+    rows = [row for frame in READS for row in ((">", frame), ("<", frame[1:3]))]
+    assert first(*rows) == "wrong_dialect"
+
+
 @pytest.mark.parametrize("reply", ["< FB 05 8B 01 8C", "< FB 01 8B 01 88"])
 def test_the_old_address_is_asked(reply):
     rows = ["> FA 01 8B 05 8B", reply, "> FA 01 30 2B", "> FA 01 32 2D", "> FA 01 33 2E"]

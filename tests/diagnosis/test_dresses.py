@@ -54,6 +54,18 @@ def test_digits_sent_as_letters(form):
     assert first((">", text.encode())) == "text_mode"
 
 
+@pytest.mark.parametrize("ends", [(b"\r", b"\n"), (b"\n", b"\r")])
+def test_each_end_of_a_line_is_turned_into_the_other(ends):
+    replies = [
+        NATIVE.link.completed(bytes.fromhex(f"FB 01 31 00 00 {tail}"))
+        for tail in ("00 00 0D 0E", "00 0D 0D 52", "00 00 0A FF", "0A 00 3B 04")
+    ]
+    came = [reply.replace(*ends) for reply in replies]
+    found = told(*(row for reply in came for row in ((">", READS[0]), ("<", reply))))
+    assert [each.cause for each in found] == ["text_mode"]
+    assert found[0].frames[0].right == next(a for a, b in zip(replies, came, strict=True) if a != b).hex(" ").upper()
+
+
 def test_software_flow_control():
     replies = [NATIVE.link.completed(bytes.fromhex(f"FB 01 33 00 00 {byte} 11")) for byte in ("13", "07", "2A", "55")]
     rows = [row for reply in replies for row in ((">", READS[2]), ("<", reply.replace(b"\x11", b"").replace(b"\x13", b"", 0)))]

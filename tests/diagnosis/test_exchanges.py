@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise, product
 
 import pytest
+from msgspec.structs import replace
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Role
@@ -250,6 +251,19 @@ def test_respond_is_switched_off_in_the_capture():
     assert told(*exchanged("mks-rs485@1,work_mode=sr_vfoc", READ, off, READ)) == []
 
 
+def test_motion_commands_that_are_wrong_themselves_say_nothing_of_respond():
+    read, run = "FA 01 30 2B", [build(NATIVE, "run_speed", 1, {"speed": n, "acceleration": 2}) for n in (80, 160, 240)]
+    reply = "FB 01 30 00 00 00 00 00 00 2C"
+    rows = [f"> {read}", f"< {reply}", *((">", frame) for frame in run), f"> {read}", f"< {reply}"]
+    assert "respond_off" in {each.cause for each in told(*rows)}
+    for wrong in (
+        [frame[:-1] + b"\x77" for frame in run],
+        [frame[:5] + frame[6:-1] + bytes((sum(frame[:5]) + 2 & 0xFF,)) for frame in run],
+    ):
+        rows[2:5] = [(">", frame) for frame in wrong]
+        assert "respond_off" not in {each.cause for each in told(*rows)}
+
+
 def test_a_drive_that_answers_at_times():
     one, other = exchanged("mks-rs485@1", READ), [(">", READ)]
     found = told(*one, *other, *one, *other, *other, *one)
@@ -300,6 +314,21 @@ def test_a_value_out_of_range():
     found = told((">", word(RUNS[1], 3, b"\x17\x70")))
     assert found[0].cause == "value_out_of_range"
     assert "0..5200 mA" in found[0].say
+
+
+def test_a_value_that_a_model_does_not_take():
+    rows = [
+        row
+        for current in (5000, 4000)
+        for row in ((">", build(NATIVE, "set_current", 1, {"current": current})), "< FB 01 83 00 7F")
+    ]
+    found = told(*rows)
+    assert [(each.cause, each.confidence) for each in found] == [("value_out_of_range", Confidence.LIKELY)]
+    assert "42D" in found[0].say
+    # A drive that takes such a value has another reason.
+    assert "value_out_of_range" not in {each.cause for each in told(*rows, rows[0], "< FB 01 83 01 80")}
+    low = [row for current in (1000, 2000) for row in ((">", build(NATIVE, "set_current", 1, {"current": current})), rows[1])]
+    assert "value_out_of_range" not in {each.cause for each in told(*low)}
 
 
 def test_a_choice_that_is_not_listed():
@@ -479,18 +508,30 @@ REPLIES_OF_THREE = ("FB 05 32 00 28 5A", "FB 06 32 00 29 5C", "FB 07 32 00 2A 5E
         (SPEEDS_OF_THREE, REPLIES_OF_THREE[2:], 1.5, True),
         # A host that waits longer than the reply takes finds two drives that are not there.
         (SPEEDS_OF_THREE, REPLIES_OF_THREE[2:], 40, False),
+        # One drive answers some of a row, and no others.
+        ((SPEEDS_OF_THREE[0], "FA 05 31 30", "FA 05 F1 F0"), REPLIES_OF_THREE[:1], 1.5, True),
+        # Two of three drives are there.
+        (SPEEDS_OF_THREE, REPLIES_OF_THREE[1:], 1.5, False),
         # All answer in the end.
         (SPEEDS_OF_THREE, REPLIES_OF_THREE, 1.5, False),
         # Motion commands that no drive answers, by its setting, and a read behind them.
         (("FA 05 F6 00 50 02 47", "FA 06 F6 00 50 02 48", "FA 07 32 33"), REPLIES_OF_THREE[2:], 1.5, False),
     ],
-    ids=["rows", "waits", "answered", "silent by setting"],
+    ids=["rows", "waits", "one drive", "two of three drives", "answered", "silent by setting"],
 )
 def test_only_the_last_of_requests_that_follow_each_other_at_once_is_answered(requests, replies, gap_ms, too_fast):
     causes = [each.suspicion.cause for each in diagnosed(rows_of_requests(requests, replies, gap_ms)).causes]
     assert ("too_fast" in causes) is too_fast
     # Whom the host has not let answer is not looked for.
     assert not ("wrong_address" in causes and too_fast)
+
+
+def test_some_of_requests_that_follow_each_other_at_once_are_answered():
+    sent = (SPEEDS_OF_THREE[0], "FA 05 31 30", "FA 05 3A 39", "FA 05 F1 F0")
+    came = (REPLIES_OF_THREE[:1], (REPLIES_OF_THREE[0], "FB 05 F1 01 F2")) * 2
+    rows = [rows_of_requests(sent, replies, 1.8, rounds=1) for replies in came]
+    items = [replace(item, t_ns=item.t_ns + 500 * MS * n) for n, row in enumerate(rows) for item in row]
+    assert [each.suspicion.cause for each in diagnosed(items).causes] == ["too_fast"]
 
 
 def test_requests_of_which_none_is_answered_are_not_compared_with_what_did_not_come(monkeypatch):

@@ -95,6 +95,7 @@ STORIES = {
     ),
 }
 STORIES |= {
+    "fragments of a unit": (exchanges(*((f, [f[:3]]) for f in (READ, unit(7, 4, 0, 0xF1, 0, 1)))), "wrong_dialect"),
     "question marks in replies": (exchanges(*((READ, [marked(came)]) for came in VALUES)), "text_mode"),
     "question marks in replies lk": (
         exchanges(*((lk(0x9C, 6), [marked(lk(0x9C, 6, 30, n, 2, 0, 3, 0x90, 1))]) for n in (1, 2, 3, 4))),

@@ -1,10 +1,12 @@
 """What the line does to bytes: traffic of our drives and of any other device, through a line that spoils it."""
 
+import json
 import random
 
 import pytest
 
 from analyzer.catalogue import Role
+from analyzer.cli import main
 from analyzer.diagnosis.bits import Line, Rows, levels, read, unread
 from analyzer.diagnosis.reader import Reader
 from analyzer.records import Chunk
@@ -392,6 +394,11 @@ def test_an_exchange_of_which_a_slow_receiver_skips_bits(ratio):
     assert unbroken(polled("native"), ratio=ratio) == ["wrong_baud"]
 
 
+def test_a_receiver_that_samples_on_the_edges_reads_either_bit():
+    rows = exchanged("mks-rs485@1", *[build(NATIVE, "read_position", 1), build(NATIVE, "read_speed", 1)] * 12)
+    assert unbroken(rows, ratio=2 / 3, shaky=random.Random(21)) == ["wrong_baud"]
+
+
 @pytest.mark.parametrize("name", LONG)
 def test_an_unbroken_recording_of_a_right_line(name):
     assert unbroken(LONG[name]) == unbroken(polled(name)) == []
@@ -441,3 +448,17 @@ def test_an_inverted_reply_behind_an_edge():
     sent, reply = modbus("03 10 00 51 00 01 02 00 09"), modbus("03 10 00 51 00 01")
     came = received(on_the_line(reply), inverted=True)
     assert first((">", sent), ("<", b"\0\xec" + came[1:] + b"\0")) == "inverted_lines"
+
+
+@pytest.mark.parametrize(("even", "cause"), [(True, "wrong_parity"), (False, "no_reply")])
+def test_levels_with_a_parity_that_no_drive_answers(even, cause, tmp_path, capsys):
+    bit_s, sent = 1 / 38400 / STEPS, [build(MODBUS, name, 1) for name in ("read_speed", "read_pulses", "read_status")] * 3
+    rows, last = ["Time [s],Channel 0", "0.000000000,1"], 1
+    for number, data in enumerate(sent):
+        for at, level in enumerate([*on_the_line(data, Format(even=even)), 1]):
+            rows += [f"{0.05 + 0.5 * number + at * bit_s:.9f},{level}"] if level != last else []
+            last = level
+    path = tmp_path / "levels.csv"
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    main(["diagnose", "--json", str(path)])
+    assert [each["cause"] for each in json.loads(capsys.readouterr().out)["causes"]] == [cause]

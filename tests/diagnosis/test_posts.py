@@ -45,6 +45,9 @@ def bracketed(text):
         # BACnet answers where Modbus is asked.
         ("TX = 55 03 3F FF 00 01\nRX = 55 FF 01 .....\nI am expecting 03 in the second one.", "unsupported_dialect"),
         ("TX = 55 03 3F FF 00 01\nRX = 55 FF 00 10 05 00 00 8C", "unsupported_dialect"),
+        # The events of a serial port are what was received, however few bytes each has.
+        ("".join(f"[10:00:0{n}.1] write {ASKED}\n[10:00:0{n}.2] data event: 11 03\n[10:00:0{n}.203] data event: {REPLIED[6:]}\n"
+                 "[10:00:00.300] ERROR frame dropped\n" for n in range(3)), "split_frame"),
         # What ESP-IDF logs of a bus without another node.
         (IDF * 3 + "I (7221) TWAI1 Master: state changed: error_active -> error_warning\n", "can_no_ack"),
         # An identifier of 36 bits, of which 11 go out.

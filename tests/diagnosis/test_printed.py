@@ -50,6 +50,13 @@ def test_a_number_that_is_sent_with_its_decimal_digits_as_hexadecimal_ones(words
     assert causes_of(text) == found
 
 
+@pytest.mark.parametrize(("words", "cause"), [("set 1600 mA", "decimal_as_hex"), ("set the current", "wrong_byte_order")])
+def test_digits_of_the_words_are_more_than_a_swap_that_is_as_round(words, cause, causes_of):
+    rows = [(native(f"FA 02 83 {sent} 00"), native("FB 02 83 00")) for sent in ("16", "12", "16")]
+    log = "".join(f"10:00:0{n}.000 TX: {a}\n10:00:0{n}.010 RX: {b}\n" for n, (a, b) in enumerate(rows))
+    assert causes_of(f"{words}\n{log}") == [cause]
+
+
 @pytest.mark.parametrize(
     ("words", "frame", "found"),
     [

@@ -281,6 +281,7 @@ def _tell(source: Source, chosen: Sequence[_Read], step_ns: float, rated: bool) 
         said = each.spoken
         what = said.words if rated else f"{said.kind}, {said.form.bit_ns:.4g} samples a bit, {said.form.word}"
         source.note(f"{quote(each.name)}: {what}")
+        source.uarts |= {said.form.word} if said.kind == "serial" else set()
         if each.monotonous:
             source.note(f"{quote(each.name)} repeats one byte: it may be a clock and no traffic")
         samples = said.form.bit_ns / step_ns if step_ns else 0
