@@ -38,7 +38,7 @@ from analyzer.diagnosis import (
 )
 from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.ranking import Ranked, ranked
-from analyzer.diagnosis.scene import SILENT, Confidence, Scene, Suspicion, Trouble
+from analyzer.diagnosis.scene import SILENT, Confidence, Piece, Scene, Suspicion, Trouble
 from analyzer.diagnosis.watch import Watch
 from analyzer.errors import PluginError
 from analyzer.pipeline import Pipeline
@@ -79,14 +79,14 @@ _OF_PROGRAMS = (wrapped.look, other_makers.look, checks.of_program, told.look)
 class Diagnosis(msgspec.Struct, frozen=True):
     """What is wrong in a capture. `verdict`: ok, trouble, unknown; `troubles`: how many things are wrong.
 
-    `unexplained`: what can be said where no cause is named. `at_edges`: it begins or ends within a frame.
+    `unexplained`: what can be said where no cause is named. `remark`: what is as it may be.
     """
 
     verdict: str
     causes: tuple[Ranked, ...]
     troubles: int
     unexplained: str = ""
-    at_edges: bool = False
+    remark: str = ""
 
     def as_objects(self) -> list[dict[str, Any]]:
         """Return the causes for JSON."""
@@ -109,6 +109,8 @@ class Diagnosis(msgspec.Struct, frozen=True):
         ]
 
 
+_EDGES = "the recording begins or ends within a frame"
+_GROUP = "an address without any reply is moved alone and never read, as that of a group is"
 _NOT_SENT = "requests stand in a text, without replies: nothing shows that they were sent"
 _MOST_FRAMES = 20
 #: Silent addresses that are a search.
@@ -153,10 +155,11 @@ def weighed(scenes: Sequence[Scene]) -> Diagnosis:
     causes = tuple(ranked(suspicions, troubles))
     known = any(p.message is not None and p.message.command is not None for scene in scenes for p in scene.pieces)
     lost = sum(scene.lost for scene in scenes)
-    well = known and not lost and all(edges.issuperset(scene.troubles) or _is_search(scene) for scene in scenes)
+    groups = {trouble for scene in scenes for trouble in _to_groups(scene)}
+    well = known and not lost and all((edges | groups).issuperset(scene.troubles) or _is_search(scene) for scene in scenes)
     count = len(troubles) + lost
     verdict = "trouble" if causes else "ok" if well else "unknown"
-    return Diagnosis(verdict, causes, count, _unexplained(scenes, count), bool(edges))
+    return Diagnosis(verdict, causes, count, _unexplained(scenes, count), _EDGES if edges else _GROUP if groups else "")
 
 
 def _since_trouble(scene: Scene) -> Iterator[Suspicion]:
@@ -219,6 +222,28 @@ def _is_search(scene: Scene) -> bool:
     return answers and len(asked) == len(scene.troubles) >= _SEARCHED and len(set(asked)) == len(asked)
 
 
+def _to_groups(scene: Scene) -> Iterator[Trouble]:
+    """Yield the silence of addresses that may be those of groups: others answer, and each is sent motions alone, each once.
+
+    Of such a motion that is sent again a reply may be awaited; so it is where words ask.
+    """
+    if scene.words and not scene.noted:
+        return
+    sent: dict[int, list[Piece]] = {}
+    for piece in scene.requests:
+        if piece.message is not None:
+            sent.setdefault(piece.message.address, []).append(piece)
+    answers = {piece.message.address for piece in scene.pieces if piece.is_reply and piece.message is not None}
+    for trouble in scene.of("silent_address"):
+        message = trouble.piece.message if trouble.piece is not None else None
+        if message is None or not answers or message.address in answers:
+            continue
+        own = sent.get(message.address, [])
+        moves = all(p.message is not None and p.message.command is not None and p.message.command.silenced for p in own)
+        if moves and len({p.data for p in own}) == len(own):
+            yield trouble
+
+
 def _edges(scene: Scene) -> Iterator[Trouble]:
     """Yield what is cut where a recording of a line begins and ends: it began to listen, and stopped, within a frame.
 
@@ -263,7 +288,7 @@ def of_traffic(items: Iterable[Chunk | CanFrame], dialects: Sequence[Dialect]) -
 def lines(found: Diagnosis) -> list[str]:
     """Return a diagnosis for people."""
     if found.verdict == "ok":
-        return ["nothing wrong was found" + ("; the recording begins or ends within a frame" if found.at_edges else "")]
+        return ["; ".join(filter(None, ("nothing wrong was found", found.remark)))]
     if not found.causes:
         return [found.unexplained]
     return [line for number, each in enumerate(found.causes, 1) for line in cause_lines(number, each)]
