@@ -157,3 +157,10 @@ def test_a_recording_may_begin_and_end_within_a_frame(dialect, tmp_path):
             found = of_traffic(source, [d for d in registry.every() if d.bus == "serial"])
         said.add((found.verdict, *(each.suspicion.cause for each in found.causes)))
     assert said == {("ok",)}
+
+
+@pytest.mark.parametrize("dialect", ["native", "lk"])
+@pytest.mark.parametrize(("all_of_them", "found"), [(True, ["reply_cut", "firmware_quirk"]), (False, ["reply_cut"])])
+def test_a_drive_may_send_no_checks(dialect, all_of_them, found):
+    rows = [(asked, answer[:-1] if all_of_them or n % 3 else answer) for n, (asked, answer) in enumerate(WELL[dialect])]
+    assert causes(log(rows)) == found
