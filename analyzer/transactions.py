@@ -12,8 +12,9 @@ command's `Replies`: interim (it goes on), final, failed. The machine is one tab
     running   failed     done
 
 A drive answers in order, so a reply to a later request ends earlier ones as unanswered; on a half-duplex line the host
-has then moved on for all drives. Of equal requests far apart the last is answered by what follows it. A newer motion command supersedes one that runs. The same request again, with nothing
-between, is an echo when it comes at once and a retry when it comes later.
+has then moved on for all drives. Of equal requests far apart the last is answered by what follows it. A newer motion
+command supersedes one that runs. The same request again, with nothing between, is an echo when it comes at once and a retry
+when it comes later.
 """
 
 from __future__ import annotations
