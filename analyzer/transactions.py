@@ -12,8 +12,9 @@ command's `Replies`: interim (it goes on), final, failed. The machine is one tab
     running   failed     done
 
 A drive answers in order, so a reply to a later request ends earlier ones as unanswered; on a half-duplex line the host
-has then moved on for all drives. A newer motion command supersedes one that runs. The same request again, with nothing
-between, is an echo when it comes at once and a retry when it comes later.
+has then moved on for all drives. Of equal requests far apart the last is answered by what follows it. A newer motion
+command supersedes one that runs. The same request again, with nothing between, is an echo when it comes at once and a retry
+when it comes later.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 GIVE_UP = 5
 #: The same bytes again within this time are an echo: no host repeats a request so soon.
 ECHO_NS = 3_000_000
+#: A host that asks for the same after so long has given the first up: a reply right behind the last answers that.
+APART_NS = 20_000_000
 #: So many replies in a row that answer an earlier request are no chance.
 BEHIND = 3
 #: Open requests kept per address.
@@ -301,6 +304,7 @@ class Transactions:
         asked = asked or self._from_new_address(message)
         if asked is None:
             return self._unasked(message)
+        asked = self._nearest(asked)
         if context.echoes >= 2 and self._is_echo(message, asked):
             context.echoes += 1
             return Paired(issues=(Issue("host_echo", "the request once more, before its reply"),))
@@ -330,6 +334,15 @@ class Transactions:
                 if field and request.state is State.WAITING and request.message.values.get(field) == message.address:
                     return request if answers(request, head.function, head.code, message.data) is not None else None
         return None
+
+    def _nearest(self, asked: Request) -> Request:
+        """Return the equal request right before a reply where the oldest was sent long before it; else the oldest."""
+        last = self.context.last_request
+        if not (self.half_duplex and self._timed) or last is None or last is asked or last.frame is not self._last:
+            return asked
+        both_wait = asked.state is last.state is State.WAITING and last.outcome is RequestOutcome.OPEN
+        same = last.frame.data == asked.frame.data and last.t_ns - asked.t_ns > APART_NS
+        return last if both_wait and same else asked
 
     def _is_echo(self, message: Message, asked: Request) -> bool:
         """Say whether a reply that is byte for byte its request is the host's echo: only on a bus known to echo."""

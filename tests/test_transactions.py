@@ -280,3 +280,14 @@ def test_the_same_bytes_under_an_earlier_time_are_no_echo():
     sink = serial("mks-rs485", (5000, ASK_SPEED), (50, ASK_SPEED), (53, SPEED))
     assert sink.rules == ["unanswered"]
     assert sink.findings[0].text.endswith("the host repeated it")
+
+
+def test_a_reply_right_behind_a_request_is_no_late_one_to_an_equal_one_long_before():
+    other, reply_to_other = sum8("FA 01 F1"), sum8("FB 01 F1 01")
+    lost = [(0, ASK_SPEED), (2, other)]
+    polls = [
+        row for t in (100, 200, 300, 400) for row in ((t, ASK_SPEED), (t + 4, SPEED), (t + 50, other), (t + 54, reply_to_other))
+    ]
+    sink = serial("mks-rs485", *lost, *polls)
+    assert sorted(sink.rules) == ["unanswered", "unanswered"]
+    assert {e.latency_ns for e in sink.entries} == {None, 4_000_000}

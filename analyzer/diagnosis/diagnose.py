@@ -36,8 +36,9 @@ from analyzer.diagnosis import (
     values,
     wrapped,
 )
+from analyzer.diagnosis.exchanges import replies_to
 from analyzer.diagnosis.ranking import Ranked, ranked
-from analyzer.diagnosis.scene import SILENT, Confidence, Scene, Suspicion
+from analyzer.diagnosis.scene import SILENT, Confidence, Piece, Scene, Suspicion, Trouble
 from analyzer.diagnosis.watch import Watch
 from analyzer.errors import PluginError
 from analyzer.pipeline import Pipeline
@@ -78,13 +79,14 @@ _OF_PROGRAMS = (wrapped.look, other_makers.look, checks.of_program, told.look)
 class Diagnosis(msgspec.Struct, frozen=True):
     """What is wrong in a capture. `verdict`: ok, trouble, unknown; `troubles`: how many things are wrong.
 
-    `unexplained`: what can be said where no cause is named.
+    `unexplained`: what can be said where no cause is named. `remark`: what is as it may be.
     """
 
     verdict: str
     causes: tuple[Ranked, ...]
     troubles: int
     unexplained: str = ""
+    remark: str = ""
 
     def as_objects(self) -> list[dict[str, Any]]:
         """Return the causes for JSON."""
@@ -107,6 +109,8 @@ class Diagnosis(msgspec.Struct, frozen=True):
         ]
 
 
+_EDGES = "the recording begins or ends within a frame"
+_GROUP = "an address without any reply is moved alone and never read, as that of a group is"
 _NOT_SENT = "requests stand in a text, without replies: nothing shows that they were sent"
 _MOST_FRAMES = 20
 #: Silent addresses that are a search.
@@ -115,6 +119,8 @@ _SEARCHED = 3
 _MOST = 0.8
 #: Replies from which on all went well for long, and troubles that are no chance.
 _WELL, _FEWEST = 4, 2
+#: What tells the frames of a capture apart: head and address, or unit and function.
+_HEAD = 2
 #: Rules of findings about what a frame says, and causes by which no drive answers.
 _OF_CONTENT = frozenset(("failed_status", "refused_write", "modbus_exception", "out_of_range", "unknown_choice"))
 _OF_SILENCE = frozenset(("wrong_address", "can_wrong_id", "no_reply"))
@@ -140,14 +146,20 @@ def diagnosis(watch: Watch, dialects: Sequence[Dialect]) -> Diagnosis:
 
 def weighed(scenes: Sequence[Scene]) -> Diagnosis:
     """Return what is wrong on some buses."""
-    troubles = [trouble for scene in scenes for trouble in scene.troubles]
-    suspicions = [each for scene in scenes for each in (*suspected(scene), *_since_trouble(scene))]
+    edges = frozenset(trouble for scene in scenes for trouble in _edges(scene))
+    troubles = [trouble for scene in scenes for trouble in scene.troubles if trouble not in edges]
+    # Why a drive is silent is told also of the last request.
+    cut = {trouble for trouble in edges if trouble.rule not in SILENT}
+    every = (each for scene in scenes for each in (*suspected(scene), *_since_trouble(scene)))
+    suspicions = [each for each in every if not each.troubles or not cut.issuperset(each.troubles)]
     causes = tuple(ranked(suspicions, troubles))
     known = any(p.message is not None and p.message.command is not None for scene in scenes for p in scene.pieces)
     lost = sum(scene.lost for scene in scenes)
-    well = known and not lost and all(not scene.troubles or _is_search(scene) for scene in scenes)
+    groups = {trouble for scene in scenes for trouble in _to_groups(scene)}
+    well = known and not lost and all((edges | groups).issuperset(scene.troubles) or _is_search(scene) for scene in scenes)
     count = len(troubles) + lost
-    return Diagnosis("trouble" if causes else "ok" if well else "unknown", causes, count, _unexplained(scenes, count))
+    verdict = "trouble" if causes else "ok" if well else "unknown"
+    return Diagnosis(verdict, causes, count, _unexplained(scenes, count), _EDGES if edges else _GROUP if groups else "")
 
 
 def _since_trouble(scene: Scene) -> Iterator[Suspicion]:
@@ -210,6 +222,58 @@ def _is_search(scene: Scene) -> bool:
     return answers and len(asked) == len(scene.troubles) >= _SEARCHED and len(set(asked)) == len(asked)
 
 
+def _to_groups(scene: Scene) -> Iterator[Trouble]:
+    """Yield the silence of addresses that may be those of groups: others answer, and each is sent motions alone, each once.
+
+    Of such a motion that is sent again a reply may be awaited; so it is where words ask.
+    """
+    if scene.words and not scene.noted:
+        return
+    sent: dict[int, list[Piece]] = {}
+    for piece in scene.requests:
+        if piece.message is not None:
+            sent.setdefault(piece.message.address, []).append(piece)
+    answers = {piece.message.address for piece in scene.pieces if piece.is_reply and piece.message is not None}
+    for trouble in scene.of("silent_address"):
+        message = trouble.piece.message if trouble.piece is not None else None
+        if message is None or not answers or message.address in answers:
+            continue
+        own = sent.get(message.address, [])
+        moves = all(p.message is not None and p.message.command is not None and p.message.command.silenced for p in own)
+        if moves and len({p.data for p in own}) == len(own):
+            yield trouble
+
+
+def _edges(scene: Scene) -> Iterator[Trouble]:
+    """Yield what is cut where a recording of a line begins and ends: it began to listen, and stopped, within a frame.
+
+    So are a reply whose request came before, and a request whose reply came later. A log of reads or of sides shows what was
+    sent as a whole.
+    """
+    sound = [piece for piece in scene.pieces if piece.sound]
+    if scene.directed or any(read.firm for read in scene.reads) or sum(piece.is_reply for piece in sound) < _WELL:
+        return
+    asked = next((piece.offset for piece in sound if piece.is_request), 0)
+    longest = max(len(piece.data) for piece in sound)
+    for trouble in scene.troubles:
+        stretch, piece = trouble.stretch, trouble.piece
+        if stretch is None:
+            first = trouble.rule == "unsolicited_reply" and piece is sound[0] and piece.stop == asked
+            if first or (trouble.rule in SILENT and piece is scene.pieces[-1]):
+                yield trouble
+        elif stretch.offset == 0:
+            heads = (other.data[:_HEAD] for other in sound)
+            if stretch.stop == sound[0].offset < longest and stretch.data[:_HEAD] not in heads:
+                yield trouble
+        elif stretch.stop == scene.pieces[-1].stop:
+            before = scene.asked_before(stretch.offset)
+            awaits = before is not None and before.stop == stretch.offset
+            if any(other.data.startswith(stretch.data) for other in sound) or (
+                awaits and any(reply.begins(stretch.data) for reply in replies_to(before))
+            ):
+                yield trouble
+
+
 def of_traffic(items: Iterable[Chunk | CanFrame], dialects: Sequence[Dialect]) -> Diagnosis:
     """Return what is wrong in traffic that is at hand."""
     watch = Watch()
@@ -224,7 +288,7 @@ def of_traffic(items: Iterable[Chunk | CanFrame], dialects: Sequence[Dialect]) -
 def lines(found: Diagnosis) -> list[str]:
     """Return a diagnosis for people."""
     if found.verdict == "ok":
-        return ["nothing wrong was found"]
+        return ["; ".join(filter(None, ("nothing wrong was found", found.remark)))]
     if not found.causes:
         return [found.unexplained]
     return [line for number, each in enumerate(found.causes, 1) for line in cause_lines(number, each)]

@@ -50,14 +50,34 @@ def _cut(scene: Scene) -> Iterator[Suspicion]:
     if not known and read_otherwise([data for _, data, _ in cut]):
         return
     first, data, wanted = cut[0]
+    unchecked = _without_check(scene, [(data, wanted) for _, data, wanted in cut])
+    sure = len(cut) > 1 and known and not unchecked
     yield Suspicion(
-        "reply_cut", Confidence.CERTAIN if len(cut) > 1 and known else Confidence.LIKELY, [t for t, _, _ in cut],
+        "reply_cut", Confidence.CERTAIN if sure else Confidence.LIKELY, [t for t, _, _ in cut],
         "The host reads only a part of the reply.",
         f"{shown(data)} at byte {first.offset} has {counted(len(data), 'byte')} of {wanted}; {counted(len(cut), 'time')}",
         f"Read until {wanted} bytes are there or a timeout has passed, not what has come by the time of one read",
         tuple(Shown(t.offset, shown(d)) for t, d, _ in cut),
     )  # fmt: skip
+    if unchecked:
+        yield Suspicion(
+            "firmware_quirk", Confidence.LIKELY, [t for t, _, _ in cut],
+            "Replies of several lengths lack their check and nothing else: the drive may send none.",
+            f"{shown(data)} at byte {first.offset} lacks its last {counted(wanted - len(data), 'byte')}, "
+            f"as {counted(len(cut), 'reply', 'replies')} of {len({wanted for _, _, wanted in cut})} lengths do",
+            "See by a recording of the line whether the check comes; if not, take replies without it, or change the firmware",
+            tuple(Shown(t.offset, shown(d)) for t, d, _ in cut),
+        )  # fmt: skip
     yield from _with_more(scene, [t for t, _, _ in cut], heads)
+
+
+def _without_check(scene: Scene, cut: list[tuple[bytes, int]]) -> bool:
+    """Say whether all replies, of several lengths, lack as many bytes as their check has: no one count of bytes cuts so."""
+    asked = next((piece.message for piece in scene.requests if piece.message is not None), None)
+    if asked is None or any(piece.is_reply and piece.sound for piece in scene.pieces):
+        return False
+    check = len(asked.frame.dialect.link.checks(asked.frame.data)[-1].expected)
+    return len({wanted for _, wanted in cut}) > 1 and all(wanted - len(data) == check for data, wanted in cut)
 
 
 def _with_more(scene: Scene, cut: list[Trouble], heads: Counter[bytes]) -> Iterator[Suspicion]:

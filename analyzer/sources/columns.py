@@ -53,7 +53,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
 #: Columns that say by their own name who sent their bytes.
 _SENT = re.compile(r"(tx|request|sent|send|rx|response|reply|answer|received?|recv)(?:buf|buffer|data|bytes|hex|frame)?")
 #: Columns of one byte each.
-_CELL = re.compile(r"(?:d|data|byte|b)\d")
+_CELL = re.compile(r"(?:d|data|byte|b)\d+")
 _UNIT = re.compile(r"(?:time|timestamp|t)?(ms|us|ns|millis|micros|seconds)$")
 _UNITS = {"ms": SECOND_NS // 1000, "us": SECOND_NS // 1_000_000, "ns": 1}
 _UNITS |= {"millis": _UNITS["ms"], "micros": _UNITS["us"], "seconds": SECOND_NS}

@@ -41,6 +41,8 @@ SINGLE = re.compile(r"\s*(?:0[xX])?([0-9A-Fa-f]{1,2}|\d{3})\s*")
 _DIGIT = re.compile(r"(?:(?P<call>.*\w)\(\):)?\s*(?P<digit>[0-9A-Fa-f])\s*")
 _QUOTED = re.compile(r"\s*>\s?")
 _ARROW = "->"
+#: What libmodbus prints behind each request.
+_AWAITS = "Waiting for a confirmation"
 
 
 def _is_count(part: HexLine) -> bool:
@@ -329,7 +331,7 @@ class Manner(NamedTuple):
             lone=bool(traffic) and len(bytes_alone) >= _SINGLE_LINES and not any(len(p.data) > 1 for p in traffic),
             decimal=any(p.radix is Radix.DECIMAL for p in traffic),
             arrow=bool(stamped) and all(p.stamp.kind == "clock" and p.sign == _ARROW for p in stamped),
-            brackets=all(any(sign in line for line in lines) for sign in ("][", "><")),
+            brackets=any("][" in line for line in lines) and any("><" in line or _AWAITS in line for line in lines),
             led=(len(traffic) > 1 and all(p.led for p in traffic[:2])) or _counts_up(lines, traffic) or _counts_bytes(traffic),
             spelled=_is_spelled(traffic),
             padded=any(_SHORT_LIST.search(line) and _HEX_LIST.search(line) for line in lines),

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from analyzer import dialects as registry
+from analyzer.diagnosis.diagnose import of_traffic
+from analyzer.sources import open_source
 from tests.diagnosis.spoiled_line import both, levels, received
 from tests.diagnosis.test_layouts import CAME, POSITION, SPEED, STATUS, can, causes, exchanges, lk, native, reply, unit
 from tests.diagnosis.test_log_forms import pairs
@@ -141,3 +144,23 @@ def test_causes_on_can():
         "late_reply"
     ]
     assert causes(can(*well)) == []
+
+
+@pytest.mark.parametrize("dialect", WELL)
+def test_a_recording_may_begin_and_end_within_a_frame(dialect, tmp_path):
+    path = tmp_path / "wire.bin"
+    whole = b"".join(asked + answer for asked, answer in WELL[dialect])
+    said = set()
+    for cut in range(1, 40):
+        path.write_bytes(whole[cut : -(40 - cut)])
+        with open_source(path) as source:
+            found = of_traffic(source, [d for d in registry.every() if d.bus == "serial"])
+        said.add((found.verdict, *(each.suspicion.cause for each in found.causes)))
+    assert said == {("ok",)}
+
+
+@pytest.mark.parametrize("dialect", ["native", "lk"])
+@pytest.mark.parametrize(("all_of_them", "found"), [(True, ["reply_cut", "firmware_quirk"]), (False, ["reply_cut"])])
+def test_a_drive_may_send_no_checks(dialect, all_of_them, found):
+    rows = [(asked, answer[:-1] if all_of_them or n % 3 else answer) for n, (asked, answer) in enumerate(WELL[dialect])]
+    assert causes(log(rows)) == found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.diagnosis.test_healthy import verdict
 from tests.diagnosis.test_pastes import checked, diagnosed
 
 
@@ -311,3 +312,19 @@ def test_a_group_that_never_confirms(causes_of):
         "broadcast_no_reply"
     ]
     assert causes_of(f"The group is set, and the drives run:\n{GROUPED}{moved}") == []
+
+
+@pytest.mark.parametrize(
+    ("sent", "found"),
+    [
+        ([MOTION], "ok"),
+        ([MOTION, native("FA 60 F6 00 60 05")], "ok"),
+        ([MOTION, MOTION], "unknown"),
+        ([MOTION, READ], "trouble"),
+    ],
+)
+def test_an_address_that_is_moved_alone_may_be_a_group(sent, found, tmp_path, capsys):
+    answered = [(">", native("FA 03 31")), ("<", native("FB 03 31 00 00 00 00 40 00"))] * 3
+    rows = [*((">", frame) for frame in sent), *answered]
+    text = "".join(f"[10:21:0{n}.000][D][uart_debug:114]: {mark * 3} {frame}\n" for n, (mark, frame) in enumerate(rows))
+    assert verdict(text, tmp_path, capsys)[0] == found

@@ -197,3 +197,12 @@ def test_an_empty_cell_before_cells_without_a_heading_loses_no_row(heading: str,
         read = list(source)
         problems = source.problems
     assert sum(isinstance(record, CanFrame | Chunk) for record in read) + len(problems) >= len(rows)
+
+
+@pytest.mark.parametrize("column", ["b{}", "byte{:02}", "D{}", "d{:02}"])
+def test_a_table_has_a_column_for_each_of_many_bytes(column: str, tmp_path: Path) -> None:
+    sent, replied = "3E 9C 01 00 DB", "3E 9C 01 07 E2 1F 22 00 78 00 E8 03 A4"
+    names = ",".join(column.format(n) for n in range(16))
+    rows = [",".join(str(byte) for byte in bytes.fromhex(frame)) for frame in (sent, replied)]
+    text = f"time_ms,dir,{names}\n0,TX,{rows[0]},,,,,,,,,,,\n2,RX,{rows[1]},,,\n"
+    assert read(tmp_path, text) == [("request", sent), ("reply", replied)]

@@ -190,6 +190,12 @@ def test_brackets_of_one_kind_tell_nothing(tmp_path: Path) -> None:
     assert [role for _, role, _ in traffic(records)] == [Role.UNKNOWN, Role.UNKNOWN]
 
 
+def test_brackets_behind_which_libmodbus_waits_are_requests(tmp_path: Path) -> None:
+    asked = "[01][06][00][F3][00][01][B8][39]\nWaiting for a confirmation...\nERROR Connection timed out: select\n"
+    records = read(tmp_path, asked * 2)[1]
+    assert [role for _, role, _ in traffic(records)] == [Role.REQUEST, Role.REQUEST]
+
+
 def test_the_name_of_a_logger_is_not_who_speaks() -> None:
     assert take_apart("[servo]: TX: FA 01").role is Role.REQUEST
     assert take_apart("[slave] FA 01").role is Role.REPLY
