@@ -21,7 +21,7 @@ from conformance.claim import Inconclusive, Observed
 from conformance.claims.declare import Case, commands, motions
 from conformance.claims.known_quirks import may_meet
 from conformance.claims.motion.motion_claim import command_of, of_motion, risks_by
-from conformance.claims.motion.moves import takes_angle, without_max_speed
+from conformance.claims.motion.moves import without_max_speed
 from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
 from conformance.motion import declared, motion
 from conformance.motion.declared import CALM, FORCE, MOVES
@@ -205,9 +205,15 @@ def _fast(probe: Probe, command: Command) -> tuple[float, Exchange]:
     return abs(seen.value), exchange
 
 
+def _takes_32_bits(command: Command) -> bool:
+    """Say whether a move has a highest speed of more than 16 bits."""
+    speed = declared.of(command).speed
+    return bool(speed) and declared.field_of(command, speed).high > 0xFFFF
+
+
 @of_motion(
     # A move within a turn is too short to come to such a speed.
-    each=motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO, where=lambda c: takes_angle(c) and bool(declared.of(c).speed)),
+    each=motions(MotionKind.MOVE_BY, MotionKind.MOVE_TO, where=_takes_32_bits),
     refuted_by="the speed of 65535",
     settings=("position", "speed_limit"),
     own=lambda case: {Risk.SETTING},

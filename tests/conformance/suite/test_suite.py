@@ -151,7 +151,7 @@ def test_a_log_that_another_program_writes_during_the_run_is_kept(tmp_path, monk
 
     monkeypatch.setattr(test_command, "_run_record", and_write)
     assert main(["test", "mks-rs485@1", "--claim", "*/shape/read_speed/checksum", "--jobs", "1", "--log", str(log)]) == 2
-    assert "run.mcap was created by another program meanwhile; --force replaces it" in capsys.readouterr().err
+    assert "run.mcap exists; --force replaces it" in capsys.readouterr().err
     assert log.read_bytes() == b"mine"
 
 
