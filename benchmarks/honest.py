@@ -22,7 +22,7 @@ from multiprocessing import get_context
 from analyzer import dialects
 from analyzer.catalogue import Dialect, all_fields
 from analyzer.layout import Field
-from conformance.claim import Outcome
+from conformance.claim import Claim, Outcome
 from conformance.drives import make
 from conformance.suite import engine, set_otherwise
 from conformance.suite import plan as suite
@@ -117,6 +117,11 @@ def drawn(number: int, seed: int, share: int = STORED, *, worn: bool = False) ->
     return ",".join(words)
 
 
+def of_its_line(drive: str, claim: Claim) -> bool:
+    """Say whether a claim judges the line of a drive, and that turns bits over: it is refuted, and nothing else is."""
+    return "-errors=" in drive and claim.of_line
+
+
 def accused(
     text: str, seed: int = 0, every: int = 1, part: str = "", tells: bool = True
 ) -> tuple[str, Counter[str], list[str]]:
@@ -139,9 +144,7 @@ def accused(
     wanted = [claim for claim in plan.selected(target) if part in claim.id]
     for verdict in engine.run(wanted[seed % every :: every], rig):
         counts[verdict.outcome.value] += 1
-        # A line that turns bits over is refuted by what judges it, and by nothing else.
-        of_the_line = "-errors=" in text and verdict.claim.of_line
-        if verdict.outcome is Outcome.REFUTED and not of_the_line:
+        if verdict.outcome is Outcome.REFUTED and not of_its_line(text, verdict.claim):
             refuted.append(f"{verdict.claim.id}: {verdict.reason} ({verdict.expected}; {verdict.got})")
     return f"{text} (seed {seed}, settings {'told' if tells else 'not told'})", counts, refuted
 
