@@ -346,7 +346,7 @@ end
 -- The rules of `analyzer.context` and `analyzer.transactions`, without their findings: the oldest open request that a reply
 -- fits is answered. A reply to a later request ends earlier ones; what was given up may still be answered late.
 
-local GIVE_UP, LATE, ECHO = 5e9, 1e9, 3e6  -- in ns
+local GIVE_UP, LATE, ECHO, APART = 5e9, 1e9, 3e6, 20e6  -- in ns
 local MOST_OPEN, MOST_GIVEN_UP, MOST_OTHERS = 64, 16, 8
 
 local buses, kept, drives = {}, {}, {}
@@ -519,9 +519,18 @@ local function unasked(bus, frame, head, bytes)
   return nil
 end
 
+-- Of equal requests far apart the last is answered by what follows it.
+local function nearest(bus, frame, request)
+  local last = bus.last_request
+  if frame.dialect.kind == "can" or not last or bus.last ~= last or last.outcome or last.text ~= request.text then return request end
+  local both_wait = request.state == "waiting" and last.state == "waiting"
+  return both_wait and last.time - request.time > APART and last or request
+end
+
 local function take_reply(bus, frame, request, head, bytes)
   request = request or from_new_address(bus, head, bytes)
   if not request then return unasked(bus, frame, head, bytes) end
+  request = nearest(bus, frame, request)
   if bus.echoes >= 2 and not request.echoed and frame.text == request.text then
     request.echoed = true
     if bus.last == request then
