@@ -11,6 +11,7 @@ to motion in place of motion, to damaged requests.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 
 from analyzer.catalogue import Certainty, Dialect, Doubt, Risk
 from conformance.claim import Aspect, Theme
@@ -58,16 +59,18 @@ def _first(probe: Probe) -> None:
     need_room(probe)
 
 
-@claim(
+_of_state = partial(
+    claim,
     Theme.STATE,
-    each=_legs,
-    name="walk/{leg}",
     first=_first,
     refuted_by="another answer, position, speed or setting than that of the ideal drive",
     section="all",
     rests_on=(Doubt.SEQUENCE,),
     at_best=Certainty.LIKELY,
 )
+
+
+@_of_state(each=_legs, name="walk/{leg}")
 def _walk(probe: Probe, leg: int) -> None:
     """In any state and after any requests, a drive answers and moves as the manual says (leg {leg})."""
     allowance = probe.gate.allowance
@@ -76,16 +79,7 @@ def _walk(probe: Probe, leg: int) -> None:
     story.check(probe, route.steps(probe.dialect, seed=probe.rig.seed, leeway=leeway, leg=leg, legs=LEGS, waits=waits))
 
 
-@claim(
-    Theme.STATE,
-    each=_corners,
-    name="corners/{part}",
-    first=_first,
-    refuted_by="another answer, position, speed or setting than that of the ideal drive",
-    section="all",
-    rests_on=(Doubt.SEQUENCE,),
-    at_best=Certainty.LIKELY,
-)
+@_of_state(each=_corners, name="corners/{part}")
 def _at_corners(probe: Probe, part: str) -> None:
     """In a part of the corners, a drive answers and moves as the manual says."""
     story.check(probe, corners.steps(probe.dialect, part))

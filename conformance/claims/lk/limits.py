@@ -48,7 +48,7 @@ _SPEED_LIMITS = ((-1, _LIMIT, False), (1, _LIMIT, False), (-1, _LIMIT, True), (1
 _ANGLE_LIMITS = ((1, 60), (-1, 60), (-1, 400))
 #: How far a move goes under a speed limit: less than a turn, for some stay within one.
 _WAY = 345
-#: A speed of more than 16 bits as it is sent, how far a move by it goes, in degrees, and when it has come to that speed.
+#: A speed of more than 16 bits, as it is sent; how far a move by it goes (degrees), and how long until it turns so fast.
 _FAST, _FAST_WAY, _FAST_NS = 120_000, 3600, 1000 * MS
 #: How much faster than 65535 a shaft has to turn for that to show.
 _FASTER = 1.2
