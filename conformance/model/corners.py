@@ -32,7 +32,7 @@ _SPEEDS = (3, 12, 560)
 _SUBDIVISIONS = (32, 128, 25, 67)
 #: A moderate speed, one that needs no ramp, a fast one, and the fastest.
 _RPM, _AT_ONCE_RPM, _FAST_RPM, _FASTEST_RPM = 100, 60, 1600, 3000
-#: Degrees of a move with a ramp, a fast one, one that is replaced, one without a ramp, and one whose pulses need over 16 bits.
+#: Degrees of moves: with a ramp, fast, to be replaced, without a ramp, and with pulses of more than 16 bits.
 _RAMPED, _FAST, _LONG, _SHORT, _TURNS = 84, 1000, 3000, 45, 3700
 _PLACES = (Verb.READ_ENCODER_CARRY, Verb.READ_POSITION, Verb.READ_PULSES, Verb.READ_ANGLE_ERROR)
 
