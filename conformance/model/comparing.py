@@ -6,8 +6,7 @@
 Rules kept here:
 - What is discrete must be the same: status, settings, flags, reserved bits.
 - Places, speeds and errors are compared through the resolution and the measured noise, of a shaft that stands or has its speed.
-- On its way a shaft is between a twin that heard each request earlier and one that heard it later. Without a law of ramps
-  nothing is said of it there.
+- On its way a shaft may be off by the share that clocks differ by. Without a law of ramps nothing is said of it there.
 - No manual promises currents, voltages or temperatures.
 """
 
@@ -85,9 +84,6 @@ class Comparing:
         assert form is not None  # it can be read
         if not answer.values or not answer.values.keys() <= told.values.keys():
             return [] if answer.bare else ["the reply"]
-        # On its way a shaft is between those before it and behind it.
-        others = [t.values for each in twin.between for t in each if t.command.name == command.name]
-        every = [told.values, *(values for values in others if answer.values.keys() <= values.keys())]
         reserved = [_RESERVED] * any(v.rule == _RESERVED for v in answer.message.violations)
         return reserved + [
             name
@@ -96,7 +92,7 @@ class Comparing:
             and field.unit not in _UNPROMISED
             and name not in _UNPROMISED_FIELDS
             and not (name == "enabled" and self._by_pin(twin))
-            and not self._same(command, field, answer.values, every, spare, twin)
+            and not self._same(command, field, answer.values, told.values, spare, twin)
         ]
 
     def only_passing(self, command: Command, different: Iterable[str]) -> bool:
@@ -111,49 +107,44 @@ class Comparing:
         return _EN_LEVEL in self.untold and Verb.SET_ENABLE_LEVEL in self._dialect.by_verb and not drive.by_bus
 
     def _same(
-        self, command: Command, field: Field, got: Mapping[str, int], every: list[Mapping[str, int]], spare: float, twin: Twin
+        self, command: Command, field: Field, got: Mapping[str, int], told: Mapping[str, int], spare: float, twin: Twin
     ) -> bool:
-        """Say whether a field is what one of the twins tells, or between them."""
+        """Say whether a field is what the twin tells, or as near to it as it has to be."""
         name, known = field.name, self._dialect.ramp is not None
-        if any(got[name] == values[name] for values in every) and name != "carry":
+        if got[name] == told[name] and name != "carry":
             return True
         if field.unit in _SPEEDS:
             steady = self._course.running and not self._course.rising and command.motion is None
             if twin.turning and not steady and (not known or self._probe.noise.live):
                 return True
-            return self._same_speed(field, got, every)
+            return self._same_speed(field, got[name], told[name])
         if field.unit in _PLACES:
             if twin.turning and (not known or name == "angle_error"):
                 return True
-            return self._same_place(field, got, every, spare, twin)
+            return self._same_place(field, got, told, spare, twin)
         return name in _OF_MOTION and twin.turning and not known and not self._course.running
 
-    def _same_speed(self, field: Field, got: Mapping[str, int], every: list[Mapping[str, int]]) -> bool:
-        wanted = [_rpm(field, values[field.name]) for values in every]
-        rpm = max(wanted, key=abs)
-        within = self._probe.within("rpm", rpm) + abs(rpm) * 2 * CLOCK_SHARE + max(wanted) - min(wanted)
-        return min(wanted) - within <= _rpm(field, got[field.name]) <= max(wanted) + within
+    def _same_speed(self, field: Field, got: int, told: int) -> bool:
+        rpm = _rpm(field, told)
+        return abs(_rpm(field, got) - rpm) <= self._probe.within("rpm", rpm) + abs(rpm) * 2 * CLOCK_SHARE
 
-    def _same_place(
-        self, field: Field, got: Mapping[str, int], every: list[Mapping[str, int]], spare: float, twin: Twin
-    ) -> bool:
+    def _same_place(self, field: Field, got: Mapping[str, int], told: Mapping[str, int], spare: float, twin: Twin) -> bool:
         name, drive = field.name, twin.drive
         if name == "encoder" and "carry" in got:
             # The carry is compared with it.
             return True
         degrees, turn = degrees_of(drive, field), drive.counts_per_turn
-        aways = [(got[name] - values[name]) * degrees for values in every]
+        away = (got[name] - told[name]) * degrees
         if name == "carry":
-            aways = [a + (got["encoder"] - v["encoder"]) * 360 / turn for a, v in zip(aways, every, strict=True)]
+            away += (got["encoder"] - told["encoder"]) * 360 / turn
             degrees = 360 / turn
         elif name in _IN_TURN:
-            aways = [(away + 180) % 360 - 180 for away in aways]
+            away = (away + 180) % 360 - 180
             # The twin's shaft is where the position says, which each drive counts from where it was when it was named.
             spare += self._probe.noise.place
         gone_ns = twin.now_ns - self._course.begun_ns if twin.turning else 0
         spare += self._course.pace * gone_ns / 1e9 * CLOCK_SHARE
-        within = self._probe.within("degrees") + degrees + spare + self.pulse_degrees + (max(aways) - min(aways)) * 0.5
-        return bool(min(aways) - within <= 0 <= max(aways) + within)
+        return abs(away) <= self._probe.within("degrees") + degrees + spare + self.pulse_degrees
 
 
 def _rpm(field: Field, value: int) -> float:

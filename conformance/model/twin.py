@@ -71,53 +71,32 @@ class _Ear:
 
 
 class Twin:
-    """The ideal drive. Look at it through `drive`, and change it through `change`.
+    """The ideal drive. Look at it through `drive`, and change it through `change`."""
 
-    `spread_ns`: two more drives hear each request so much earlier and later. A turning shaft lies between them (`between`).
-    """
-
-    def __init__(
-        self, dialect: Dialect, address: int, model: str = "", quirks: Iterable[Quirk] = (), spread_ns: int = 0
-    ) -> None:
-        self._made = (dialect, address, model, tuple(quirks), spread_ns)
-        specification = make.Specification(dialect, address, model, tuple(quirks))
-        self._ear, self._others = _Ear(specification), [_Ear(specification) for _ in range(2 * bool(spread_ns))]
-        self._aways = (spread_ns, -spread_ns)
+    def __init__(self, dialect: Dialect, address: int, model: str = "", quirks: Iterable[Quirk] = ()) -> None:
+        self._made = (dialect, address, model, tuple(quirks))
+        self._ear = _Ear(make.Specification(*self._made))
         self.drive = self._ear.drive
         self._done: list[Callable[[Twin], object]] = []
-        #: What the drives before and behind it answered to the last request.
-        self.between: list[list[Told]] = []
 
     # --- what happens to it -------------------------------------------------------------------------------------------
 
-    def hear(self, item: bytes | CanFrame, t_ns: int, *, reads: bool = False) -> list[Told]:
-        """Take a request that was complete at a time; return what it answers at once, and what it said until then.
+    def hear(self, item: bytes | CanFrame, t_ns: int) -> list[Told]:
+        """Take a request that was complete at a time; return what it answers at once, and what it said until then."""
+        self._done.append(lambda twin: twin._hear(item, t_ns))
+        return self._hear(item, t_ns)
 
-        `reads`: it does nothing else.
-        """
-        self._done.append(lambda twin: twin._hear(item, t_ns, reads))
-        return self._hear(item, t_ns, reads)
-
-    def _hear(self, item: bytes | CanFrame, t_ns: int, reads: bool) -> list[Told]:
+    def _hear(self, item: bytes | CanFrame, t_ns: int) -> list[Told]:
         can = item if isinstance(item, CanFrame) else None
         data = can.data if can is not None else item
         dialect = self.drive.dialect
         assert isinstance(data, bytes)
         good = all(check.ok for check in dialect.link.checks(data, None if can is None else can.id))
-        frame = Frame(_PORT, t_ns, t_ns, 0, data, dialect, Role.REQUEST, good, can)
-        # The one before has gone on farther when it hears the same.
-        others = () if reads and not self.turning else zip(self._others, self._aways, strict=False)
-        self.between = [ear.hear(frame, t_ns + away_ns) for ear, away_ns in others]
-        return self._ear.hear(frame, t_ns)
+        return self._ear.hear(Frame(_PORT, t_ns, t_ns, 0, data, dialect, Role.REQUEST, good, can), t_ns)
 
     def wait(self, t_ns: int) -> list[Told]:
         """Let time pass; return what it says unasked."""
-        self._done.append(lambda twin: twin._wait(t_ns))
-        return self._wait(t_ns)
-
-    def _wait(self, t_ns: int) -> list[Told]:
-        for ear, away_ns in zip(self._others, self._aways, strict=False):
-            ear.wait(t_ns + away_ns)
+        self._done.append(lambda twin: twin._ear.wait(t_ns))
         return self._ear.wait(t_ns)
 
     def settle(self) -> list[Told]:
@@ -130,16 +109,15 @@ class Twin:
         while (due_ns := drive.next_ns()) is not None and due_ns <= until_ns:
             drive.advance(max(due_ns, drive.now_ns))
         if not self.turning:
-            drive.advance(max(drive.now_ns, int(drive.rest.at_ns) + 1) + 2 * self._aways[0])
-        return self._wait(drive.now_ns)
+            drive.advance(max(drive.now_ns, int(drive.rest.at_ns) + 1))
+        return self._ear.taken()
 
     def change(self, what: Callable[[Drive], object]) -> None:
         """Change something in the drive."""
 
         def act(twin: Twin) -> None:
-            for ear in (twin._ear, *twin._others):
-                what(ear.drive)
-                ear.drive.changed()
+            what(twin.drive)
+            twin.drive.changed()
 
         self._done.append(act)
         act(self)
@@ -158,10 +136,10 @@ class Twin:
 
     def with_quirks(self) -> Iterator[Twin]:
         """Yield drives that lived through the same and have a known quirk more."""
-        dialect, address, model, quirks, spread_ns = self._made
+        dialect, address, model, quirks = self._made
         for quirk in make.every_quirk():
             if dialect.name in quirk.dialects and quirk not in quirks:
-                other = Twin(dialect, address, model, (*quirks, quirk), spread_ns)
+                other = Twin(dialect, address, model, (*quirks, quirk))
                 for act in self._done[:-1]:
                     act(other)
                 yield other

@@ -133,6 +133,23 @@ def test_the_group_of_a_drive_is_no_foreign_address(drive):
     assert {v.outcome for v in found} == {Outcome.CONFIRMED}
 
 
+NOT_ACCUSED = [
+    # It stands at the end of a move a little before its twin.
+    (
+        "mks-rs485@21,model=42D,encoder-noise=1,loop-error=2,speed-noise=1.5%,tremble=1,clock=+2%,latency=2..5ms,warm",
+        700100001,
+        "state/walk/2",
+    ),
+    # The line loses the request.
+    ("mks-rs485@8,model=28D,request-errors=0.5%", 700100013, "shape/home/answered"),
+]
+
+
+@pytest.mark.parametrize(("drive", "seed", "accused_by"), NOT_ACCUSED)
+def test_a_drive_that_was_accused_is_not(drive, seed, accused_by):
+    assert {v.outcome for v in judged(opened(drive, seed), accused_by)} == {Outcome.CONFIRMED}
+
+
 LIMITED = [
     ("mks-can@1,axis_lock=0", ("save_speed/restart", "save_speed/as-it-was", "save_speed/power"), "set axis_lock to 1"),
     ("lk-rs485@1,angle_limit=36000", ("state/walk/1",), "angle_limit is 36000: set it to"),
