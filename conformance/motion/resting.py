@@ -116,25 +116,25 @@ def in_motion(probe: Probe) -> Noise:
     """Turn the shaft for a moment; return the noise with that of the speed and of a shaft that has just come to rest.
 
     Where the drive does not run, the noise is that at rest, and the hindrance what the drive says of it. What the line damages
-    or loses is measured anew.
+    or loses is measured anew, the other way: what a shaft misses behind a turn, an encoder's hysteresis, shows then too. What
+    was seen before stays.
     """
-    found = probe.noise
-    for _ in range(_ATTEMPTS):
+    for attempt in range(_ATTEMPTS):
         since = len(probe.traffic)
         with suppress(Inconclusive, Refused):
-            found = _in_motion(probe)
+            probe.noise = _in_motion(probe, _WAY * (-1) ** attempt)
         if not any(exchange.damaged or (exchange.awaited and not exchange.is_read) for exchange in probe.traffic[since:]):
             break
         with suppress(Inconclusive, Refused):
             motion.stand_still(probe)
-    return found
+    return probe.noise
 
 
-def _in_motion(probe: Probe) -> Noise:
-    """Measure that. Raises Inconclusive, Refused where the drive does not run."""
+def _in_motion(probe: Probe, way: float) -> Noise:
+    """Measure that by a move of so many degrees. Raises Inconclusive, Refused where the drive does not run."""
     motion.ready_to_move(probe)
     before = motion.position(probe).value
-    asked = motion.ask(probe, _move(probe.dialect), _WAY, rpm=_RPM, acceleration=QUICK, quiet_ns=0)
+    asked = motion.ask(probe, _move(probe.dialect), way, rpm=_RPM, acceleration=QUICK, quiet_ns=0)
     if motion.refused(probe, asked):
         return replace(probe.noise, hindrance=_protection(probe))
     begun_ns = probe.gate.now_ns()
@@ -151,7 +151,7 @@ def _in_motion(probe: Probe) -> Noise:
     if another and probe.dialect.subdivision is not None and not probe.noise.rescaled:
         motion.stand_still(probe)
         probe.noise = replace(probe.noise, rescaled=True)
-        return _in_motion(probe)
+        return _in_motion(probe, way)
     swings = _arriving(probe)
     motion.wait_standing(probe)
     # A loop goes on towards its target when the shaft seems to stand.
@@ -165,7 +165,8 @@ def _in_motion(probe: Probe) -> Noise:
     # A loop that stands still may rest beside its target all the same, and no read of a resting shaft shows that.
     missed = abs(abs(after[-1] - before) - _WAY) / 2
     loop = max(probe.noise.loop, missed if missed <= LOOP_DEGREES else 0.0)
-    noise = replace(probe.noise, degrees=max(probe.noise.degrees, _half_span(after[_SETTLING:])), loop=loop, lag=lag)
+    degrees = max(probe.noise.degrees, _half_span(after[_SETTLING:]))
+    noise = replace(probe.noise, degrees=degrees, loop=loop, lag=lag, hindrance="")
     if noise.live:
         noise = replace(noise, loop=max(loop, _beside(probe)))
     if min(speeds, default=0.0) < _RESTS:
