@@ -121,6 +121,22 @@ def test_what_is_cleared_before_a_request_was_received(tmp_path: Path) -> None:
     assert read(tmp_path, text)[1] == ("reply", "00 22 00 22 E0 5D")
 
 
+@pytest.mark.parametrize(
+    "table",
+    [
+        "time_ms,telegram,b0,b1,b2,b3\n0,OUT,250,1,48,43\n2,IN,251,1,48,44\n",
+        "time,telegram,i/o\n0.1,FA 01 30 2B,OUT\n0.2,FB 01 30 2C,IN\n",
+        "t;wer;hex\n1;Master;FA01302B\n2;Slave;FB01302C\n",
+    ],
+)
+def test_a_column_of_marks_alone_says_who_sent_whatever_it_is_called(table, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(table)
+    with open_source(path) as source:
+        chunks = [(each.direction.value, each.data.hex()) for each in source if isinstance(each, Chunk)]
+    assert chunks == [("request", "fa01302b"), ("reply", "fb01302c")]
+
+
 @pytest.mark.parametrize("marks", ["T R", "t r", "> <", "out in", "W R", "-> <-"])
 @pytest.mark.parametrize("heading", ["Time (s),Dir,ID,DLC,Data", "ID,DLC,Data,Direction"])
 def test_a_column_of_directions_may_have_a_letter_or_a_sign(marks, heading, tmp_path: Path) -> None:
