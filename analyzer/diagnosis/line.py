@@ -21,6 +21,7 @@ from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.rendered import (
     RATES,
     at_other_speeds,
+    misframed,
     of_exchanges,
     of_inverted,
     of_replies,
@@ -51,6 +52,8 @@ _ENOUGH = 0.4
 _SEVENS = 40
 #: Different bytes of which all have one parity by no chance.
 _ONE_PARITY = 14
+#: Different frames with 00 for each byte of one parity that are no chance.
+_MISFRAMED = 2
 #: The link of units whose reply begins as its request does, and a length that a short reply has.
 _MODBUS, _SHORT = ModbusLink(), 8
 
@@ -174,7 +177,11 @@ def _of_format(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _of_one_parity(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect a sender of seven bits and a parity where every byte of it has one parity: of many bytes that is no chance."""
+    """Suspect a sender's parity where every byte of it has one parity: of many bytes that is no chance.
+
+    Seven bits with a parity have it. Of eight bits the receiver takes the parity for a stop bit: bytes where it is low are
+    misframed, and a system reads them as 00.
+    """
     sides: dict[Role, list[Stretch]] = defaultdict(list)
     for burst in scene.bursts:
         if burst.can_id is None:
@@ -182,15 +189,24 @@ def _of_one_parity(scene: Scene) -> Iterator[Suspicion]:
     for side, bursts in sides.items():
         garbled = [t for t in scene.damaged if t.stretch is not None and t.stretch.direction is side]
         different = {byte for burst in bursts for byte in burst.data}
-        if not garbled or len(different) < _ONE_PARITY or len({byte.bit_count() & 1 for byte in different}) > 1:
+        parities = {byte.bit_count() & 1 for byte in different - {0}}
+        if not garbled or len(parities) > 1:
             continue
         first = garbled[0].stretch
         assert first is not None  # chosen so
+        evidence = f"has bytes of one parity alone: {len(different)} different ones"
+        if len(different) < _ONE_PARITY or len({byte.bit_count() & 1 for byte in different}) > 1:
+            frames = misframed(*parities) if parities else {}
+            found = {burst.data: frames[burst.data] for burst in bursts if burst.data in frames}
+            if len(found) < _MISFRAMED or 2 * len(found) < len({burst.data for burst in bursts}):
+                continue
+            evidence = (
+                f"is as {shown(frames[first.data]) if first.data in frames else 'a frame'} with 00 for each byte of one parity"
+            )
         yield Suspicion(
             "wrong_parity", Confidence.CERTAIN, [t for t in scene.troubles if scene.direction(t.offset) is side],
             _WORDS["wrong_parity"].say,
-            f"{shown(first.data)} at byte {first.offset}, and all that comes, has bytes of one parity alone: "
-            f"{len(different)} different ones",
+            f"{shown(first.data)} at byte {first.offset}, and all that comes, {evidence}",
             _WORDS["wrong_parity"].next,
             tuple(Shown(t.offset, shown(t.stretch.data)) for t in garbled if t.stretch is not None),
         )  # fmt: skip

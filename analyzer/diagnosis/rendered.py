@@ -98,6 +98,13 @@ def likely(addresses: range = ADDRESSES) -> tuple[bytes, ...]:
     return tuple(found)
 
 
+@cache
+def misframed(parity: int) -> dict[bytes, bytes]:
+    """Return the likely frames by what they are with 00 for each byte of the other parity; two such bytes at least."""
+    found = {bytes(byte if byte.bit_count() & 1 == parity else 0 for byte in frame): frame for frame in likely()}
+    return {came: frame for came, frame in found.items() if sum(a != b for a, b in zip(came, frame, strict=True)) > 1}
+
+
 def _of_dialect(dialect: Dialect, addresses: range) -> Iterator[bytes]:
     link = dialect.link
     for address in addresses:

@@ -323,6 +323,15 @@ def test_a_wrong_line_is_not_taken_for_another(case, name, cause):
     assert swept(case, name, f"{case} {name} 1") == cause
 
 
+@pytest.mark.parametrize("parity", [0, 1])
+def test_bytes_that_are_misframed_by_a_parity_are_read_as_zeros(parity):
+    sent = [modbus(f"01 04 00 {register}") for register in ("31 00 03", "F1 00 01", "32 00 01")]
+    rows = [bytes(byte if byte.bit_count() & 1 == parity else 0 for byte in frame) for frame in sent]
+    found = told(*(("<", row) for row in rows * 2))
+    assert [(each.cause, each.confidence.value) for each in found] == [("wrong_parity", "certain")]
+    assert "wrong_parity" not in [each.cause for each in told(*(("<", row) for row in rows[:1] * 6))]
+
+
 def test_bytes_of_one_parity_by_chance_are_no_format():
     # A few bytes of one parity, as small numbers have.
     assert "wrong_parity" not in [each.cause for each in told("< FB 01 30 03 05", "< FB 01 30 06 05")]
