@@ -323,6 +323,24 @@ def test_a_wrong_line_is_not_taken_for_another(case, name, cause):
     assert swept(case, name, f"{case} {name} 1") == cause
 
 
+@pytest.mark.parametrize(("own", "cause"), [(117_100_000, "two_masters"), (100_000_000, None)])
+def test_two_clocks_whose_requests_meet_are_two_hosts(own, cause):
+    """A loop of one host has one clock, however often a drive is silent."""
+    status, reply = build(NATIVE, "read_status", 1), bytes.fromhex("FB 01 F1 04 F1")
+    asked = [
+        (100_000_000 * n, build(NATIVE, "read_position", 1), bytes.fromhex("FB 01 31 00 00 00 00 40 00 6D")) for n in range(30)
+    ]
+    other = [(33_000_000 + own * n, status, reply) for n in range(25)]
+    silent = {at for at, _, _ in asked for near, _, _ in other if abs(at - near) < 8_000_000} or {asked[9][0], asked[20][0]}
+    silent |= {near for near, _, _ in other if min(abs(at - near) for at in silent) < 8_000_000}
+    items = []
+    for at, request, answer in sorted((*asked, *other)):
+        items.append(Chunk(at, "serial", request))
+        items += [] if at in silent else [Chunk(at + 4_000_000, "serial", answer)]
+    causes = [each.suspicion.cause for each in diagnosed(items).causes]
+    assert causes[:1] == [cause] if cause else "two_masters" not in causes
+
+
 @pytest.mark.parametrize("parity", [0, 1])
 def test_bytes_that_are_misframed_by_a_parity_are_read_as_zeros(parity):
     sent = [modbus(f"01 04 00 {register}") for register in ("31 00 03", "F1 00 01", "32 00 01")]
