@@ -46,7 +46,7 @@ _RIGHT = re.compile(
 )
 COMPLAINT = re.compile(
     r"\b(?:instead|rather than|should|expect\w*|supposed|wrong|too (?:large|high|big|low|small|much)|nonsense|strange|weird|"
-    r"odd|garbage|crazy|incorrect|off by|but)\b",
+    r"odd|garbage|crazy|incorrect|off by|but|hardly|barely|kaum)\b",
     re.IGNORECASE,
 )
 #: What a program shows, and then what stands on the device.
