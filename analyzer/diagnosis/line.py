@@ -20,10 +20,12 @@ from analyzer.diagnosis.no_frame import no_reply_at_all, same_line_noise, unknow
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.rendered import (
     RATES,
+    Heard,
     at_other_speeds,
     misframed,
     of_exchanges,
     of_inverted,
+    of_pairs,
     of_replies,
     of_what_was_sent,
     read_otherwise,
@@ -52,6 +54,8 @@ _ENOUGH = 0.4
 _SEVENS = 40
 #: Different bytes of which all have one parity by no chance.
 _ONE_PARITY = 14
+#: Stretches that are paired.
+_MOST_PAIRED = 60
 #: Different frames with 00 for each byte of one parity that are no chance.
 _MISFRAMED = 2
 #: The link of units whose reply begins as its request does, and a length that a short reply has.
@@ -241,12 +245,26 @@ def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Susp
     if side is Role.UNKNOWN and not told and len(garbled) <= _STREAMS:
         said = list(of_exchanges(max(garbled, key=lambda each: len(each.data))))
         best, told = max(said, key=lambda way: way.taken, default=best), bool(said)
+    if not told and not _sound(scene, side):
+        found = max(_by_pairs(scene, side, all_garbled), key=lambda way: way.taken, default=None)
+        best, told = (found, True) if found is not None else (best, told)
     if told and (side is Role.UNKNOWN or _is_met(scene, best, garbled)):
         yield _said(best, all_garbled)
     elif _heard(scene, side) and not _sound(scene, side) and all(each.trouble in scene.damaged for each in garbled):
         repeats = len({each.data for each in all_garbled}) < len(all_garbled)
         if same_line_noise(garbled, repeats=repeats) or no_reply_at_all(garbled):
             yield unknown(garbled)
+
+
+def _by_pairs(scene: Scene, side: Role, garbled: Sequence[Garbled]) -> Iterator[Way]:
+    """Yield the speeds at which short replies fit their requests: those that the host shows, or what a listener has read."""
+    garbled = garbled[:_MOST_PAIRED]
+    if side is Role.UNKNOWN:
+        for rows in (garbled, garbled[1:]):
+            yield from of_pairs([Heard(b"", one.data, other) for one, other in zip(rows[::2], rows[1::2], strict=False)])
+    elif side is Role.REPLY:
+        asked = [(scene.asked_before(each.trouble.offset), each) for each in garbled]
+        yield from of_pairs([Heard(request.data, b"", each) for request, each in asked if request is not None])
 
 
 def _turned_bits(reader: Reader, garbled: Sequence[Garbled]) -> Iterator[Fit]:

@@ -323,6 +323,21 @@ def test_a_wrong_line_is_not_taken_for_another(case, name, cause):
     assert swept(case, name, f"{case} {name} 1") == cause
 
 
+@pytest.mark.parametrize(
+    ("marks", "rows", "cause"),
+    [
+        # A listener at 9600 on a bus of 38400, and a host that reads so: of no frame more than three bytes come.
+        ("  ", "E0|00 00 FF|E4|04 D4|E0|00 FF|E4|B4 F5|E4|04 C0|E0|00 90 FF", "wrong_baud"),
+        ("><", "FA 07 3A 3B|42|FA 07 33 34|00 C6|FA 07 31 32|00 04|FA 07 33 34|00 F6|FA 07 31 32|00 A4", "wrong_baud"),
+        # Devices of other protocols that answer in few bytes.
+        ("  ", "E0|00 00 FF|E4|04 D4|E0|31 32|E4|33 34 35|E4|07|E0|55", None),
+        ("><", "FA 07 3A 3B|06|FA 07 33 34|15 01|FA 07 31 32|06 80|FA 07 33 34|15 02|FA 07 31 32|06 81", None),
+    ],
+)
+def test_short_reads_at_a_wrong_speed_fit_their_requests_each_time(marks, rows, cause):
+    assert first(*(f"{marks[n % 2]} {row}" for n, row in enumerate(rows.split("|")))) == cause
+
+
 @pytest.mark.parametrize(("own", "cause"), [(117_100_000, "two_masters"), (100_000_000, None)])
 def test_two_clocks_whose_requests_meet_are_two_hosts(own, cause):
     """A loop of one host has one clock, however often a drive is silent."""
