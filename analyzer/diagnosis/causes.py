@@ -118,7 +118,7 @@ CAUSES = {
         Cause(
             "two_masters",
             "A second host speaks on the bus.",
-            "The host receives requests that it has not sent; some replies are damaged. Or two clocks, and damage where they meet.",
+            "The host receives requests that it has not sent; some replies are damaged. Or two clocks meet there.",
             "A display, a second program or a controller asks the same drives.",
             "Let one host speak alone.",
             "> FA 01 30 2B    < FA 03 31 2E FB 03 31 ...",
