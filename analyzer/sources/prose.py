@@ -226,7 +226,7 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
         return "" if not small or signed or _BYTES_WORD.search(before) is not None or _has_check(data) else None
     words = _WORD.findall(sentence.lower())
     direct = signed or (bool(words) and sentence.rstrip(" :='\"`(").lower().endswith(words[-1]) and words[-1] in _SAID)
-    if _NETWORK_CARD.fullmatch(text) and not direct:
+    if _NETWORK_CARD.fullmatch(text) and not direct and not _has_check(data):
         return "the address of a network card"
     if _TIME.fullmatch(text):
         return None

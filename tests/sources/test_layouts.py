@@ -62,6 +62,30 @@ def test_one_exchange(text: str, tmp_path: Path) -> None:
     assert read(tmp_path, text) == BOTH
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "write Uint8Array(4) [250, 10, 50, 54]\ndata Uint8Array(6) [251, 10, 50, 255, 129, 183]\n",
+        "10:20:00.250 | FB_Servo | Sende 4 Byte: 16#FA, 16#0A, 16#32, 16#36\n"
+        "10:20:00.254 | FB_Servo | Empfange 6 Byte: 16#FB, 16#0A, 16#32, 16#FF, 16#81, 16#B7\n",
+        # Six bytes that could be the address of a network card.
+        '{"usb.src": ["host"], "usb.capdata": ["fa:0a:32:36"]}\n{"usb.src": ["1.4.1"], "usb.capdata": ["fb:0a:32:ff:81:b7"]}\n',
+    ],
+    ids=["node", "german", "usb"],
+)
+def test_every_line_of_a_log_is_read(text: str, tmp_path: Path) -> None:
+    assert [data for _, data in read(tmp_path, text * 3)] == ["FA 0A 32 36", "FB 0A 32 FF 81 B7"] * 3
+
+
+def test_a_length_and_a_colon_stand_before_the_data_of_can(tmp_path: Path) -> None:
+    path = tmp_path / "can.txt"
+    path.write_text("Sent packet with id 0x8 and length 2: 32 3A\nReceived packet with id 0x8 and length 4: 32 00 68 A2\n")
+    with open_source(path) as source:
+        assert [(each.id, each.data.hex()) for each in source if isinstance(each, CanFrame)] == [(8, "323a"), (8, "320068a2")]
+    # Without a length it is an address on a serial line.
+    assert read(tmp_path, "id 1: FA 01 30 2B\n" * 3) == [("unknown", "FA 01 30 2B")] * 3
+
+
 def test_characters_beyond_ascii_are_bytes(tmp_path: Path) -> None:
     text = f"TX: {ASKED}\nResponse: '\\x11\\x03\\x02\\x00\u00fe\u00b8D' (7 bytes)\n"
     assert read(tmp_path, text) == [("request", ASKED), ("reply", "11 03 02 00 FE B8 44")]
