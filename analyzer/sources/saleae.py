@@ -183,12 +183,9 @@ def _records(source: Source, table: _Table) -> Iterator[Chunk | Comment]:
             shift_ns = max(0, -t_ns)
             if shift_ns:
                 source.note(f"times before the trigger: all are moved by {shift_ns / SECOND_NS:g} s")
-        misframed, misread = (
-            any(table.cell(row, what).lower() not in _WITHOUT_ERROR for what in names)
-            for names in (("error", "framing"), ("parity",))
-        )
-        values[misframed].add(value)
-        errors += misframed or misread
+        wrong = [what for what in ("error", "parity", "framing") if table.cell(row, what).lower() not in _WITHOUT_ERROR]
+        values[bool(wrong) and wrong != ["parity"]].add(value)
+        errors += bool(wrong)
         name = table.cell(row, "name")
         direction = directions.get(name)
         if direction is None:
