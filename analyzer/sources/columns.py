@@ -3,6 +3,7 @@
     Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3                  SavvyCAN
     120000,00000001,false,Tx,0,3,F6,01,F8
     {"time": 0.12, "dir": "tx", "data": "FA 01 30 2B"}           JSON lines; {"type":"Buffer","data":[250,1]} of Node-RED
+    { id: 1, ext: false, data: <Buffer f6 01 f8> }               what Node.js prints
     | 0.120 | TX | `FA 01 30 2B` |                               a row of a Markdown table
 
 Rules: a column is found by its name (`_NAMES`). With an identifier the rows are CAN frames, else bytes of
@@ -60,6 +61,8 @@ _UNITS |= {"millis": _UNITS["ms"], "micros": _UNITS["us"], "seconds": SECOND_NS}
 _TRUE = ("true", "1", "yes", "x", "扩展帧", "远程帧")
 _CLEAN = re.compile(r"^\d+:|[\W_]+")
 _RULE = re.compile(r"[\s|:-]+")
+#: A buffer of Node.js, and a name of its objects.
+_BUFFER, _NAME = re.compile(r"<Buffer((?: [0-9a-fA-F]{2})*)>"), re.compile(r"(?<=[{,\s])([A-Za-z_]\w*):(?=\s)")
 _WHOLE = re.compile(r"\d{1,19}")
 _NUMBER = re.compile(r"\d{1,19}[.,]\d{1,12}")
 _POWER = re.compile(r"\d\.\d{1,12}[eE][+-]\d{1,2}")
@@ -182,6 +185,10 @@ def _of_json(text: str) -> Row | None:
     text = text.strip("[],\n ")
     if not text.startswith("{"):
         return None
+    if "<Buffer" in text:
+        # Node.js prints an object without quotes around its names.
+        text = _BUFFER.sub(lambda buffer: str(list(bytes.fromhex(buffer[1]))), text)
+        text = _NAME.sub(r'"\1":', text).replace("'", '"').replace("undefined", "null")
     try:
         found = json.loads(text, parse_float=str)
     except (ValueError, RecursionError):

@@ -77,6 +77,17 @@ def test_every_line_of_a_log_is_read(text: str, tmp_path: Path) -> None:
     assert [data for _, data in read(tmp_path, text * 3)] == ["FA 0A 32 36", "FB 0A 32 FF 81 B7"] * 3
 
 
+def test_objects_that_node_prints_are_rows(tmp_path: Path) -> None:
+    path = tmp_path / "node.log"
+    path.write_text(
+        "{ dir: 'tx', id: 16, ext: false, rtr: undefined, data: <Buffer 32 42> }\n"
+        "{ dir: 'rx', id: 16, ext: false, data: <Buffer 32 00 68 aa> }\n"
+    )
+    with open_source(path) as source:
+        frames = [(each.id, each.data.hex(), each.direction.value) for each in source if isinstance(each, CanFrame)]
+    assert frames == [(16, "3242", "request"), (16, "320068aa", "unknown")]
+
+
 def test_a_length_and_a_colon_stand_before_the_data_of_can(tmp_path: Path) -> None:
     path = tmp_path / "can.txt"
     path.write_text("Sent packet with id 0x8 and length 2: 32 3A\nReceived packet with id 0x8 and length 4: 32 00 68 A2\n")
