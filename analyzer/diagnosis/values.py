@@ -48,6 +48,10 @@ class Word(NamedTuple):
         """Return the number."""
         return int(codec(self.layout).wire(data)[self.field.name])
 
+    def whole(self, data: bytes) -> int:
+        """Return all its bits as a number."""
+        return int.from_bytes(data, "big" if self.field.order is Order.BIG else "little")
+
     def allowed(self, data: bytes) -> bool:
         """Say whether the manual allows it, and what fills it up."""
         return not codec(self.layout).broken(data)
@@ -253,7 +257,9 @@ def _weight(word: Word, data: bytes, said: set[str]) -> int:
     if any(named):
         return -1 if named[0] else _ENOUGH * word.allowed(other)
     sound, sound_swapped = word.allowed(data), word.allowed(other)
-    digits, swapped = _digits(word.value(data)), _digits(word.value(other))
+    # Reserved bits that are set belong to the number of a program that packs all bits of the word.
+    filled = any(each.rule == "reserved_bits" for each in codec(word.layout).broken(data))
+    digits, swapped = _digits(word.whole(data) if filled else word.value(data)), _digits(word.value(other))
     if sound and (not sound_swapped or digits + _ROUNDER <= swapped):
         return -1
     rounder = sound_swapped and swapped <= _ROUND[len(data)] and swapped + _ROUNDER <= digits

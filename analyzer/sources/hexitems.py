@@ -149,7 +149,8 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
 )
 #: A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark; so does a phrase that ends in a colon.
 DISTANT = re.compile(
-    rf"(?<![^\W_])(?<!\.)(?<!before )(?:{_ENDS}|(?:{WORDS_PATTERN}){_RETURNED}"
+    # What a name ends with, as `FB_Servo`, speaks for no drive.
+    rf"(?<![^\W_])(?<!\.)(?<!before )(?!(?<=[a-z]_)(?:servo|motor|drive|device)\b)(?:{_ENDS}|(?:{WORDS_PATTERN}){_RETURNED}"
     rf"|(?<=:)(?:{SIGNS_PATTERN})\s+(?={PAIR}[\s,:-]+{PAIR})|(?<=\s)(?:->|<-)\s+(?=\d{{1,3}}-\d{{1,3}}-)"
     # `bus.py:41 write(b'...')`, `msg=tx data="FA 01"`, `modbus_tx_adu: FA 01`; a number behind a name is that of a line.
     rf"|(?:{WORDS_PATTERN})\w{{0,12}}\((?=b['\"]|[\[{{'\"])|(?:{WORDS_PATTERN})\s+(?:hex|{CONTENT})=[\"']?(?={PAIR})"

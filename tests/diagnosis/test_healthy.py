@@ -24,6 +24,10 @@ HEALTHY = {
             )
         )
     ),
+    "headings between dashes": "".join(
+        f"--- sent ---\nFA 02 3A 36\n--- received ---\nFB 02 3A 01 38\n--- sent ---\nFA 00 F6 00 4{n} 02 3{n + 2}\n"
+        for n in range(3)
+    ),
     "a question about one frame": 'Can the bytes be shown? I would like "11 06 00 01 00 03 9A 9B", even if nothing answers.',
     "a frame of a document": "Request: `01 03 00 6B 00 03 74 17`\n\nThe silent interval is 3.5 characters.",
     "a log of a server that is cut": "2020-03-23 08:32:31,295 DEBUG ModbusRTUTransport - Request: 01 03 00 00 00 05 85 C9\n"

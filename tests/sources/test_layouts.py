@@ -77,6 +77,12 @@ def test_every_line_of_a_log_is_read(text: str, tmp_path: Path) -> None:
     assert [data for _, data in read(tmp_path, text * 3)] == ["FA 0A 32 36", "FB 0A 32 FF 81 B7"] * 3
 
 
+def test_the_name_of_a_block_speaks_for_no_drive(tmp_path: Path) -> None:
+    rows = [f"08.07.2025 10:20:0{n}.000 | FB_Servo | Sende 4 Byte: 16#FA, 16#0A, 16#32, 16#36\n" for n in range(3)]
+    assert read(tmp_path, "".join(rows)) == [("request", "FA 0A 32 36")] * 3
+    assert read(tmp_path, "The call FB_Servo sends FA 0A 32 36 and no more.\n") == [("request", "FA 0A 32 36")]
+
+
 def test_objects_that_node_prints_are_rows(tmp_path: Path) -> None:
     path = tmp_path / "node.log"
     path.write_text(
