@@ -68,13 +68,20 @@ def test_one_exchange(text: str, tmp_path: Path) -> None:
         "write Uint8Array(4) [250, 10, 50, 54]\ndata Uint8Array(6) [251, 10, 50, 255, 129, 183]\n",
         "10:20:00.250 | FB_Servo | Sende 4 Byte: 16#FA, 16#0A, 16#32, 16#36\n"
         "10:20:00.254 | FB_Servo | Empfange 6 Byte: 16#FB, 16#0A, 16#32, 16#FF, 16#81, 16#B7\n",
+        # The tag of a logger is no sender.
+        "10:20:01.000 D/Servo: write [-6, 10, 50, 54]\n10:20:01.004 D/Servo: read [-5, 10, 50, -1, -127, -73]\n",
+        "07-08 10:20:01.000  123  125 D Motor   : write [-6, 10, 50, 54]\n"
+        "07-08 10:20:01.004  123  125 D Motor   : read [-5, 10, 50, -1, -127, -73]\n",
         # Six bytes that could be the address of a network card.
         '{"usb.src": ["host"], "usb.capdata": ["fa:0a:32:36"]}\n{"usb.src": ["1.4.1"], "usb.capdata": ["fb:0a:32:ff:81:b7"]}\n',
     ],
-    ids=["node", "german", "usb"],
+    ids=["node", "german", "android", "logcat", "usb"],
 )
 def test_every_line_of_a_log_is_read(text: str, tmp_path: Path) -> None:
-    assert [data for _, data in read(tmp_path, text * 3)] == ["FA 0A 32 36", "FB 0A 32 FF 81 B7"] * 3
+    came = read(tmp_path, text * 3)
+    assert [data for _, data in came] == ["FA 0A 32 36", "FB 0A 32 FF 81 B7"] * 3
+    if "D/" in text or " D " in text:
+        assert [role for role, _ in came] == ["request", "reply"] * 3
 
 
 def test_the_name_of_a_block_speaks_for_no_drive(tmp_path: Path) -> None:
