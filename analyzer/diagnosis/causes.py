@@ -86,16 +86,16 @@ CAUSES = {
         Cause(
             "wrong_baud",
             "Sender and receiver run at different speeds.",
-            "The same garbled bytes each time, fewer or more than were sent.",
+            "The same garbled bytes each time, fewer or more than were sent: of a frame one or two to a slow receiver.",
             "One side was set to another speed, or keeps one from before.",
             "Set both sides to one speed; `servotap record serial:PORT,baud=auto` finds it by listening.",
             "98 06 00 98 66 for FA 01 30 2B at half the speed",
         ),
         Cause(
             "wrong_parity",
-            "One side uses 7 data bits with a parity, the other 8 without.",
-            "Bit 7 is 0 in every byte, or is the parity of the others.",
-            "A serial port was opened as 7E1, which is usual for Modbus-ASCII.",
+            "One side uses a parity, with 7 or 8 data bits, the other 8 without.",
+            "Bit 7 is 0 in every byte, or the parity of the others. Or all bytes of one parity are misframed, or read as 00.",
+            "A port was opened as 7E1, usual for Modbus-ASCII, or as 8E1, the default of Modbus-RTU.",
             "Open the port as 8N1.",
             "7A 01 30 2B for FA 01 30 2B",
         ),
@@ -118,7 +118,7 @@ CAUSES = {
         Cause(
             "two_masters",
             "A second host speaks on the bus.",
-            "The host receives requests that it has not sent, and replies to them; some of its own replies are damaged.",
+            "The host receives requests that it has not sent; some replies are damaged. Or two clocks meet there.",
             "A display, a second program or a controller asks the same drives.",
             "Let one host speak alone.",
             "> FA 01 30 2B    < FA 03 31 2E FB 03 31 ...",
@@ -166,7 +166,7 @@ CAUSES = {
         Cause(
             "too_fast",
             "The host sends the next request too soon.",
-            "Only those requests are answered before which the line was quiet.",
+            "Only requests behind a pause are answered, or few of several in a row, or none right after a restart.",
             "A drive drops what comes while it is busy or answers; some need half a second to store a setting.",
             "Wait for each reply and pause before the next request.",
             "> FA 01 31 2C    > FA 01 32 2D    > FA 01 3A 35    < FB 01 31 00 00 00 00 00 00 2D",
@@ -295,7 +295,7 @@ CAUSES = {
         Cause(
             "wrong_byte_order",
             "The bytes of the values stand in the wrong order.",
-            "Values are odd or out of range, and round with their bytes swapped; a float is next to nothing (2.4e-41).",
+            "Values are odd or out of range, and with their bytes swapped round, or named in words; a float is 2.4e-41.",
             "MKS sends the high byte first, LK the low one; a program packs them the other way.",
             "Swap the bytes of each value (struct.pack with > or <).",
             "FA 01 83 40 06 C4 for 1600 mA",
@@ -303,8 +303,8 @@ CAUSES = {
         Cause(
             "unit_or_sign",
             "A value has another unit or another sign than the manual's.",
-            "A negative number as two's complement where a direction bit belongs; or one that is 10 or 100 times too large.",
-            "The manual keeps the direction in a bit of its own, or counts in tenths or hundredths.",
+            "A two's complement where a direction bit belongs; 10 or 100 times too much; degrees in a field of counts.",
+            "The manual keeps the direction in a bit of its own, or counts in tenths, hundredths, pulses or parts of a turn.",
             "Set the direction bit and send the amount; multiply by the unit of the manual.",
             "FA 01 F6 FE D4 02 C5",
         ),

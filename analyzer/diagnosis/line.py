@@ -20,9 +20,12 @@ from analyzer.diagnosis.no_frame import no_reply_at_all, same_line_noise, unknow
 from analyzer.diagnosis.reader import Reader
 from analyzer.diagnosis.rendered import (
     RATES,
+    Heard,
     at_other_speeds,
+    misframed,
     of_exchanges,
     of_inverted,
+    of_pairs,
     of_replies,
     of_what_was_sent,
     read_otherwise,
@@ -51,6 +54,10 @@ _ENOUGH = 0.4
 _SEVENS = 40
 #: Different bytes of which all have one parity by no chance.
 _ONE_PARITY = 14
+#: Stretches that are paired.
+_MOST_PAIRED = 60
+#: Different frames with 00 for each byte of one parity that are no chance.
+_MISFRAMED = 2
 #: The link of units whose reply begins as its request does, and a length that a short reply has.
 _MODBUS, _SHORT = ModbusLink(), 8
 
@@ -174,7 +181,11 @@ def _of_format(scene: Scene) -> Iterator[Suspicion]:
 
 
 def _of_one_parity(scene: Scene) -> Iterator[Suspicion]:
-    """Suspect a sender of seven bits and a parity where every byte of it has one parity: of many bytes that is no chance."""
+    """Suspect a sender's parity where every byte of it has one parity: of many bytes that is no chance.
+
+    Seven bits with a parity have it. Of eight bits the receiver takes the parity for a stop bit: bytes where it is low are
+    misframed, and a system reads them as 00.
+    """
     sides: dict[Role, list[Stretch]] = defaultdict(list)
     for burst in scene.bursts:
         if burst.can_id is None:
@@ -182,15 +193,24 @@ def _of_one_parity(scene: Scene) -> Iterator[Suspicion]:
     for side, bursts in sides.items():
         garbled = [t for t in scene.damaged if t.stretch is not None and t.stretch.direction is side]
         different = {byte for burst in bursts for byte in burst.data}
-        if not garbled or len(different) < _ONE_PARITY or len({byte.bit_count() & 1 for byte in different}) > 1:
+        parities = {byte.bit_count() & 1 for byte in different - {0}}
+        if not garbled or len(parities) > 1:
             continue
         first = garbled[0].stretch
         assert first is not None  # chosen so
+        evidence = f"has bytes of one parity alone: {len(different)} different ones"
+        if len(different) < _ONE_PARITY or len({byte.bit_count() & 1 for byte in different}) > 1:
+            frames = misframed(*parities) if parities else {}
+            found = {burst.data: frames[burst.data] for burst in bursts if burst.data in frames}
+            if len(found) < _MISFRAMED or 2 * len(found) < len({burst.data for burst in bursts}):
+                continue
+            evidence = (
+                f"is as {shown(frames[first.data]) if first.data in frames else 'a frame'} with 00 for each byte of one parity"
+            )
         yield Suspicion(
             "wrong_parity", Confidence.CERTAIN, [t for t in scene.troubles if scene.direction(t.offset) is side],
             _WORDS["wrong_parity"].say,
-            f"{shown(first.data)} at byte {first.offset}, and all that comes, has bytes of one parity alone: "
-            f"{len(different)} different ones",
+            f"{shown(first.data)} at byte {first.offset}, and all that comes, {evidence}",
             _WORDS["wrong_parity"].next,
             tuple(Shown(t.offset, shown(t.stretch.data)) for t in garbled if t.stretch is not None),
         )  # fmt: skip
@@ -225,12 +245,26 @@ def _side(scene: Scene, side: Role, all_garbled: list[Garbled]) -> Iterator[Susp
     if side is Role.UNKNOWN and not told and len(garbled) <= _STREAMS:
         said = list(of_exchanges(max(garbled, key=lambda each: len(each.data))))
         best, told = max(said, key=lambda way: way.taken, default=best), bool(said)
+    if not told and not _sound(scene, side):
+        found = max(_by_pairs(scene, side, all_garbled), key=lambda way: way.taken, default=None)
+        best, told = (found, True) if found is not None else (best, told)
     if told and (side is Role.UNKNOWN or _is_met(scene, best, garbled)):
         yield _said(best, all_garbled)
     elif _heard(scene, side) and not _sound(scene, side) and all(each.trouble in scene.damaged for each in garbled):
         repeats = len({each.data for each in all_garbled}) < len(all_garbled)
         if same_line_noise(garbled, repeats=repeats) or no_reply_at_all(garbled):
             yield unknown(garbled)
+
+
+def _by_pairs(scene: Scene, side: Role, garbled: Sequence[Garbled]) -> Iterator[Way]:
+    """Yield the speeds at which short replies fit their requests: those that the host shows, or what a listener has read."""
+    garbled = garbled[:_MOST_PAIRED]
+    if side is Role.UNKNOWN:
+        for rows in (garbled, garbled[1:]):
+            yield from of_pairs([Heard(b"", one.data, other) for one, other in zip(rows[::2], rows[1::2], strict=False)])
+    elif side is Role.REPLY:
+        asked = [(scene.asked_before(each.trouble.offset), each) for each in garbled]
+        yield from of_pairs([Heard(request.data, b"", each) for request, each in asked if request is not None])
 
 
 def _turned_bits(reader: Reader, garbled: Sequence[Garbled]) -> Iterator[Fit]:

@@ -32,8 +32,12 @@ _SCALES = (10, 100, 1000)
 #: How near a number of many digits comes to its reading, and between what such values are.
 _SAME, _PLAUSIBLE = 1e-5, (1e-3, 1e6)
 _HUGE = 1e20
-#: What comes before the words of a line that has frames, and bytes among words.
-_PLACE = re.compile(r"^line \d+, columns? [\d, ]+: ")
+#: What comes before the words of a line that has frames: its place and its time; and bytes among words.
+_PLACE = re.compile(
+    r"^line \d+, columns? [\d, ]+: "
+    # A date and a time are digits as bytes are.
+    r"|\b(?:\d{4}[-/.]\d\d[-/.]\d\d|\d\d[-/.]\d\d[-/.]\d{4})[ T](?=\d)|(?<![\w:])\d\d?:\d\d:\d\d(?:[.,]\d{1,9})?(?![\w:])"
+)
 _BYTES = re.compile(
     r"(?<!\w)(?:(?:0x)?[0-9A-Fa-f]{2}(?:[ ,:\]\[<>-]+|$)){3,}|0x[0-9A-Fa-f]+|(?<!\w)(?:[0-9A-Fa-f]{2}){4,}(?!\w)"
 )
@@ -46,7 +50,7 @@ _RIGHT = re.compile(
 )
 COMPLAINT = re.compile(
     r"\b(?:instead|rather than|should|expect\w*|supposed|wrong|too (?:large|high|big|low|small|much)|nonsense|strange|weird|"
-    r"odd|garbage|crazy|incorrect|off by|but)\b",
+    r"odd|garbage|crazy|incorrect|off by|but|hardly|barely|kaum)\b",
     re.IGNORECASE,
 )
 #: What a program shows, and then what stands on the device.

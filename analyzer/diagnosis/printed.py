@@ -42,6 +42,12 @@ _SPELLED = {
 _OTHER = frozenset(("rpm",))
 _AMPERES = frozenset(("a", "amp", "amps", "ampere", "amperes"))
 _TURNS = frozenset(("turn", "turns", "rev", "revs", "revolution", "revolutions", "rotation", "rotations"))
+#: Units in which people think, by those of fields that have no step; the number that was meant stands in the field.
+_INSTEAD = {
+    "counts": _DEGREES,
+    "pulses": _DEGREES,
+    "rpm": frozenset(("dps", "deg/s", "°/s", "degrees/s", "rad/s", "rps", "hz", "pps", "steps/s", "pulses/s")),
+}
 #: Steps that a motor has a turn, each in so many parts; counts that its encoder has.
 _STEPS, _PARTS, _COUNTS = 200, tuple(1 << n for n in range(9)), 0x4000
 #: A smaller number is met by chance.
@@ -148,8 +154,11 @@ def _of_other_steps(scene: Scene, said: set[tuple[float, str]]) -> Iterator[Susp
     found: list[tuple[Piece, str, int, str]] = []
     for piece in scene.pieces:
         for field, value in _fields(piece) if piece.is_request else ():
-            amount = abs(value)
-            if field.unit == "mA" and not any(number * 1000 == amount for number in amperes):
+            amount, own = abs(value), {field.unit.lower(), *_ALSO.get(field.unit, ())}
+            others = {unit for number, unit in said if number == amount >= _LEAST}
+            if own.isdisjoint(others) and (same := others & _INSTEAD.get(field.unit, frozenset())):
+                meant = [f"{amount} {unit}" for unit in sorted(same)]
+            elif field.unit == "mA" and not any(number * 1000 == amount for number in amperes):
                 meant = [f"{number:g} A" for number in amperes if amount and amount in (number, 10 * number, 100 * number)]
             elif field.unit == "counts" and amount not in {number * _COUNTS for number in turns}:
                 meant = [f"{n:g} turns" for n in turns if any(amount == n * _STEPS * parts for parts in _PARTS) and n]

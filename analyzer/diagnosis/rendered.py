@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher
 from functools import cache, lru_cache
 from itertools import takewhile
+from typing import NamedTuple
 
 from analyzer import dialects as registry
 from analyzer.catalogue import Command, Dialect, Role
@@ -96,6 +97,13 @@ def likely(addresses: range = ADDRESSES) -> tuple[bytes, ...]:
             for frame in _of_dialect(dialect, addresses):
                 found[frame] = None
     return tuple(found)
+
+
+@cache
+def misframed(parity: int) -> dict[bytes, bytes]:
+    """Return the likely frames by what they are with 00 for each byte of the other parity; two such bytes at least."""
+    found = {bytes(byte if byte.bit_count() & 1 == parity else 0 for byte in frame): frame for frame in likely()}
+    return {came: frame for came, frame in found.items() if sum(a != b for a, b in zip(came, frame, strict=True)) > 1}
 
 
 def _of_dialect(dialect: Dialect, addresses: range) -> Iterator[bytes]:
@@ -248,7 +256,7 @@ def of_exchanges(garbled: Garbled) -> Iterator[Way]:
             frame, came = frames[row], read(seen[row], line, late, begins)
             if len(came) < ALIKE or frame not in _asked():
                 continue
-            for value, mask in _replies(frame, line, late):
+            for value, mask, _ in _replies(frame, line, late):
                 whole, known = came + value, b"\xff" * len(came) + mask
                 places = [at for at in range(len(data)) if data.startswith(came, at) and _has(data[at:], whole, known)]
                 told = sum(map(int.bit_count, known)) >= _TOLD and len(set(whole)) >= DIFFERENT
@@ -259,8 +267,62 @@ def of_exchanges(garbled: Garbled) -> Iterator[Way]:
             yield Way("wrong_baud", ratio, list(found.values()))
 
 
-def _replies(request: bytes, line: Line, late: tuple[float, float]) -> Iterator[tuple[bytes, bytes]]:
-    """Yield how replies to a likely request are read: bytes, and those of their bits that are known.
+class Heard(NamedTuple):
+    """A damaged reply with its request: as it was sent, or empty and what was read of it."""
+
+    sent: bytes
+    read: bytes
+    reply: Garbled
+
+
+def of_pairs(pairs: Sequence[Heard]) -> Iterator[Way]:
+    """Yield the speeds at which each reply of one drive, however few bytes are read of it, is one to the request before it.
+
+    A slow receiver reads a byte or two of a frame: little alone, but at a wrong speed no such row of them fits.
+    """
+    different = {(each.sent or each.read, each.reply.data) for each in pairs}
+    if len(pairs) < _PAIRS or len(different) < _DIFFERENT_PAIRS:
+        return
+    frames, (seen, rows) = likely(), _levels()
+    heads = bytes({each.read[0] for each in pairs if not each.sent})
+    for ratio, late in ((r, late) for r in _ratios() if r >= _SKIPS for late in _lates(r)):
+        line = Line(ratio)
+        requests: dict[bytes, list[bytes]] = defaultdict(list)
+        for row in rows.beginning(line, late, heads) if heads else ():
+            requests[read(seen[row], line, late)].append(frames[row])
+        told: dict[tuple[str, int], dict[bytes, float]] = defaultdict(dict)
+        fits: dict[tuple[str, int], dict[int, Fit]] = defaultdict(dict)
+        for number, each in enumerate(pairs):
+            for request in (each.sent,) if each.sent else requests[each.read]:
+                if request not in _asked():
+                    continue
+                dialect, _, address = _asked()[request]
+                drive = dialect.name, address
+                for value, mask, frame in _replies(request, line, late):
+                    kept = fits[drive].get(number)
+                    if value and _has(each.reply.data, value, mask) and (kept is None or len(value) > kept.taken):
+                        more = 0.0 if each.sent else _told(each.read, b"\xff" * len(each.read)) - _AMONG_REQUESTS
+                        told[drive][request] = max(told[drive].get(request, 0.0), _told(value, mask) - _AMONG_REPLIES + more)
+                        fits[drive][number] = Fit(each.reply.trouble, each.reply.data, frame, len(value))
+        for drive, own in fits.items():
+            if sum(told[drive].values()) >= _TOLD_BY_PAIRS and len(told[drive]) > 1 and len(own) >= _ALL_PAIRS * len(pairs):
+                yield Way("wrong_baud", ratio, list(own.values()))
+
+
+def _told(value: bytes, mask: bytes) -> float:
+    """Return how many bits some bytes tell; all zeros or ones are met often."""
+    bits = sum(map(int.bit_count, mask))
+    return bits / 2 if set(value) <= {0x00, 0xFF} else bits
+
+
+#: Replies that tell something together, how many must be different, and how many must fit; bits that they must tell.
+_PAIRS, _DIFFERENT_PAIRS, _ALL_PAIRS, _TOLD_BY_PAIRS = 5, 4, 0.9, 7
+#: Bits by which one of a drive's requests is chosen, and one of its replies.
+_AMONG_REQUESTS, _AMONG_REPLIES = 4, 3
+
+
+def _replies(request: bytes, line: Line, late: tuple[float, float]) -> Iterator[tuple[bytes, bytes, bytes]]:
+    """Yield how replies to a likely request are read: bytes, those of their bits that are known, and what was sent so far.
 
     A reply of one value is known whole; of a longer one two bytes of a number near zero.
     """
@@ -274,7 +336,7 @@ def _replies(request: bytes, line: Line, late: tuple[float, float]) -> Iterator[
             ways = [read(levels(known + tail * rest), line, late) for tail in (b"\0", b"\xff", b"\x55")]
             same = bytes(0xFF & ~((a ^ b) | (a ^ c)) for a, b, c in zip(*ways, strict=False))
             size_known = max((n for n, mask in enumerate(same, 1) if mask), default=0)
-            yield bytes(a & m for a, m in zip(ways[0], same, strict=False))[:size_known], same[:size_known]
+            yield bytes(a & m for a, m in zip(ways[0], same, strict=False))[:size_known], same[:size_known], known
 
 
 #: A sender's speed over the receiver's from which on whole bits are skipped.

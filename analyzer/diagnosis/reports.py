@@ -129,7 +129,9 @@ NOTHING_CAME = re.compile(
     # What a console of Python has read.
     r"|^(?:b(?:''|\"\")|\[\])$"
     # `rx nothing`, `recv: b''`, `<- []`, `recv(timeout=1.0) -> None`, `=> None`.
-    r"|(?:\b(?:rxd?|rd|re?c(?:v|ei?ved?)|read|got|reply|response|answer|returned)\b(?:\([^()]{0,40}\))?|<[-=]*|[-=]>)[\s:=>-]*"
+    # A word between dashes is a heading.
+    r"|(?:(?:(?<!- )|(?!\w+ -+$))\b(?:rxd?|rd|re?c(?:v|ei?ved?)|read|got|reply|response|answer|returned)\b(?:\([^()]{0,40}\))?"
+    r"|<[-=]*|[-=]>)[\s:=>-]*"
     r"(?:[(<]?(?:nothing|none|empty)\b(?! (?:else|special|wrong|needed|expected))|b?(?:''|\"\")|\[\]|<Buffer ?>|-{1,3}$)",
     re.IGNORECASE,
 )

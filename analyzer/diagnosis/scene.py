@@ -14,7 +14,7 @@ from itertools import pairwise
 import msgspec
 from msgspec.structs import replace
 
-from analyzer.catalogue import Dialect, Role
+from analyzer.catalogue import Dialect, Risk, Role
 from analyzer.diagnosis.reader import Reader
 from analyzer.link import READS, WRITE_MANY, read_bytes
 from analyzer.records import CanFrame, Finding, Message
@@ -151,6 +151,8 @@ class Suspicion(msgspec.Struct, frozen=True):
 DAMAGED = frozenset(("bad_checksum", "unknown_command", "wrong_length", "short_package", "foreign_can_frame"))
 #: Rules of findings that no reply came.
 SILENT = frozenset(("unanswered", "silent_address"))
+#: Rules of findings of a read that a drive refuses.
+_OF_REFUSAL = frozenset(("failed_status", "out_of_range", "unknown_choice"))
 #: Rules of findings that are a trouble by themselves, apart from damaged bytes.
 _TROUBLE = frozenset(
     ("unanswered", "silent_address", "unsolicited_reply", "duplicate_reply", "late_reply", "failed_status", "modbus_exception",
@@ -327,11 +329,25 @@ class Scene:
                 continue
             if not asked and found.rule in ("unsolicited_reply", "duplicate_reply"):
                 continue
+            if piece is not None and (piece.asked_by or piece.sequence) in self._refused_reads and found.rule in _OF_REFUSAL:
+                continue
             # A request is unanswered where its reply came damaged.
             if found.rule in ("unanswered", "silent_address") and found.sequence in following:
                 continue
             others.append(Trouble(found.rule, found.offset, None, piece))
         return (*damaged, *others)
+
+    @cached_property
+    def _refused_reads(self) -> frozenset[int]:
+        """The reads that a drive has answered with a refusal, and that were not sent again: so a host asks what there is."""
+        refused = {p.asked_by for p in self.pieces if p.sound and "failed_status" in p.rules}
+        often = Counter(piece.data for piece in self.requests)
+        return frozenset(
+            piece.sequence
+            for piece in self.requests
+            if piece.sequence in refused and often[piece.data] == 1 and piece.message is not None
+            and piece.message.command is not None and piece.message.command.all_risks == {Risk.READ}
+        )  # fmt: skip
 
     def _is_body(self, stretch: Stretch) -> bool:
         """Say whether bytes are those of the frame right behind them without its check, or what a request carries.

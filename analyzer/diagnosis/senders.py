@@ -11,7 +11,8 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher
-from itertools import takewhile
+from itertools import combinations, pairwise, takewhile
+from statistics import median_low
 from typing import NamedTuple
 
 from analyzer.catalogue import Role
@@ -50,7 +51,7 @@ class _Spoiled(NamedTuple):
 def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the senders."""
     spoiled = [_Spoiled(t, t.stretch, _asked(scene, t.stretch)) for t in scene.spoiled if t.stretch is not None]
-    found = list(_two_masters(scene, spoiled))
+    found = [*_two_masters(scene, spoiled)] or [*_two_clocks(scene)]
     spoiled = [each for each in spoiled if each.trouble not in scene.explained]
     if not found and spoiled:
         found = [*_reports_meet(scene, spoiled)] or [*_report_meets(scene, spoiled)]
@@ -105,6 +106,81 @@ def _two_masters(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicio
         "Let one host speak alone: disconnect the other, or have it ask through the first",
         (*(Shown(p.offset, shown(p.data)) for p in others), *frames),
     )  # fmt: skip
+
+
+def _two_clocks(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a second host where a listener hears two requests by clocks of their own, and what fails is where they meet."""
+    if scene.directed or not scene.timed or any(piece.can is not None for piece in scene.pieces):
+        return
+    times: dict[bytes, list[int]] = defaultdict(list)
+    for piece in scene.requests:
+        times[piece.data].append(piece.t_ns)
+    clocks: list[_Clock] = []
+    for data, own in times.items():
+        if period := _period(own):
+            # What one host asks in a loop has one period.
+            clock = next((each for each in clocks if abs(each.period - period) < _ALIKE_CLOCKS * period), None)
+            if clock is None:
+                clocks.append(_Clock(data, period, [own]))
+            else:
+                clock.times.append(own)
+    taken = [came[-1].t_ns - p.t_ns for p in scene.requests if (came := scene.replies.get(p.sequence))]
+    for one, other in combinations(clocks[:_CLOCKS], 2):
+        if not one.apart(other):
+            continue
+        met = [t for t in scene.troubles if all(clock.off(_when(t)) < 2 * max(taken, default=0) for clock in (one, other))]
+        if len(met) < _REPLIES or len(met) < _ALMOST_ALL * len(scene.troubles):
+            continue
+        yield Suspicion(
+            "two_masters", Confidence.LIKELY, met,
+            "Two hosts ask by clocks of their own: what fails is where they meet.",
+            f"{shown(one.data)} comes each {one.period / 1e6:.4g} ms and {shown(other.data)} each {other.period / 1e6:.4g} ms; "
+            f"{counted(len(met), 'failure')}, the first at byte {met[0].offset}",
+            "Let one host speak alone: disconnect the other; if one program does both, have it wait for each reply",
+        )  # fmt: skip
+        return
+
+
+class _Clock(NamedTuple):
+    """What comes by one clock: its first request, and the times of each of them."""
+
+    data: bytes
+    period: int
+    times: list[list[int]]
+
+    def off(self, t_ns: int) -> int:
+        """Return how far a time is from the nearest tick."""
+        return min(min(off % self.period, -off % self.period) for off in (t_ns - _nearest(own, t_ns) for own in self.times))
+
+    def apart(self, other: _Clock) -> bool:
+        """Say whether another clock runs by itself: its ticks fall anywhere between the ticks of this one."""
+        slow, fast = sorted((self, other), key=lambda clock: -clock.period)
+        phases = {_PHASES * ((time - fast.times[0][0]) % fast.period) // fast.period for time in slow.times[0]}
+        return len(phases) >= _PHASES // 2
+
+
+def _nearest(times: Sequence[int], t_ns: int) -> int:
+    at = bisect_right(times, t_ns)
+    return min(times[max(at - 1, 0) : at + 1], key=lambda time: abs(t_ns - time))
+
+
+def _period(times: Sequence[int]) -> int:
+    """Return the period by which most of some times come, 0 if they come by none; one may be missing here and there."""
+    steps = [after - before for before, after in pairwise(times)]
+    period = median_low(steps) if len(steps) >= _TICKS else 0
+    kept = sum(abs(step - period) <= _JITTER * period for step in steps)
+    return period if kept >= _ALMOST_ALL * len(steps) else 0
+
+
+def _when(trouble: Trouble) -> int:
+    where = trouble.piece or trouble.stretch
+    return where.t_ns if where is not None else 0
+
+
+#: Steps of a clock that are no chance, and how far they may be from each other; parts of a period that phases fall into.
+_TICKS, _JITTER, _PHASES = 8, 0.03, 10
+#: Clocks that are compared, and how near two periods are one.
+_CLOCKS, _ALIKE_CLOCKS = 6, 0.005
 
 
 def _asks(scene: Scene, piece: Piece, direction: Role) -> bool:

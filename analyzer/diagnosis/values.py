@@ -48,6 +48,10 @@ class Word(NamedTuple):
         """Return the number."""
         return int(codec(self.layout).wire(data)[self.field.name])
 
+    def whole(self, data: bytes) -> int:
+        """Return all its bits as a number."""
+        return int.from_bytes(data, "big" if self.field.order is Order.BIG else "little")
+
     def allowed(self, data: bytes) -> bool:
         """Say whether the manual allows it, and what fills it up."""
         return not codec(self.layout).broken(data)
@@ -72,6 +76,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     signed: dict[tuple[str, bytes], Odd] = {}
     kept: Counter[int] = Counter()
     seen: set[tuple[str, bytes]] = set()
+    said = {number for words in scene.words for number in _NUMBER.findall(words)}
     sent: list[tuple[Piece, Message]] = []
     for piece in scene.pieces:
         message = piece.message
@@ -89,7 +94,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
         seen.add(key)
         for word in _words(message.form.layout):
             worded.append((piece, message, word))
-            weight = _weight(word, message.data[word.start : word.stop])
+            weight = _weight(word, message.data[word.start : word.stop], said)
             if weight > 0:
                 by_swap[word.size] += weight
                 rounder.append((piece, message, word))
@@ -104,7 +109,6 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     written = [(p, m, word, number) for p, m, word in worded if (number := _by_digits(m, word)) is not None]
     beyond = {_key(m): number for _, m, word, number in written if not word.allowed(m.data[word.start : word.stop])}
     digits = {_key(m): _as_written(p, m, word, n) for p, m, word, n in written if _key(m) in beyond.keys() | swapped.keys()}
-    said = {number for words in scene.words for number in _NUMBER.findall(words)}
     if (len(beyond) > 1 or not said.isdisjoint(map(str, beyond.values()))) and digits.keys() >= swapped.keys():
         swapped = {}
     else:
@@ -244,13 +248,18 @@ def _digits(value: int) -> int:
     return len(str(abs(value)).rstrip("0"))
 
 
-def _weight(word: Word, data: bytes) -> int:
-    """Return how much speaks for swapped bytes; below 0: against."""
+def _weight(word: Word, data: bytes, said: set[str]) -> int:
+    """Return how much speaks for swapped bytes; below 0: against. `said`: numbers of the words, which tell what is meant."""
     other = data[::-1]
     if other == data:
         return 0
+    named = [str(abs(word.value(each))) in said for each in (data, other)]
+    if any(named):
+        return -1 if named[0] else _ENOUGH * word.allowed(other)
     sound, sound_swapped = word.allowed(data), word.allowed(other)
-    digits, swapped = _digits(word.value(data)), _digits(word.value(other))
+    # Reserved bits that are set belong to the number of a program that packs all bits of the word.
+    filled = any(each.rule == "reserved_bits" for each in codec(word.layout).broken(data))
+    digits, swapped = _digits(word.whole(data) if filled else word.value(data)), _digits(word.value(other))
     if sound and (not sound_swapped or digits + _ROUNDER <= swapped):
         return -1
     rounder = sound_swapped and swapped <= _ROUND[len(data)] and swapped + _ROUNDER <= digits

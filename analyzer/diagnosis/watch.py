@@ -37,8 +37,9 @@ _MOST_SAID, _LONGEST_SAID = 200, 1000
 
 #: Words by which people say that something is wrong, or ask.
 _ASKS = re.compile(
-    r"\b(?:not?|nothing|never|nobody|none|cannot|can't|\w+n't|without|fail\w*|silent|silence|time[ds]?[ -]?out\w*|problem\w*|"
-    r"trouble\w*|wrong|help|why|unable|stuck|unanswered|nicht\w*|kein\w*|nie|pas|rien|aucune?|нет|не)\b|\w\?(?:\s|$)|[不没沒无無？]",
+    # A field of a library's line may have no value.
+    r"(?<!=)\b(?:not?|nothing|never|nobody|none|cannot|can't|\w+n't|without|fail\w*|silent|silence|time[ds]?[ -]?out\w*|"
+    r"problem\w*|trouble\w*|wrong|help|why|unable|stuck|unanswered|nicht\w*|kein\w*|nie|pas|rien|aucune?|нет|не)\b|\w\?(?:[\s)]|$)|[不没沒无無？]",
     re.IGNORECASE,
 )
 

@@ -121,7 +121,7 @@ SHAPES: tuple[Shape, ...] = (
     _shape(
         "id-data",
         rf"(?:(?P<before>.*?)(?<![A-Za-z]))?(?:(?:can|cob|std|ext)[\s_-]?)?id\s*[:=]?\s*{_ID}\b[\s,;|]*(?:and\s+)?(?:(?:(?P<extended>ext\w*)|std|standard)[\s,;|]*)?"
-        rf"(?:(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|daten|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*|\[\s*)"
+        rf"(?:(?:(?:and|with)\s+)?(?:dlc|dl|len|length|size)\s*[:=]?\s*{_LENGTH}\b[\s,;|]*)?(?:(?:data|daten|payload|bytes?|msg|message)(?:\[0\.\.\d\])?\s*[:=]?[\s\[{{]*|\[\s*|(?(length):\s*|(?!)))"
         rf"{_DATA}[\]}}\s]*(?:\((?P<port>[a-z]+\d+)\)\s*)?",
         near=r"\s*(?:\S+\s+)?id\s*[:=]",
     ),

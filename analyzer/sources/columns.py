@@ -3,6 +3,7 @@
     Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3                  SavvyCAN
     120000,00000001,false,Tx,0,3,F6,01,F8
     {"time": 0.12, "dir": "tx", "data": "FA 01 30 2B"}           JSON lines; {"type":"Buffer","data":[250,1]} of Node-RED
+    { id: 1, ext: false, data: <Buffer f6 01 f8> }               what Node.js prints
     | 0.120 | TX | `FA 01 30 2B` |                               a row of a Markdown table
 
 Rules: a column is found by its name (`_NAMES`). With an identifier the rows are CAN frames, else bytes of
@@ -42,7 +43,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "mark": ("dir", "direction", "txrx", "rxtx", "topic", "传输方向", "方向", "sender", "type", "event", "richtung", "row",
              "line"),
     "data": ("data", "databytes", "datahex", "bytes", "byte", "databyte", "hex", "payload", "frame", "raw", "buffer", "message",
-             "msg", "daten",
+             "msg", "daten", "telegram", "telegramm",
              "value", "text", "wert", "bytehex", "uartdata", "uartrxtx", "uartrx", "uarttx", "数据", "数据hex"),
     "id": ("id", "canid", "arbitrationid", "identifier", "idhex", "id号", "帧id", "frameid", "identifierhex"),
     "extended": ("extended", "isextended", "ext", "ide", "isextendedid", "帧格式"),
@@ -60,6 +61,8 @@ _UNITS |= {"millis": _UNITS["ms"], "micros": _UNITS["us"], "seconds": SECOND_NS}
 _TRUE = ("true", "1", "yes", "x", "扩展帧", "远程帧")
 _CLEAN = re.compile(r"^\d+:|[\W_]+")
 _RULE = re.compile(r"[\s|:-]+")
+#: A buffer of Node.js, and a name of its objects.
+_BUFFER, _NAME = re.compile(r"<Buffer((?: [0-9a-fA-F]{2})*)>"), re.compile(r"(?<=[{,\s])([A-Za-z_]\w*):(?=\s)")
 _WHOLE = re.compile(r"\d{1,19}")
 _NUMBER = re.compile(r"\d{1,19}[.,]\d{1,12}")
 _POWER = re.compile(r"\d\.\d{1,12}[eE][+-]\d{1,2}")
@@ -93,7 +96,7 @@ class _Table:
     """The form of a table: its heading, and what parts its cells."""
 
     def __init__(self, names: list[str] | None, separator: str) -> None:
-        self.names = names
+        self._heading = self.names = names
         #: Cells of one byte each are decimal numbers: one has three digits, and none a letter.
         self.decimal = False
         self._separator = separator
@@ -109,6 +112,7 @@ class _Table:
                 names = [_key(cell) for cell in _cells(text, separator)]
                 if len(names) > 1 and _is_heading(names):
                     table = cls(names, separator)
+                    table.names = _with_mark(names, [_cells(each, separator) for each in lines])
                     rows = [row for each in lines if (row := table.row(each)) is not None]
                     cells = [cell for row in rows for cell in _single(row)]
                     table.decimal = bool(cells) and all(map(str.isdecimal, cells)) and any(len(cell) == 3 for cell in cells)
@@ -121,7 +125,8 @@ class _Table:
         if self.names is None:
             return _of_json(text)
         cells = _cells(text, self._separator)
-        if len(cells) < 2 or [_key(cell) for cell in cells] == self.names or (self._separator == "|" and _RULE.fullmatch(text)):
+        ruled = self._separator == "|" and _RULE.fullmatch(text)
+        if len(cells) < 2 or ruled or [_key(cell) for cell in cells] == self._heading:
             return None
         row = _named(zip(self.names, cells, strict=False))
         if self.decimal and (singles := _single(row)):
@@ -167,10 +172,23 @@ def _is_heading(names: list[str]) -> bool:
     return holds and bool(told)
 
 
+def _with_mark(names: list[str], rows: list[list[str]]) -> list[str]:
+    """Return the names of columns; where none is of marks, one that has nothing but both marks is, whatever it is called."""
+    rows = [row for row in rows if len(row) >= len(names) and [_key(cell) for cell in row[: len(names)]] != names]
+    for place in () if not rows or any(name in _NAMES["mark"] for name in names) else range(len(names)):
+        if {_marked(row[place]) for row in rows} == {Role.REQUEST, Role.REPLY}:
+            return [*names[:place], _NAMES["mark"][0], *names[place + 1 :]]
+    return names
+
+
 def _of_json(text: str) -> Row | None:
     text = text.strip("[],\n ")
     if not text.startswith("{"):
         return None
+    if "<Buffer" in text:
+        # Node.js prints an object without quotes around its names.
+        text = _BUFFER.sub(lambda buffer: str(list(bytes.fromhex(buffer[1]))), text)
+        text = _NAME.sub(r'"\1":', text).replace("'", '"').replace("undefined", "null")
     try:
         found = json.loads(text, parse_float=str)
     except (ValueError, RecursionError):
@@ -208,9 +226,7 @@ def _named(cells: Iterable[tuple[str, Any]]) -> Row:
 
 def _bytes_in(row: Row) -> list[tuple[bytes, Role]]:
     """Return the bytes of a row and who sent them."""
-    said = str(row.get("mark", "")).strip()
-    # A column of directions may have a letter or a sign alone.
-    mark = known if (known := role_of_name(said)) is not Role.UNKNOWN else role_of((), said.lower())
+    mark = _marked(str(row.get("mark", "")).strip())
     if "cells" in row:
         cells = written.read(" ".join(cell.rjust(2, "0") for cell in row["cells"]))
         return [] if cells is None else [(_filled(cells.data, _length(row, len(cells.data))), mark)]
@@ -222,6 +238,11 @@ def _bytes_in(row: Row) -> list[tuple[bytes, Role]]:
         found.insert(0, (_filled(data, _length(row, len(data))) if data and "id" in row else data, mark))
     taken = [(data, role) for data, role in found if data]
     return taken or ([(b"", mark)] if "id" in row and _length(row, 1) == 0 else [])
+
+
+def _marked(said: str) -> Role:
+    """Return who sent, as a cell says it; it may have a letter or a sign alone."""
+    return known if (known := role_of_name(said)) is not Role.UNKNOWN else role_of((), said.lower())
 
 
 def _filled(data: bytes, length: int) -> bytes:

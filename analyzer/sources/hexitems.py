@@ -115,7 +115,7 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
         (
             When.UNMARKED,
             "",
-            rf"\s*(?P<label>hex|data|bytes|frame|packet|buffer|payload|msg|message|raw)\s*\d*\s*(?:[:=]|(?=<Buffer\b))\s*{_BYTES}",
+            rf"\s*(?P<label>hex|data|bytes|frame|packet|buffer|payload|msg|message|raw)\s*\d*\s*(?:[:=]\s*{_BYTES}|(?=<Buffer\b|Uint8Array\())",
         ),
         # What Windows was asked for, and how it went; the place of a line that searches of files and loggers print.
         (When.MARKED, "", r"(?:(?:UP|DOWN|SUCCESS|STATUS_\w+)\s+)+"),
@@ -149,12 +149,13 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
 )
 #: A logger's own words ("DEBUG:pymodbus.logging:send: 0x1 0x3") stand before the mark; so does a phrase that ends in a colon.
 DISTANT = re.compile(
-    rf"(?<![^\W_])(?<!\.)(?<!before )(?:{_ENDS}|(?:{WORDS_PATTERN}){_RETURNED}"
+    # What a name ends with, as `FB_Servo`, speaks for no drive.
+    rf"(?<![^\W_])(?<!\.)(?<!before )(?!(?<=[a-z]_)(?:servo|motor|drive|device)\b)(?:{_ENDS}|(?:{WORDS_PATTERN}){_RETURNED}"
     rf"|(?<=:)(?:{SIGNS_PATTERN})\s+(?={PAIR}[\s,:-]+{PAIR})|(?<=\s)(?:->|<-)\s+(?=\d{{1,3}}-\d{{1,3}}-)"
     # `bus.py:41 write(b'...')`, `msg=tx data="FA 01"`, `modbus_tx_adu: FA 01`; a number behind a name is that of a line.
     rf"|(?:{WORDS_PATTERN})\w{{0,12}}\((?=b['\"]|[\[{{'\"])|(?:{WORDS_PATTERN})\s+(?:hex|{CONTENT})=[\"']?(?={PAIR})"
     rf"|(?:{WORDS_PATTERN})(?:_{CONTENT}(?!>))?\s*(?:[>\]=|]|:(?!:|\d{{1,5}}\s-\s))|(?<![\w,]\s)(?:{WORDS_PATTERN})\s+"
-    rf"(?={PAIR}[\s,:-]+{PAIR}|(?:[0-9a-f]{{2}}){{3,}}(?:\s|$)|<Buffer|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
+    rf"(?={PAIR}[\s,:-]+{PAIR}|(?:[0-9a-f]{{2}}){{3,}}(?:\s|$)|<Buffer|Uint8Array\(|b['\"]|[\[{{(]\s*['\"]?(?:0x)?-?[0-9a-f]{{1,3}}\b))",
     re.IGNORECASE,
 )
 PHRASE = re.compile(rf"(?<![\w.])(?P<word>{WORDS_PATTERN}){_END}[^:]{{1,60}}:\s+{_BYTES}", re.IGNORECASE)

@@ -144,8 +144,8 @@ _PLACE = re.compile(
 _COUNT_CELL = re.compile(
     r"(\d{1,5})\s*[;,|\t]\s*(?=(?:(?:0x|16#)?[0-9A-F]{2}(?: |-|:|\s*$)){2}|(?:[0-9A-F]{2}){3,}\s*(?:$|[;,|\t]))", re.IGNORECASE
 )
-#: What a logger puts before its words.
-_LEVEL = re.compile(r"\b(?:DEBUG|INFO|WARN(?:ING)?|ERROR|TRACE)\b")
+#: What a logger puts before its words; that of Android has a letter before its tag, as `D/Servo:`.
+_LEVEL = re.compile(r"\b(?:DEBUG|INFO|WARN(?:ING)?|ERROR|TRACE)\b|(?<![\w.])[VDIWEF](?:/|[ \t]+)$")
 _NAME_PARTS = re.compile(r"[._]")
 #: The parts of a name: `tx_buf`, `txBuf`, `abTx`, `tx0`.
 _PARTS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")

@@ -20,14 +20,15 @@ ACTIONS: dict[str, int] = {
          "writing", "wrote", "written", "发送", "发", "irp_mj_write", "送信", "gesendet", "sende", "senden", "envoyé", "envoi",
          "enviado", "enviando", "inviato", "trasmesso", "отправлено", "передача", "передано", "wysłano", "verzonden",
          "odesláno", "gönderilen", "gönderildi", "송신", "发出", "wr", "snd", "sendet", "émission", "envoyés", "envío",
-         "enviados", "inviati", "trasmessi"),
+         "enviados", "inviati", "trasmessi", "schreibe", "schreiben"),
         _SENT,
     ),
     **dict.fromkeys(
         ("rx", "rxd", "recv", "rcv", "rcvd", "recvd", "receive", "receives", "received", "receiving", "recieve", "recieved",
          "recieving", "read", "got", "接收", "收", "irp_mj_read", "受信", "empfangen", "empfang", "reçu", "recibido",
          "recibiendo", "ricevuto", "получено", "принято", "приём", "прием", "odebrano", "ontvangen", "přijato", "alınan",
-         "alındı", "수신", "收到", "rd", "empfängt", "réception", "reçus", "recibidos", "ricevuti", "recebido", "recebidos"),
+         "alındı", "수신", "收到", "rd", "empfängt", "réception", "reçus", "recibidos", "ricevuti", "recebido", "recebidos",
+         "empfange"),
         _RECEIVED,
     ),
     # Events of a serial port, as Node.js, Qt and .NET name them.

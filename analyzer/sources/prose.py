@@ -77,6 +77,7 @@ _BYTES_WORD = re.compile(
 )
 _WORD = re.compile(r"(?:[^\W\d_]|(?<=\w)['\u2019](?=\w))+")
 _OBJECT = re.compile(r"\b[a-z_]\w*\.(?=[a-z_])")
+_NAMES = re.compile(r"\b[A-Za-z]+(?:_[A-Za-z]+)+\b")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z][a-z])")
 #: The name of what is asked for tells no sender.
 _FUNCTION = re.compile(r"\bread (?:\d+ |holding |input |discrete )*(?:registers?|coils?|inputs?)\b")
@@ -226,7 +227,7 @@ def _no_frame(run: re.Match[str], data: bytes, before: str, sentence: str, signe
         return "" if not small or signed or _BYTES_WORD.search(before) is not None or _has_check(data) else None
     words = _WORD.findall(sentence.lower())
     direct = signed or (bool(words) and sentence.rstrip(" :='\"`(").lower().endswith(words[-1]) and words[-1] in _SAID)
-    if _NETWORK_CARD.fullmatch(text) and not direct:
+    if _NETWORK_CARD.fullmatch(text) and not direct and not _has_check(data):
         return "the address of a network card"
     if _TIME.fullmatch(text):
         return None
@@ -250,7 +251,8 @@ _SAID = frozenset((*ACTIONS, *MATTERS, *_VERBS)) - {"wrote", "wr", "rd"}
 
 def role_in_text(text: str) -> Role:
     """Return the sender by the last word of a text that tells it, and the speaker before that word."""
-    # In a program `motor.send` sends to the motor.
+    # In a program `motor.send` sends to the motor, and `FB_Servo` is the name of a block.
+    text = _NAMES.sub(_named, text)
     text = _CAMEL.sub(" ", text).lower().replace("\u2019", "'")
     words = _WORD.findall(_FUNCTION.sub("", _OBJECT.sub("", text)))
     at = next((n for n in range(len(words) - 1, -1, -1) if words[n] in _SAID), None)
@@ -269,6 +271,11 @@ def role_in_text(text: str) -> Role:
         return Role.REQUEST if _VERBS[word] == "send" else Role.REPLY
     speakers_before = [w for w in words[max(0, at - 3) : at] if w in SPEAKERS]
     return role_of([*speakers_before[-1:], word])
+
+
+def _named(found: re.Match[str]) -> str:
+    """Return a name of a program where a part of it says what is done; any other tells no sender."""
+    return found[0] if any(part in ACTIONS or part in MATTERS for part in found[0].lower().split("_")) else " "
 
 
 def _denied(words: list[str]) -> bool:

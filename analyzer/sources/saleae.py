@@ -8,8 +8,9 @@
 
 Rules: a time is the end of the byte: its start, and its duration where the file or the line speed gives it. Each byte
 is a chunk. Names of analyzers that mean sent or received say who sent, once something was sent; other names are
-ports. Bytes with a parity or framing error are given on and counted. In a post the header stands among words, which are
-comments, and strokes can part the cells.
+ports. Bytes with a parity or framing error are given on and counted; where these are all bytes of one parity and no others,
+the line has a parity that the analyzer took for a stop bit. In a post the header stands among words, which are comments, and
+strokes can part the cells.
 """
 
 from __future__ import annotations
@@ -47,6 +48,8 @@ _OTHERS = frozenset(("id", "frame id", "dlc", "dir", "direction", "len", "length
 #: Types of rows that carry no byte of a line.
 _WITHOUT_BYTES = ("start", "stop", "address", "enable", "disable", "result", "error")
 _BITS_PER_BYTE = 10
+#: What says that a byte is without error, and different bytes from which on it is no chance which ones have errors.
+_WITHOUT_ERROR, _DIFFERENT = ("", "false", "0"), 6
 #: Lines of a post among which a header is, and what parts its cells.
 _HEADER_LINES, _SEPARATORS = 60, ",|;\t"
 _RULE = re.compile(r"[\s|:-]+")
@@ -152,6 +155,7 @@ def _records(source: Source, table: _Table) -> Iterator[Chunk | Comment]:
     heard = ReceivedMarks()
     directions: dict[str, Role] = {}
     byte_ns = _BITS_PER_BYTE * SECOND_NS // source.baud if source.baud else 0
+    values: dict[bool, set[bytes]] = {False: set(), True: set()}
     errors = shift_ns = 0
     first = True
     for line in rows:
@@ -179,7 +183,9 @@ def _records(source: Source, table: _Table) -> Iterator[Chunk | Comment]:
             shift_ns = max(0, -t_ns)
             if shift_ns:
                 source.note(f"times before the trigger: all are moved by {shift_ns / SECOND_NS:g} s")
-        errors += any(table.cell(row, what) not in ("", "false", "0") for what in ("error", "parity", "framing"))
+        wrong = [what for what in ("error", "parity", "framing") if table.cell(row, what).lower() not in _WITHOUT_ERROR]
+        values[bool(wrong) and wrong != ["parity"]].add(value)
+        errors += bool(wrong)
         name = table.cell(row, "name")
         direction = directions.get(name)
         if direction is None:
@@ -188,6 +194,17 @@ def _records(source: Source, table: _Table) -> Iterator[Chunk | Comment]:
         yield Chunk(t_ns + shift_ns, port, value, heard(direction))
     if errors:
         source.note(f"{counted(errors, 'byte')} with a parity or framing error")
+        source.uarts |= _uarts(values[True], values[False])
+
+
+def _uarts(misframed: set[bytes], others: set[bytes]) -> set[str]:
+    """Return how bytes stand on the line, where each byte is misframed whose parity bit is low, and no other.
+
+    An analyzer without parity takes that bit for the stop bit.
+    """
+    sums = [{value[0].bit_count() & 1 for value in values} for values in (misframed, others)]
+    told = sums[0].isdisjoint(sums[1]) and all(sums) and len(misframed | others) >= _DIFFERENT
+    return {"8O1" if sums[0] == {1} else "8E1"} if told else set()
 
 
 def time_of(text: str) -> int:

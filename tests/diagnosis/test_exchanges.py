@@ -351,6 +351,21 @@ def test_swapped_bytes(rows):
 
 
 @pytest.mark.parametrize(
+    ("speeds", "cause"), [((800, 100, 1352), "wrong_byte_order"), ((0x0320, 0x8C80, 0x0FA0), "value_out_of_range")]
+)
+def test_reserved_bits_that_are_set_are_those_of_a_number(speeds, cause):
+    """Speeds of 800, 100 and 1352 rpm with their bytes swapped; and speeds that are too high alone."""
+    order = "little" if cause == "wrong_byte_order" else "big"
+    frames = [NATIVE.link.completed(b"\xfa\x01\xf6" + speed.to_bytes(2, order) + b"\x02") for speed in speeds]
+    assert (
+        told(*((mark, row) for frame in frames for mark, row in ((">", frame), ("<", bytes.fromhex("FB 01 F6 01 F3")))))[
+            0
+        ].cause
+        == cause
+    )
+
+
+@pytest.mark.parametrize(
     ("angle", "cause"),
     [(36000, "value_out_of_range"), (41000, "value_out_of_range"), (-9000, "unit_or_sign"), (-113, "unit_or_sign")],
 )

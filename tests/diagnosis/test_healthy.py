@@ -12,6 +12,22 @@ from tests.diagnosis.test_pastes import checked
 
 #: By what they are: posts, logs of programs, frames of other makers.
 HEALTHY = {
+    "a host that asks which parameters a drive has": "  can0  001   [3]  00 82 83\n  can0  001   [3]  82 05 88\n"
+    "  can0  001   [3]  00 80 81\n  can0  001   [4]  80 FF FF 7F\n",
+    "times of a library beside floats": "".join(
+        f"2025-07-08 10:20:0{n}.28{n} DEBUG [pymodbus.logging] {what}\n"
+        for n, what in enumerate(
+            (
+                "send: 0x3 0x4 0x0 0x31 0x0 0x3 0xe0 0x26",
+                "recv: 0x3 0x4 0x6 0x0 0x0 0x0 0x0 0x12 0x40 0x74 0xa3 extra data:  addr=None",
+                "Processing: 0x3 0x4 0x6 0x0 0x0 0x0 0x0 0x12 0x40 0x74 0xa3",
+            )
+        )
+    ),
+    "headings between dashes": "".join(
+        f"--- sent ---\nFA 02 3A 36\n--- received ---\nFB 02 3A 01 38\n--- sent ---\nFA 00 F6 00 4{n} 02 3{n + 2}\n"
+        for n in range(3)
+    ),
     "a question about one frame": 'Can the bytes be shown? I would like "11 06 00 01 00 03 9A 9B", even if nothing answers.',
     "a frame of a document": "Request: `01 03 00 6B 00 03 74 17`\n\nThe silent interval is 3.5 characters.",
     "a log of a server that is cut": "2020-03-23 08:32:31,295 DEBUG ModbusRTUTransport - Request: 01 03 00 00 00 05 85 C9\n"

@@ -323,6 +323,48 @@ def test_a_wrong_line_is_not_taken_for_another(case, name, cause):
     assert swept(case, name, f"{case} {name} 1") == cause
 
 
+@pytest.mark.parametrize(
+    ("marks", "rows", "cause"),
+    [
+        # A listener at 9600 on a bus of 38400, and a host that reads so: of no frame more than three bytes come.
+        ("  ", "E0|00 00 FF|E4|04 D4|E0|00 FF|E4|B4 F5|E4|04 C0|E0|00 90 FF", "wrong_baud"),
+        ("><", "FA 07 3A 3B|42|FA 07 33 34|00 C6|FA 07 31 32|00 04|FA 07 33 34|00 F6|FA 07 31 32|00 A4", "wrong_baud"),
+        # Devices of other protocols that answer in few bytes.
+        ("  ", "E0|00 00 FF|E4|04 D4|E0|31 32|E4|33 34 35|E4|07|E0|55", None),
+        ("><", "FA 07 3A 3B|06|FA 07 33 34|15 01|FA 07 31 32|06 80|FA 07 33 34|15 02|FA 07 31 32|06 81", None),
+    ],
+)
+def test_short_reads_at_a_wrong_speed_fit_their_requests_each_time(marks, rows, cause):
+    assert first(*(f"{marks[n % 2]} {row}" for n, row in enumerate(rows.split("|")))) == cause
+
+
+@pytest.mark.parametrize(("own", "cause"), [(117_100_000, "two_masters"), (100_000_000, None)])
+def test_two_clocks_whose_requests_meet_are_two_hosts(own, cause):
+    """A loop of one host has one clock, however often a drive is silent."""
+    status, reply = build(NATIVE, "read_status", 1), bytes.fromhex("FB 01 F1 04 F1")
+    asked = [
+        (100_000_000 * n, build(NATIVE, "read_position", 1), bytes.fromhex("FB 01 31 00 00 00 00 40 00 6D")) for n in range(30)
+    ]
+    other = [(33_000_000 + own * n, status, reply) for n in range(25)]
+    silent = {at for at, _, _ in asked for near, _, _ in other if abs(at - near) < 8_000_000} or {asked[9][0], asked[20][0]}
+    silent |= {near for near, _, _ in other if min(abs(at - near) for at in silent) < 8_000_000}
+    items = []
+    for at, request, answer in sorted((*asked, *other)):
+        items.append(Chunk(at, "serial", request))
+        items += [] if at in silent else [Chunk(at + 4_000_000, "serial", answer)]
+    causes = [each.suspicion.cause for each in diagnosed(items).causes]
+    assert causes[:1] == [cause] if cause else "two_masters" not in causes
+
+
+@pytest.mark.parametrize("parity", [0, 1])
+def test_bytes_that_are_misframed_by_a_parity_are_read_as_zeros(parity):
+    sent = [modbus(f"01 04 00 {register}") for register in ("31 00 03", "F1 00 01", "32 00 01")]
+    rows = [bytes(byte if byte.bit_count() & 1 == parity else 0 for byte in frame) for frame in sent]
+    found = told(*(("<", row) for row in rows * 2))
+    assert [(each.cause, each.confidence.value) for each in found] == [("wrong_parity", "certain")]
+    assert "wrong_parity" not in [each.cause for each in told(*(("<", row) for row in rows[:1] * 6))]
+
+
 def test_bytes_of_one_parity_by_chance_are_no_format():
     # A few bytes of one parity, as small numbers have.
     assert "wrong_parity" not in [each.cause for each in told("< FB 01 30 03 05", "< FB 01 30 06 05")]

@@ -96,6 +96,15 @@ def test_a_scaled_field_that_is_printed_as_unsigned(causes_of):
         ("It should have 1.6 A and has no torque:", "FA 02 83 00 10", ["unit_or_sign"]),
         ("It should have 1.6 A and has no torque:", "FA 02 83 06 40", []),
         ("It should have 1.6 A and has no torque; with 0.016 A too:", "FA 02 83 00 10", []),
+        # Degrees in counts and in pulses; the speed of a turn in other units.
+        ("Turn by 90 deg (it hardly moves):", "FA 02 F4 00 64 02 00 00 00 5A", ["unit_or_sign"]),
+        ("Turn by 180° (it hardly moves):", "FA 02 FD 00 64 02 00 00 00 B4", ["unit_or_sign"]),
+        ("Turn by 90 counts (it hardly moves, 90 deg are meant):", "FA 02 F4 00 64 02 00 00 00 5A", []),
+        ("It should run at 100 deg/s:", "FA 02 F6 00 64 02", ["unit_or_sign"]),
+        ("It should run at 100 rpm, which is 600 deg/s:", "FA 02 F6 00 64 02", []),
+        # The bytes of a number that the words have.
+        ("moveTo(axis=16384), and it should stop:", "FA 02 F5 02 58 02 00 40 00 00", ["wrong_byte_order"]),
+        ("moveTo(axis=4194304), 16384 rpm at 256:", "FA 02 F5 02 58 02 00 40 00 00", []),
         # The sign of 16 or 24 bits in 32.
         ("It should go to -16384 and goes on and on:", "FA 02 F5 02 58 02 00 FF C0 00", ["unit_or_sign"]),
         ("It should go to -16384 and goes on and on:", "FA 02 F5 02 58 02 00 00 C0 00", ["unit_or_sign"]),

@@ -62,6 +62,54 @@ def test_one_exchange(text: str, tmp_path: Path) -> None:
     assert read(tmp_path, text) == BOTH
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "write Uint8Array(4) [250, 10, 50, 54]\ndata Uint8Array(6) [251, 10, 50, 255, 129, 183]\n",
+        "10:20:00.250 | FB_Servo | Sende 4 Byte: 16#FA, 16#0A, 16#32, 16#36\n"
+        "10:20:00.254 | FB_Servo | Empfange 6 Byte: 16#FB, 16#0A, 16#32, 16#FF, 16#81, 16#B7\n",
+        # The tag of a logger is no sender.
+        "10:20:01.000 D/Servo: write [-6, 10, 50, 54]\n10:20:01.004 D/Servo: read [-5, 10, 50, -1, -127, -73]\n",
+        "07-08 10:20:01.000  123  125 D Motor   : write [-6, 10, 50, 54]\n"
+        "07-08 10:20:01.004  123  125 D Motor   : read [-5, 10, 50, -1, -127, -73]\n",
+        # Six bytes that could be the address of a network card.
+        '{"usb.src": ["host"], "usb.capdata": ["fa:0a:32:36"]}\n{"usb.src": ["1.4.1"], "usb.capdata": ["fb:0a:32:ff:81:b7"]}\n',
+    ],
+    ids=["node", "german", "android", "logcat", "usb"],
+)
+def test_every_line_of_a_log_is_read(text: str, tmp_path: Path) -> None:
+    came = read(tmp_path, text * 3)
+    assert [data for _, data in came] == ["FA 0A 32 36", "FB 0A 32 FF 81 B7"] * 3
+    if "D/" in text or " D " in text:
+        assert [role for role, _ in came] == ["request", "reply"] * 3
+
+
+def test_the_name_of_a_block_speaks_for_no_drive(tmp_path: Path) -> None:
+    rows = [f"08.07.2025 10:20:0{n}.000 | FB_Servo | Sende 4 Byte: 16#FA, 16#0A, 16#32, 16#36\n" for n in range(3)]
+    assert read(tmp_path, "".join(rows)) == [("request", "FA 0A 32 36")] * 3
+    assert read(tmp_path, "The call FB_Servo sends FA 0A 32 36 and no more.\n") == [("request", "FA 0A 32 36")]
+
+
+def test_objects_that_node_prints_are_rows(tmp_path: Path) -> None:
+    path = tmp_path / "node.log"
+    path.write_text(
+        "{ dir: 'tx', id: 16, ext: false, rtr: undefined, data: <Buffer 32 42> }\n"
+        "{ dir: 'rx', id: 16, ext: false, data: <Buffer 32 00 68 aa> }\n"
+    )
+    with open_source(path) as source:
+        frames = [(each.id, each.data.hex(), each.direction.value) for each in source if isinstance(each, CanFrame)]
+    assert frames == [(16, "3242", "request"), (16, "320068aa", "unknown")]
+
+
+def test_a_length_and_a_colon_stand_before_the_data_of_can(tmp_path: Path) -> None:
+    path = tmp_path / "can.txt"
+    path.write_text("Sent packet with id 0x8 and length 2: 32 3A\nReceived packet with id 0x8 and length 4: 32 00 68 A2\n")
+    with open_source(path) as source:
+        assert [(each.id, each.data.hex()) for each in source if isinstance(each, CanFrame)] == [(8, "323a"), (8, "320068a2")]
+    # Without a length it is an address on a serial line.
+    assert read(tmp_path, "id 1: FA 01 30 2B\n" * 3) == [("unknown", "FA 01 30 2B")] * 3
+
+
 def test_characters_beyond_ascii_are_bytes(tmp_path: Path) -> None:
     text = f"TX: {ASKED}\nResponse: '\\x11\\x03\\x02\\x00\u00fe\u00b8D' (7 bytes)\n"
     assert read(tmp_path, text) == [("request", ASKED), ("reply", "11 03 02 00 FE B8 44")]
@@ -119,6 +167,22 @@ def test_what_a_library_keeps_of_several_reads_is_known(tmp_path: Path) -> None:
 def test_what_is_cleared_before_a_request_was_received(tmp_path: Path) -> None:
     text = f"send: {ASKED}\nWARNING: cleanup recv buffer before send: 00 22 00 22 E0 5D\nrecv: {ANSWERED}\n"
     assert read(tmp_path, text)[1] == ("reply", "00 22 00 22 E0 5D")
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "time_ms,telegram,b0,b1,b2,b3\n0,OUT,250,1,48,43\n2,IN,251,1,48,44\n",
+        "time,telegram,i/o\n0.1,FA 01 30 2B,OUT\n0.2,FB 01 30 2C,IN\n",
+        "t;wer;hex\n1;Master;FA01302B\n2;Slave;FB01302C\n",
+    ],
+)
+def test_a_column_of_marks_alone_says_who_sent_whatever_it_is_called(table, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(table)
+    with open_source(path) as source:
+        chunks = [(each.direction.value, each.data.hex()) for each in source if isinstance(each, Chunk)]
+    assert chunks == [("request", "fa01302b"), ("reply", "fb01302c")]
 
 
 @pytest.mark.parametrize("marks", ["T R", "t r", "> <", "out in", "W R", "-> <-"])

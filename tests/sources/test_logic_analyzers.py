@@ -57,6 +57,17 @@ def test_errors_are_counted_and_bytes_kept(tmp_path: Path) -> None:
     assert source.notes == ["2 bytes with a parity or framing error"]
 
 
+@pytest.mark.parametrize(("wrong", "uart"), [("FA 39 30 2D", "8E1"), ("01 31 34 07", "8O1")])
+def test_bytes_of_one_parity_that_are_misframed_tell_how_they_stand_on_the_line(wrong, uart, tmp_path: Path) -> None:
+    sent = bytes.fromhex("FA 39 30 2D 01 31 34 07 FA 39")
+    rows = [(byte, "Error" if byte in bytes.fromhex(wrong) else "") for byte in sent]
+    text = LOGIC_1 + "".join(f"{n}.0,0x{byte:02X},,{error}\n" for n, (byte, error) in enumerate(rows))
+    assert read(tmp_path, text)[0].uarts == {uart}
+    # One byte that came both ways is noise, and a parity that the analyzer awaits is its own setting.
+    for other in (text + "20.0,0xFA,,\n21.0,0xFA,,Error\n", text.replace(",,Error", ",Error,")):
+        assert read(tmp_path, other)[0].uarts == set()
+
+
 def test_times_before_the_trigger_are_moved(tmp_path: Path) -> None:
     source, records = read(tmp_path, LOGIC_1 + "-0.5,0xFA,,\n0.25,0xFB,,\n")
     assert [r.t_ns for r in records] == [0, 750_000_000]
