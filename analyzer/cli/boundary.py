@@ -69,7 +69,6 @@ class _Clean:
             cast(Any, stream).reconfigure(errors=_ERRORS)
 
     def write(self, text: str) -> int:
-        """Write a text, cleaned."""
         if not text.isprintable() and text != "\n":
             parts = _COLOUR.split(text) if self._colours else [text]
             text = "".join(part if n % 2 else printable(part, "\n\t") for n, part in enumerate(parts))
@@ -78,7 +77,6 @@ class _Clean:
         return len(text)
 
     def flush(self) -> None:
-        """Flush the stream."""
         with self._forgiving:
             self.rich_proxied_file.flush()
 

@@ -138,7 +138,6 @@ class OpenCapture:
         return tuple(d for d in every.values() if d.bus not in self._first_kinds)
 
     def __iter__(self) -> Iterator[Item]:
-        """Yield all items of the capture."""
         return self._items
 
     def pipeline(self, sinks: Sequence[Sink]) -> Pipeline:

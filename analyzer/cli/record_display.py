@@ -113,7 +113,6 @@ class Display:
         self._notes.put((bus, text))
 
     def tell_notes(self) -> None:
-        """Tell all that has been noted."""
         while not self._notes.empty():
             self._tell(*self._notes.get())
 
@@ -224,7 +223,6 @@ class TableDisplay(Display):
         self._console = Console(highlight=False)
 
     def _tell(self, bus: str, text: str) -> None:
-        """Print a note above the table."""
         from rich.text import Text
 
         self._console.print(Text(printable(f"{bus}: {text}" if bus else text), style="yellow"))
@@ -278,16 +276,13 @@ class ViewDisplay(Display):
         self._open = True
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Pass it on."""
         self._snapshots.offer(snapshot)
 
     def say(self, text: str) -> None:
-        """Say it unless the view has the terminal."""
         if not self._open:
             super().say(text)
 
     def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
-        """Show the view until the user quits or the recording ends."""
         from analyzer.view import run_live
 
         threading.Thread(target=self._end_with, args=(thread,), daemon=True).start()

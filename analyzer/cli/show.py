@@ -85,7 +85,6 @@ class Table:
             print(f"{'time':>15}  {'bus':<8} {'addr':>{self._who}} {'role':<7} {'command':<24} fields")
 
     def begin(self, plain: Plain) -> None:
-        """Take the next block."""
         self._plain = plain
 
     def run(self, start: int, stop: int, sequence: int) -> None:
@@ -102,7 +101,6 @@ class Table:
             self._print(run.entry(row))
 
     def entry(self, entry: Entry) -> None:
-        """Print a frame if it is wanted."""
         if self._wanted is None or self._wanted(_filtered(entry)):
             self._print(entry)
 
@@ -142,7 +140,6 @@ class Table:
         self._line(self._shown_as(text, "35"))
 
     def finding(self, found: Finding) -> None:
-        """Print a finding below its message."""
         if self._json or (self._wanted is not None and found.sequence not in self._shown):
             return
         about = "" if found.sequence in self._shown else f" (frame {found.sequence}, {found.topic})"
@@ -151,7 +148,6 @@ class Table:
         print(self._shown_as(text, "31"))
 
     def happened(self, event: Event, sequence: int) -> None:
-        """Print what happened to the recording."""
         if self._wanted is not None or self._json or event.name in _UNSHOWN:
             return
         who = f"{printable(event.port)}: " if event.port else ""
@@ -159,7 +155,6 @@ class Table:
         print(self._shown_as(text, "2"), flush=self._flush)
 
     def comment(self, comment: Comment) -> None:
-        """Print a comment of the capture."""
         if self._wanted is None and not self._json:
             print(f"{'':>15}  # {printable(comment.text).lstrip('# ')}")
 

@@ -48,7 +48,6 @@ class _Paper:
         return Console(highlight=False, soft_wrap=True, width=None if self._styled else 140)
 
     def line(self, text: str, style: str = "") -> None:
-        """Print a line of text."""
         if not self._styled:
             print(printable(text))
             return
@@ -57,7 +56,6 @@ class _Paper:
         self._console.print(Text(printable(text), style=style))
 
     def table(self, table: Table) -> None:
-        """Print a table."""
         self._console.print(table)
 
 

@@ -25,12 +25,10 @@ class TakenFile(McapFile):
         super().__init__(target, profile=header.profile, library=library)
 
     def take_schema(self, body: bytes) -> None:
-        """Take a schema into the summary."""
         self._schemas += 1
         self._index.add(scan.HEAD.pack(Opcode.SCHEMA, len(body)) + body)
 
     def take_channel(self, body: bytes, number: int) -> None:
-        """Take a channel into the summary."""
         self._channels += 1
         self._counts.setdefault(number, 0)
         self._index.add(scan.HEAD.pack(Opcode.CHANNEL, len(body)) + body)
@@ -42,7 +40,6 @@ class TakenFile(McapFile):
         return start
 
     def take_attachment(self, body: bytes) -> None:
-        """Copy an attachment."""
         start = self.put(Opcode.ATTACHMENT, body)
         about = scan.parsed(body, Attachment.read)
         self._attachments += 1

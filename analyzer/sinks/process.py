@@ -77,23 +77,18 @@ class SinkProcess:
         self._other(("begin", (plain.dialect, plain.block, lanes, *columns)))
 
     def run(self, start: int, stop: int, sequence: int) -> None:
-        """Pass a run on."""
         self._other(("run", (start, stop, sequence)))
 
     def entry(self, entry: Entry) -> None:
-        """Pass an entry on."""
         self._other(("entry", (entry,)))
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Pass a piece of junk on."""
         self._other(("junk", (junk, sequence, topic)))
 
     def finding(self, found: Finding) -> None:
-        """Pass a finding on."""
         self._other(("finding", (found,)))
 
     def comment(self, comment: Comment) -> None:
-        """Pass a comment on."""
         self._other(("comment", (comment,)))
 
     def happened(self, event: Event, sequence: int) -> None:

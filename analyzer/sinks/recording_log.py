@@ -53,7 +53,6 @@ class RecordingLog(McapLog):
         self._file.add_message(self._raws[chunk.port], 0, log_ns, publish_ns, text)
 
     def raw_can(self, can: CanFrame, offset: int) -> None:
-        """Write a CAN frame as it came."""
         shown: dict[str, Any] = {"_raw": can.data.hex(" ").upper(), "_offset": offset, "_can_id": can.id}
         flags = can_flags(can)
         if flags:
@@ -72,7 +71,6 @@ class RecordingLog(McapLog):
 
     @property
     def last_ns(self) -> int:
-        """Time of the last message."""
         return self._last_ns
 
     def learn(self, bus: str, speed: Speed) -> None:

@@ -52,7 +52,6 @@ class Task(Generic[R]):
         return self._future.running() or self._future.done()
 
     def done(self) -> bool:
-        """Say whether there is a result."""
         return self._future.done()
 
     def here(self) -> bool:
@@ -67,7 +66,6 @@ class Task(Generic[R]):
         return True
 
     def result(self) -> R:
-        """Return the result, once it is there."""
         if not self.here():
             while not self._future.done():
                 if not self._workers.help():

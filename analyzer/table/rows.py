@@ -93,7 +93,6 @@ class Recorded:
         return [c for c in shape.columns if not c.field.endswith(TWIN) or c.field in self.twins]
 
     def rows(self) -> Iterator[Row]:
-        """Yield all rows, from the first."""
         decode = msgspec.msgpack.Decoder(list[Row]).decode
         stream = self.stream
         stream.seek(0)

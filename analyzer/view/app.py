@@ -120,7 +120,6 @@ class ViewApp(App[str]):
     # --- what comes -----------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Take what is new and show it."""
         if self._terminal_gone():
             self.exit(GONE)
             return
@@ -153,7 +152,6 @@ class ViewApp(App[str]):
 
     @property
     def shown(self) -> str:
-        """The panel that is seen."""
         current = self._switch.current
         return "frames" if current in (None, "frames_box") else str(current)
 

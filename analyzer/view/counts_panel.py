@@ -35,7 +35,6 @@ class CountsPanel(Rows):
         self.order = "address"
 
     def next_order(self) -> str:
-        """Take the next order; return its name."""
         names = list(_ORDERS)
         self.order = names[(names.index(self.order) + 1) % len(names)]
         self.sync()

@@ -105,7 +105,6 @@ class Columns:
         return self._times.text(t_ns)
 
     def heading(self, width: int) -> Text:
-        """Return the row above the frames."""
         fields, size = self._room(width)
         which = {CLOCK: f"time {self._times.zone}".rstrip(), ELAPSED: "seconds", STEP: "since above"}[self.time]
         text = f"  {which:>{_TIME_WIDTH}} {'bus':<{self.bus_width}} {'addr':>{self.who_width}}   "

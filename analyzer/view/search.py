@@ -32,7 +32,6 @@ class Search:
         self.done = False
 
     def look(self, seconds: float) -> None:
-        """Go on looking for about this long."""
         until = time.perf_counter() + seconds
         looked = 0
         while not self.done:
