@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     found = captures(arguments)
     if len(found) == 1:
         arguments.jobs = arguments.jobs or processes(cores())
-        done = decode(found[0], arguments, _progress)
+        done = decode(found[0], arguments, watched_here)
         done.report(arguments)
         if done.stopped.startswith("stopped"):
             raise KeyboardInterrupt
@@ -205,7 +205,6 @@ class _Done:
         return 1 if arguments.strict and self.summary.severities[Severity.ERROR] else 0
 
     def as_object(self) -> dict[str, Any]:
-        """Return the summary as an object for JSON."""
         reading = self.reading
         return {
             "file": reading.source.path,
@@ -246,7 +245,8 @@ class _Done:
 Progress = Callable[[OpenCapture, Callable[[], int]], contextlib.AbstractContextManager[None]]
 
 
-def _progress(reading: OpenCapture, frames: Callable[[], int]) -> contextlib.AbstractContextManager[None]:
+def watched_here(reading: OpenCapture, frames: Callable[[], int]) -> contextlib.AbstractContextManager[None]:
+    """Show on the terminal how far a capture has come."""
     return progress(reading.source, f"decoding {reading.source.name}", frames)
 
 

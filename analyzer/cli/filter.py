@@ -192,7 +192,6 @@ class Filter:
         self._test = self._condition(tree)
 
     def __call__(self, names: _Names) -> bool:
-        """Say whether a message with these names is wanted."""
         try:
             return self._test(names)
         except (TypeError, ValueError, ArithmeticError):

@@ -237,17 +237,15 @@ class TableDisplay(Display):
                 thread.join(_LOOK_S)
 
     def _table(self, supervisor: Supervisor) -> Table:
-        from rich.table import Table
         from rich.text import Text
 
+        from analyzer.cli.console import table
+
         snapshot = supervisor.snapshot
-        table = Table(box=None, pad_edge=False, header_style="bold", title_justify="left", caption_justify="left")
-        table.add_column("bus")
-        table.add_column("")
-        for name in ("stored", "frames", "/s", "bytes/s", "load", "junk", "findings"):
-            table.add_column(name, justify="right")
+        numbers = ("stored", "frames", "/s", "bytes/s", "load", "junk", "findings")
+        shown = table("bus", "", *numbers, numbers=numbers, caption_justify="left")
         for bus, state, count in counts(supervisor):
-            table.add_row(
+            shown.add_row(
                 Text(printable(bus)),
                 Text(state, style="" if state == "listening" else "red"),
                 _stored(supervisor, bus),
@@ -261,8 +259,8 @@ class TableDisplay(Display):
         size = size_text(snapshot.log_bytes) if snapshot is not None else "0 B"
         late = _behind_text(supervisor)
         doing = "finishing the log" if supervisor.phase in ("ending", "finishing") else "Ctrl-C ends it"
-        table.caption = Text(f"{duration_text(int(seconds_of(supervisor) * 1e9))}, {size}{late and ', '}{late}; {doing}")
-        return table
+        shown.caption = Text(f"{duration_text(int(seconds_of(supervisor) * 1e9))}, {size}{late and ', '}{late}; {doing}")
+        return shown
 
 
 class ViewDisplay(Display):

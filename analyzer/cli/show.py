@@ -19,7 +19,7 @@ import msgspec
 from analyzer.catalogue import Role
 from analyzer.cli.filter import Filter, bytes_text, vocabulary
 from analyzer.cli.option_types import whole
-from analyzer.cli.reading import LONG_CAPTURE, add_reading_arguments, open_reading, progress
+from analyzer.cli.reading import LONG_CAPTURE, add_reading_arguments, open_reading, progress, tell_notes
 from analyzer.decoder import physical, units_of
 from analyzer.entries import Entry
 from analyzer.events import text_of
@@ -88,7 +88,6 @@ class Table:
         self._plain = plain
 
     def run(self, start: int, stop: int, sequence: int) -> None:
-        """Print the plain frames in some rows that are wanted."""
         from analyzer.cli.sieve import Run, Sieve
 
         run = Run(self._plain, start, stop, sequence)
@@ -126,7 +125,6 @@ class Table:
         self._line(self._shown_as(text, _COLORS[role]))
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Print a piece of junk if no filter is set."""
         if self._wanted is not None:
             return
         self._shown = {sequence}
@@ -256,9 +254,8 @@ def _show(arguments: argparse.Namespace) -> int:
                     pipeline.run(reading)
             else:
                 pipeline.run(reading)
-        for note in reading.source.notes:
-            print(f"note: {printable(note)}", file=sys.stderr)
+        tell_notes(reading.source.notes)
         if not table.lines and arguments.limit != 0 and (wanted is not None or reading.time_range.wanted):
             asked = " and ".join(["the filter"] * (wanted is not None) + ["the time range"] * reading.time_range.wanted)
-            print(f"note: no frame fits {asked}", file=sys.stderr)
+            tell_notes([f"no frame fits {asked}"])
     return 0

@@ -114,14 +114,12 @@ def who_text(summary: Summary, bus: str, address: str) -> str:
 
 
 def _others(summary: Summary) -> Table:
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("bus", "not of this dialect"):
-        table.add_column(name, no_wrap=True)
-    for name in ("frames", "share", "per s", "bytes"):
-        table.add_column(name, justify="right")
+    from analyzer.cli.console import table
+
+    numbers = ("frames", "share", "per s", "bytes")
+    found = table("bus", "not of this dialect", *numbers, numbers=numbers)
     seconds = (summary.last_ns - (summary.first_ns or 0)) / 1e9
     listed = summary.by_frames()
     more = listed[_OTHERS_NAMED:]
@@ -131,8 +129,8 @@ def _others(summary: Summary) -> Table:
     for bus, who, frames, size in rows:
         rate = f"{frames / seconds:.1f}" if seconds > 0 else ""
         share = f"{100 * frames / summary.frames:.1f} %"
-        table.add_row(Text(printable(bus)), who, str(frames), share, rate, str(size))
-    return table
+        found.add_row(Text(printable(bus)), who, str(frames), share, rate, str(size))
+    return found
 
 
 def _place(found: Finding) -> str:
@@ -142,16 +140,13 @@ def _place(found: Finding) -> str:
 
 
 def _findings(summary: Summary) -> Table:
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("finding")
-    table.add_column("severity")
-    table.add_column("count", justify="right")
-    table.add_column("the first few", overflow="fold")
+    from analyzer.cli.console import table
+
+    found = table("finding", "severity", "count", "the first few", numbers=("count",))
     for rule, count in summary.findings.most_common():
         severity = summary.worst[rule]
-        first = "\n".join(_place(found) + printable(found.text) for found in summary.first[rule])
-        table.add_row(rule, Text(severity.value, style=COLOURS[severity]), str(count), Text(first))
-    return table
+        first = "\n".join(_place(each) + printable(each.text) for each in summary.first[rule])
+        found.add_row(rule, Text(severity.value, style=COLOURS[severity]), str(count), Text(first))
+    return found

@@ -222,12 +222,10 @@ class Place:
         return list(again(lambda: self.fs.glob(self.path(pattern))))
 
     def remove_folder(self, name: str) -> None:
-        """Remove a folder with its files, if it is there."""
         with contextlib.suppress(FileNotFoundError):
             again(lambda: self.fs.rm(self.path(name), recursive=True))
 
     def remove(self, name: str) -> None:
-        """Remove a file, if it is there."""
         with contextlib.suppress(FileNotFoundError):
             again(lambda: self.fs.rm_file(self.path(name)))
 

@@ -178,7 +178,6 @@ class ParquetTables:
         self._plain = plain
 
     def run(self, start: int, stop: int, sequence: int) -> None:
-        """Take plain exchanges; they become columns together with those of other blocks."""
         self._taken.append((start, stop, sequence))
 
     def _hold(self) -> None:
@@ -321,7 +320,6 @@ class ParquetTables:
         self.entry(plain_entry(lane, frame, sequence, latency_ns, request_sequence))
 
     def entry(self, entry: Entry) -> None:
-        """Take a decoded frame, and the state it carries."""
         message = entry.message
         frame, command, can = message.frame, message.command, message.frame.can
         shown = physical(message)

@@ -55,7 +55,6 @@ class SinkProcess:
     # --- sink -----------------------------------------------------------------------------------------------------
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
-        """Pass a frame on that is in order."""
         number = self._number(lane, frame)
         data = frame.data
         head = _HEAD.pack(
@@ -92,7 +91,6 @@ class SinkProcess:
         self._other(("comment", (comment,)))
 
     def happened(self, event: Event, sequence: int) -> None:
-        """Pass an event on to the sinks that take them."""
         self._other(("happened", (event, sequence)))
 
     # --- calls ----------------------------------------------------------------------------------------------------
@@ -112,7 +110,6 @@ class SinkProcess:
         self._worker.ended()
 
     def close(self) -> None:
-        """End the worker after the last call."""
         self._worker.ended()
 
     def _answer(self) -> Any:

@@ -63,7 +63,6 @@ class RecordingLog(McapLog):
         self._file.add_message(self._raws[can.port], 0, log_ns, log_ns, msgspec.json.encode(shown))
 
     def silence(self, t_ns: int, bus: str, offset: int) -> None:
-        """Write a pause that ended what waited on a bus."""
         log_ns = self._clock(t_ns)
         self._file.add_message(self._raws[bus], 0, log_ns, log_ns, b'{"_raw":"","_offset":%d,"_silence":true}' % offset)
 
@@ -85,7 +84,6 @@ class RecordingLog(McapLog):
     # --- files ----------------------------------------------------------------------------------------------------
 
     def describe(self, name: str, metadata: Mapping[str, str]) -> None:
-        """Write a metadata record. Raises OSError with nothing written."""
         self._file.add_metadata(name, metadata)
 
     def finish(self, metadata: Mapping[str, str]) -> None:

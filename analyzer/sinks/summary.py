@@ -54,7 +54,6 @@ class Latencies:
         self._buckets[bucket] = self._buckets.get(bucket, 0) + count
 
     def add_all(self, latencies_ns: Integers) -> None:
-        """Count times of a column."""
         import numpy as np
 
         if len(latencies_ns):

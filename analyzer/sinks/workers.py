@@ -48,7 +48,6 @@ class Task(Generic[R]):
         return self._workers.done(self._function, self._argument)
 
     def begun(self) -> bool:
-        """Say whether it is under way or has ended."""
         return self._future.running() or self._future.done()
 
     def done(self) -> bool:

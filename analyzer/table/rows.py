@@ -173,7 +173,6 @@ class Rows:
         row.severity = max(row.severity, found.severity.rank)
 
     def comment(self, comment: Comment) -> None:
-        """Count what has no place in a table."""
         self.recorded.comments += 1
 
     def finish(self) -> Recorded:

@@ -41,7 +41,6 @@ class Kept(Generic[T]):
 
     @property
     def stop(self) -> int:
-        """One more than the number of the newest."""
         return self.first + len(self._items)
 
     def append(self, item: T) -> None:

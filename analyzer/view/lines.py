@@ -72,7 +72,6 @@ class Columns:
         self.first_ns = 0
 
     def next_time(self) -> str:
-        """Show the next kind of time; return its name."""
         self.time = TIMES[(TIMES.index(self.time) + 1) % len(TIMES)]
         return self.time
 
@@ -86,7 +85,6 @@ class Columns:
         return self.shows or (BOTH if width >= 120 else FIELDS)
 
     def _room(self, width: int) -> tuple[int, int]:
-        """Return the columns for fields and for bytes."""
         left = max(10, width - (2 + _TIME_WIDTH + 1 + self.bus_width + 1 + self.who_width + 3 + _command_width(width) + 1))
         shows = self._shows(width)
         if shows == FIELDS:

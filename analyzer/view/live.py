@@ -44,7 +44,6 @@ class SnapshotQueue:
         return self._closed and self._waiting.empty()
 
     def offer(self, snapshot: Snapshot) -> bool:
-        """Add a snapshot if there is room; say whether there was."""
         try:
             self._waiting.put_nowait(snapshot)
         except queue.Full:

@@ -186,7 +186,6 @@ class FrameStore:
         return self._ends[-1] if self._ends else 0
 
     def line(self, number: int) -> FrameLine:
-        """Return a line. Raises IndexError for a number that is not there."""
         if not 0 <= number < self._stop:
             raise IndexError(number)
         line = self.records(number // BLOCK)[number % BLOCK].line()

@@ -16,8 +16,9 @@ import time
 
 import pytest
 
+from tests import ROOT
 from tests.conformance.drives.served import wait_for
-from tests.live.recorded import ROOT, pty_pair
+from tests.live.recorded import pty_pair
 from tests.live.test_record import POLL, events, messages, raw
 from tests.live.test_record_faults import Talker
 

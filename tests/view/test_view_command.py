@@ -15,8 +15,7 @@ import time
 
 import pytest
 
-from analyzer.cli import main
-from tests.view.screen import CAPTURES
+from tests import CAPTURES
 
 LOG = CAPTURES / "mks_rs485.log"
 pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo-terminal")
@@ -135,9 +134,8 @@ def test_without_a_terminal_it_says_so():
     assert not done.stdout
 
 
-def test_standard_input_is_no_file_to_view(capsys):
-    assert main(["view", "-"]) == 2
-    assert "servotap show -" in capsys.readouterr().err
+def test_standard_input_is_no_file_to_view(cli):
+    assert "servotap show -" in cli("view", "-", status=2).err
 
 
 def test_without_textual_it_says_what_to_install():
