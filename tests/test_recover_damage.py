@@ -17,6 +17,7 @@ from analyzer.live.spool import HEAD, RecordKind, SpoolReader, SpoolWriter, pack
 from analyzer.sources.stream import ZSTD_MAGIC
 from tests import CAPTURES
 from tests.collect import sum8
+from tests.fuzz.corpus import lay_out
 from tests.live.spooled import Spools, port, read
 
 LOG = "out.mcap"
@@ -44,13 +45,6 @@ def killed(whole):
     return found, set(sent)
 
 
-def lay(files, folder):
-    for name, data in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-
-
 def frames_in(path):
     """The frames of a log as they came, also where their declarations are lost."""
     raw = [v["_raw"] for topic, _, v in read(path) if topic.endswith("/raw") or ("/lost/" in topic and "_raw" in v)]
@@ -59,7 +53,7 @@ def frames_in(path):
 
 def recovered(files, folder):
     """The frames of all logs there are after `recover`, each of which the library reads."""
-    lay(files, folder)
+    lay_out(files, folder)
     assert main(["recover", str(folder / LOG)]) == 0
     assert not list(folder.glob("*.spool"))
     found = set()
@@ -166,7 +160,7 @@ def test_a_stray_file_is_no_spool(tmp_path):
     files, sent = killed(True)
     for name in ("notes.raw", "x.000000.raw", "-1-x.0.raw"):
         files = {**files, f"{SPOOL}/{name}": b"anything"}
-    lay(files, tmp_path)
+    lay_out(files, tmp_path)
     assert stems(tmp_path / SPOOL) == ["1-left"]
     assert main(["recover", str(tmp_path / LOG)]) == 0
     assert frames_in(tmp_path / LOG) == sent
@@ -177,7 +171,7 @@ def test_what_is_missing_is_said_with_what_to_do(tmp_path, pattern, capsys, cli)
     files, sent = killed(True)
     files = {name: data for name, data in files.items() if not Path(name).match(pattern)}
     if pattern == "recording*.json":
-        lay(files, tmp_path)
+        lay_out(files, tmp_path)
         assert "repairs the log alone" in cli("recover", tmp_path / LOG, status=2).err
         assert (tmp_path / LOG).read_bytes() == files[LOG]
         return

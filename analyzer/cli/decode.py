@@ -308,7 +308,10 @@ def _metadata(
 ) -> dict[str, str]:
     source = reading.source
     total = pipeline.bytes_in - reading.time_range.unseen_bytes
-    _account(total, summary)
+    accounted = summary.frame_bytes + sum(summary.junk_bytes.values())
+    if accounted != total:
+        # A byte was lost or accounted twice: a fault of this program.
+        raise RuntimeError(f"{total} bytes came in, {accounted} accounted for")
     values = {
         "source": source.name,
         "source_size": str(source.size if source.size is not None else source.position()),
@@ -334,10 +337,3 @@ def _metadata(
     if source.notes:
         values["notes"] = "; ".join(source.notes)
     return values
-
-
-def _account(total: int, summary: Summary) -> None:
-    """Raise if a byte was lost or accounted twice: that would be a fault of this program."""
-    accounted = summary.frame_bytes + sum(summary.junk_bytes.values())
-    if accounted != total:
-        raise RuntimeError(f"{total} bytes came in, {accounted} accounted for")

@@ -109,7 +109,9 @@ def vocabulary(dialects: Iterable[Dialect]) -> dict[str, Meaning]:
         "section": _of(Kind.TEXT),
         "sequence": _of(Kind.NUMBER),
     }
-    known["address"].low, known["address"].high = 0, max((_highest(dialect) for dialect in chosen), default=None)
+    # Frames can name all addresses that their bits hold.
+    highest = (0x1FFF_FFFF if dialect.bus == "can" else 0xFF for dialect in chosen)
+    known["address"].low, known["address"].high = 0, max(highest, default=None)
     for dialect in chosen:
         for command in (*dialect.commands, *dialect.fallbacks.values()):
             forms = (*command.request_forms, *command.reply_forms, *((dialect.exception,) if dialect.exception else ()))
@@ -119,11 +121,6 @@ def vocabulary(dialects: Iterable[Dialect]) -> dict[str, Meaning]:
                 if declared.choices is not None:
                     known.setdefault(name + "_name", Meaning(Kind.TEXT)).words |= set(declared.choice_names.values())
     return known
-
-
-def _highest(dialect: Dialect) -> int:
-    """Return the highest address that a frame on the bus of a dialect can name: all that its bits hold."""
-    return 0x1FFF_FFFF if dialect.bus == "can" else 0xFF
 
 
 @dataclass(frozen=True)

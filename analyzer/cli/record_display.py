@@ -27,15 +27,6 @@ _BEHIND_NS = 1_000_000_000
 _LOOK_S = 0.25
 
 
-def make_display(*, json: bool = False, view: bool = False) -> Display:
-    """Return what fits the options and where the output goes."""
-    if view:
-        return ViewDisplay()
-    if json:
-        return JsonDisplay()
-    return TableDisplay() if sys.stdout.isatty() else Display()
-
-
 def counts(supervisor: Supervisor) -> list[tuple[str, str, BusCounts]]:
     """Return the buses with the state of their ports and their counts."""
     snapshot = supervisor.snapshot

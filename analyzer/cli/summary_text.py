@@ -99,18 +99,14 @@ def _commands(summary: Summary) -> Iterator[str]:
         lat = row.latencies
         times = [milliseconds(lat.quantile(0.5)), milliseconds(lat.quantile(0.99)), milliseconds(lat.greatest)]
         counts = [str(row.messages)] * told + [str(row.requests + row.unknown), str(row.replies)]
-        rows.append((printable(bus), who_text(summary, bus, address), name, *counts, *(times if lat.count else ("", "", ""))))
+        who = identifier(int(address)) if bus in summary.can and address.isdigit() else address
+        rows.append((printable(bus), who, name, *counts, *(times if lat.count else ("", "", ""))))
     widths = [max(map(cell_len, column)) for column in zip(*rows, strict=True)]
     for cells in rows:
         blanks = [" " * (width - cell_len(cell)) for width, cell in zip(widths, cells, strict=True)]
         pairs = enumerate(zip(cells, blanks, strict=True))
         shown = [cell + blank if n < len(_NAMES) else blank + cell for n, (cell, blank) in pairs]
         yield "  ".join(shown)
-
-
-def who_text(summary: Summary, bus: str, address: str) -> str:
-    """Return an address as people read it: on CAN the identifier in hexadecimal."""
-    return identifier(int(address)) if bus in summary.can and address.isdigit() else address
 
 
 def _others(summary: Summary) -> Table:

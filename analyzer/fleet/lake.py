@@ -292,26 +292,23 @@ class Lake:
         """
         counts.check(self, {each.table for task in tasks for each in task.added})
         with self._writing():
-            return self._commit(tasks)
-
-    def _commit(self, tasks: Sequence[Taken]) -> int:
-        for _ in range(_RACES):
-            known, batch = self.known(), uuid.uuid4().hex
-            fresh: dict[str, dict[str, Any]] = {}
-            files: list[Added] = []
-            for task in tasks:
-                rows = {row["capture"]: row for row in task.captures if _is_new(row, known) and row["capture"] not in fresh}
-                fresh |= rows
-                files += only(self.place, task.added, rows.keys())
-            if not fresh:
-                return 0
-            entries = self._entries(files)
-            self.place.write(f"{JOURNAL}/{batch}.json", msgspec.json.encode(Journal(self._seen, entries)))
-            if self._commit_captures(batch, list(fresh.values()), known, entries):
-                self._settle(batch, entries)
-                return sum(row["status"] in TAKEN for row in fresh.values())
-            self.place.remove(f"{JOURNAL}/{batch}.json")
-        raise _lost(self.place.url)
+            for _ in range(_RACES):
+                known, batch = self.known(), uuid.uuid4().hex
+                fresh: dict[str, dict[str, Any]] = {}
+                files: list[Added] = []
+                for task in tasks:
+                    rows = {row["capture"]: row for row in task.captures if _is_new(row, known) and row["capture"] not in fresh}
+                    fresh |= rows
+                    files += only(self.place, task.added, rows.keys())
+                if not fresh:
+                    return 0
+                entries = self._entries(files)
+                self.place.write(f"{JOURNAL}/{batch}.json", msgspec.json.encode(Journal(self._seen, entries)))
+                if self._commit_captures(batch, list(fresh.values()), known, entries):
+                    self._settle(batch, entries)
+                    return sum(row["status"] in TAKEN for row in fresh.values())
+                self.place.remove(f"{JOURNAL}/{batch}.json")
+            raise _lost(self.place.url)
 
     def _entries(self, files: Sequence[Added]) -> dict[str, list[dict[str, Any]]]:
         """Return what the journal says of files, by table; those of another version are brought to its folder."""

@@ -122,12 +122,11 @@ class SinkProcess:
         return result
 
     def _number(self, lane: Lane, frame: Frame) -> int:
-        number = self._lanes.get(id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role))
-        return self._add_lane(lane, frame) if number is None else number
-
-    def _add_lane(self, lane: Lane, frame: Frame) -> int:
-        number = len(self._lanes)
-        self._lanes[id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role)] = number
+        key = id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role)
+        number = self._lanes.get(key)
+        if number is not None:
+            return number
+        number = self._lanes[key] = len(self._lanes)
         about = (frame.dialect, lane.role, lane.address, lane.command, lane.form, lane.start, lane.stop, lane.topic)
         assert self._table.number(lane.command) is not None  # lanes are of the dialects that the pipeline was made with
         self._other(("lane", (about, frame.port, frame.role, None if frame.can is None else frame.can.id)))

@@ -82,7 +82,6 @@ class Workers:
         self.died: list[str] = []
         #: Tasks of each kind that may wait.
         self.ahead = count * _AT_ONCE
-        self._most = count * _AT_ONCE
         # What is loaded before the workers begin, they share.
         import_module("analyzer.columns.rows")
         self._shared = Shared(table, _SLOTS + _SLOTS_EACH * count)
@@ -106,7 +105,7 @@ class Workers:
         """Have a batch packed; where enough waits, it is packed now."""
         self._packing = deque(task for task in self._packing if not task.done())
         task = self._task(Batch.packed, batch)
-        if len(self._packing) >= self._most or len(self.died) == len(self._workers):
+        if len(self._packing) >= self.ahead or len(self.died) == len(self._workers):
             task.here()
         self._packing.append(task)
         return task
@@ -117,7 +116,7 @@ class Workers:
         error: Exception | None = None
         more = True
         while True:
-            while more and len(tasks) < self._most:
+            while more and len(tasks) < self.ahead:
                 try:
                     own = next(ranges)
                 except StopIteration:
