@@ -264,12 +264,15 @@ class Filter:
         return partial(_holds, compare, left.value, right.value)
 
 
-def bytes_text(frame: Frame) -> str:
+def raw_text(data: str, can_id: int | None, *, extended: bool = False) -> str:
     """Return what `raw` names: the bytes of a frame as hex, on CAN its identifier first."""
-    text = frame.data.hex(" ").upper()
-    if frame.can is None:
-        return text
-    return f"{frame.can.id:08X} {text}".rstrip() if frame.can.extended else f"{frame.can.id:02X} {text}".rstrip()
+    return data if can_id is None else f"{can_id:0{8 if extended else 2}X} {data}".rstrip()
+
+
+def bytes_text(frame: Frame) -> str:
+    """Return what `raw` names of a frame."""
+    can_id, extended = (None, False) if frame.can is None else (frame.can.id, frame.can.extended)
+    return raw_text(frame.data.hex(" ").upper(), can_id, extended=extended)
 
 
 def parsed(text: str) -> ast.expr:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from rich.text import Text
 
+from analyzer.cli.filter import raw_text
 from analyzer.live.snapshot import EVENT, FOREIGN, JUNK, FrameLine
 from analyzer.sources.times import ShownTime
 from analyzer.values import SECOND_NS, fields_text, printable
@@ -37,9 +38,7 @@ _NARROW = 100
 
 def bytes_text(line: FrameLine) -> str:
     """Return a frame's bytes as hex; on CAN its identifier first."""
-    if line.can_id is None:
-        return line.raw
-    return f"{line.can_id:08X} {line.raw}".rstrip() if line.extended else f"{line.can_id:02X} {line.raw}".rstrip()
+    return raw_text(line.raw, line.can_id, extended=line.extended)
 
 
 def said_text(line: FrameLine) -> str:

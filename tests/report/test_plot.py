@@ -84,6 +84,8 @@ def test_what_cannot_be_plotted_is_said_in_a_line(log, words, says, cli):
 def test_only_what_is_wanted_is_plotted(log, cli):
     assert "serial/1  320 to 320 rpm" in cli("plot", log, "speed", "--filter", 'command == "read_speed" and speed > 300').out
     assert "serial/2/read_io/reply.latency" in cli("plot", log, "latency", "--since", "+9.5s", "--drive", "serial/2").out
+    of_can = cli("plot", CAPTURES / "mks_can.candump.log", "latency", "--filter", 'raw == "01 82 01 84"').out
+    assert "can0/1/set_work_mode/reply.latency  1 to 1 ms" in of_can
     left = _drives(["left/0x10", "3"])
     assert [left(*each) for each in (("left", "16"), ("right", "16"), ("right", "3"))] == [True, False, True]
 
