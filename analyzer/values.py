@@ -96,6 +96,11 @@ def identifier(number: int, *, extended: bool = False) -> str:
     return f"0x{number:08X}" if extended or number > CAN_ID_LIMIT else f"0x{number:03X}"
 
 
+def raw_text(data: str, can_id: int | None, *, extended: bool = False) -> str:
+    """Return what filters call `raw`: the bytes of a frame as hex, on CAN its identifier first."""
+    return data if can_id is None else f"{can_id:0{8 if extended else 2}X} {data}".rstrip()
+
+
 def addresses(text: str, option: str, lowest: int = 1) -> list[int]:
     """Return the addresses of `1-32` or `1,2,0x123-0x12F`, each once, in order; none is below `lowest`. Raises UsageError."""
     found: dict[int, None] = {}

@@ -29,7 +29,7 @@ from analyzer.errors import UsageError
 from analyzer.findings import RULES
 from analyzer.layout import NOT_NUMERIC, Field, FieldKind
 from analyzer.records import Frame, Severity
-from analyzer.values import factor, near, quote
+from analyzer.values import factor, near, quote, raw_text
 
 _LONGEST = 2000
 _DEEPEST = 50
@@ -262,11 +262,6 @@ class Filter:
         if left.meaning is not None and right.constant is not _MISSING:
             return _checked(left, left.meaning, sign, compare, right)
         return partial(_holds, compare, left.value, right.value)
-
-
-def raw_text(data: str, can_id: int | None, *, extended: bool = False) -> str:
-    """Return what `raw` names: the bytes of a frame as hex, on CAN its identifier first."""
-    return data if can_id is None else f"{can_id:0{8 if extended else 2}X} {data}".rstrip()
 
 
 def bytes_text(frame: Frame) -> str:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from analyzer.cli.filter import raw_text
 from analyzer.errors import UsageError
 from analyzer.findings import RULES
 from analyzer.report.kept import number_of, properties_of
@@ -22,7 +21,7 @@ from analyzer.report.traffic import LATEST_NS
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Source, describe
 from analyzer.system.decoding import UNDECODABLE
-from analyzer.values import near, quote
+from analyzer.values import near, quote, raw_text
 
 if TYPE_CHECKING:
     from mcap.records import Channel

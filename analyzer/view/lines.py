@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from rich.text import Text
 
-from analyzer.cli.filter import raw_text
 from analyzer.live.snapshot import EVENT, FOREIGN, JUNK, FrameLine
 from analyzer.sources.times import ShownTime
-from analyzer.values import SECOND_NS, fields_text, printable
+from analyzer.values import SECOND_NS, fields_text, printable, raw_text
 
 #: Role -> its sign and its colour.
 ROLES = {
