@@ -115,7 +115,6 @@ class Summary:
         self.frames = 0
         self.frame_bytes = 0
         self.junk_bytes: Counter[str] = Counter()
-        self.junk_pieces: Counter[str] = Counter()
         self.findings: Counter[str] = Counter()
         self.severities: Counter[Severity] = Counter()
         #: The worst severity that a rule's findings had: it can be milder than the rule's own.
@@ -275,7 +274,6 @@ class Summary:
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
         self.junk_bytes[junk.reason.value] += len(junk.data)
-        self.junk_pieces[junk.reason.value] += 1
         if self.first_ns is None:
             self.first_ns = junk.first_ns
         self.last_ns = max(self.last_ns, junk.last_ns)

@@ -66,7 +66,6 @@ class Rows(Widget, can_focus=True, metaclass=_AbstractWidget):  # type: ignore[m
         self.cursor = 0
         self.top = 0
         self.following = self.follows
-        self._shown: tuple[int, int, int, int] | None = None
 
     # --- what a subclass says -------------------------------------------------------------------------------------
 
