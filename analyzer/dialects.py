@@ -78,11 +78,7 @@ def get(name: str) -> Dialect:
         return dialect
     if name in _added():
         return _added()[name]
-    import difflib
-
-    close = difflib.get_close_matches(name.lower(), readable(), 1, 0.4)
-    hint = f"; did you mean {close[0]}?" if close else ""
-    raise UsageError(f"no dialect {name!r}{hint} (there are {', '.join(readable())})")
+    raise UsageError(f"no dialect {name!r}{near(name, readable(), 1)} (there are {', '.join(readable())})")
 
 
 def drive(text: str) -> tuple[Dialect, int]:

@@ -158,6 +158,7 @@ def choose_form(
     if not named:
         raise UsageError(_strange(command, role, forms, values.keys()))
     problem: UsageError | None = None
+    found: list[tuple[Form, dict[str, int | bytes]]] = []
     for candidate in named:
         try:
             sent = _all_sent(command, candidate, values, physical)
@@ -166,13 +167,10 @@ def choose_form(
             continue
         if sent is not None and (len(named) == 1 or not _contradicted(candidate, sent)):
             return candidate, sent
-    if problem is not None:
-        raise problem
-    for candidate in named:
-        sent = _all_sent(command, candidate, values, physical)
-        if sent is not None:
-            return candidate, sent
-    raise UsageError(f"{command.name} has no {role} for these values")
+        found += [] if sent is None else [(candidate, sent)]
+    if problem is not None or not found:
+        raise problem or UsageError(f"{command.name} has no {role} for these values")
+    return found[0]
 
 
 def _all_sent(command: Command, form: Form, values: Mapping[str, Value], physical: bool) -> dict[str, int | bytes] | None:

@@ -119,13 +119,13 @@ def finding(
     issue: Issue,
     *,
     port: str,
-    address: int | None,
     first_ns: int,
     last_ns: int,
-    section: str,
     offset: int,
     topic: str,
     sequence: int,
+    address: int | None = None,
+    section: str = "",
     who: str = "",
 ) -> Finding:
     """Tie an issue to a place."""

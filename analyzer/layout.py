@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from fractions import Fraction
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 
@@ -314,36 +314,9 @@ def sint(name: str, width: int, **options: Any) -> Field:
 
 
 bits = uint
-
-
-def u8(name: str, **options: Any) -> Field:
-    """Declare an unsigned byte."""
-    return uint(name, 8, **options)
-
-
-def u16(name: str, **options: Any) -> Field:
-    """Declare an unsigned 16-bit field."""
-    return uint(name, 16, **options)
-
-
-def u32(name: str, **options: Any) -> Field:
-    """Declare an unsigned 32-bit field."""
-    return uint(name, 32, **options)
-
-
-def i8(name: str, **options: Any) -> Field:
-    """Declare a signed byte."""
-    return sint(name, 8, **options)
-
-
-def i16(name: str, **options: Any) -> Field:
-    """Declare a signed 16-bit field."""
-    return sint(name, 16, **options)
-
-
-def i32(name: str, **options: Any) -> Field:
-    """Declare a signed 32-bit field."""
-    return sint(name, 32, **options)
+#: Fields of whole bytes, as `uint` and `sint` declare them: `u8("status", choices=Status)`.
+u8, u16, u32 = (partial(uint, width=width) for width in (8, 16, 32))
+i8, i16, i32 = (partial(sint, width=width) for width in (8, 16, 32))
 
 
 def fixed(name: str, width: int, value: int, **options: Any) -> Field:

@@ -181,10 +181,8 @@ class Pipeline:
         found = finding(
             issue,
             port=event.port,
-            address=None,
             first_ns=first_ns,
             last_ns=last_ns,
-            section="",
             offset=0 if port is None else port.bytes_in,
             topic=events.TOPIC,
             sequence=self.sequence,
@@ -477,10 +475,8 @@ class Pipeline:
         found = finding(
             of_junk(junk),
             port=port.name,
-            address=None,
             first_ns=junk.first_ns,
             last_ns=junk.last_ns,
-            section="",
             offset=junk.offset,
             topic=topic,
             sequence=self.sequence,

@@ -69,25 +69,14 @@ class Port:
         self.bus = topic_name(name)
         self.setup = setup
         self._options = options
-        self.context = Context(options.groups)
         self.decoders: dict[str, Decoder] = {}
-        self.framer: Framer | None = None
-        self.can: list[Dialect] = []
-        #: Those of CAN that describe the messages of other nodes.
-        self.described: list[Dialect] = []
-        self.serial: list[Dialect] = []
-        self._by_evidence: list[Dialect] = []
-        self._alike: dict[str, Likeness] = {}
         self.nodes = Nodes(options.listed)
         self.clock_ns = 0
         #: Place of the first byte here, and of the next one.
         self.start = self.bytes_in = setup.offset
         self._request_topics: dict[tuple[int, str], str] = {}
         self._reply_topics: dict[tuple[int, str], str] = {}
-        self._build(setup)
-        self.transactions = Transactions(
-            self.context, late_ns=options.late_ns, half_duplex=self.framer is not None, timed=options.timed
-        )
+        self.renew()
 
     def _build(self, setup: PortSetup) -> None:
         self.setup = setup
@@ -96,20 +85,20 @@ class Port:
             known = self.decoders.get(dialect.name)
             if known is None or known.dialect is not dialect:
                 self.decoders[dialect.name] = Decoder(dialect)
-        serial = self.serial = [d for d in setup.dialects if d.bus == "serial"]
+        self.serial = [d for d in setup.dialects if d.bus == "serial"]
         can = [d for d in setup.dialects if d.bus == "can"]
         self.can = [d for d in can if not d.link.by_identifier]
+        #: Those that describe the messages of other nodes.
         self.described = [d for d in can if d.link.by_identifier]
         # What no check speaks for comes last.
         self._by_evidence = sorted(self.can, key=lambda d: not d.link.checked)
         self._alike = {d.name: Likeness(d) for d in self.can}
         self.nodes.listed = self._options.listed if setup.listed is None else setup.listed
         byte_ns = self._options.byte_ns if setup.byte_ns is None else setup.byte_ns
-        self.framer = (
-            Framer(self.name, serial, self.context, byte_ns=byte_ns, silence_ns=self._options.silence_ns, offset=self.bytes_in)
-            if serial
-            else None
-        )
+        self.framer = None
+        if self.serial:
+            silence_ns, offset = self._options.silence_ns, self.bytes_in
+            self.framer = Framer(self.name, self.serial, self.context, byte_ns=byte_ns, silence_ns=silence_ns, offset=offset)
 
     def change(self, setup: PortSetup) -> Iterator[Frame | Junk]:
         """Go over to another setup; yield what waited until now, then the change is made. Use all of it up."""
@@ -122,7 +111,7 @@ class Port:
             self.framer.restore(before)
 
     def renew(self) -> None:
-        """Begin anew behind all that has come, with nothing open: after a fault in decoding."""
+        """Begin, or begin anew behind all that has come, with nothing open: after a fault in decoding."""
         self.context = Context(self._options.groups)
         self._build(self.setup)
         self.transactions = Transactions(

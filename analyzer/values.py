@@ -96,6 +96,11 @@ def identifier(number: int, *, extended: bool = False) -> str:
     return f"0x{number:08X}" if extended or number > CAN_ID_LIMIT else f"0x{number:03X}"
 
 
+def raw_text(data: str, can_id: int | None, *, extended: bool = False) -> str:
+    """Return what filters call `raw`: the bytes of a frame as hex, on CAN its identifier first."""
+    return data if can_id is None else f"{can_id:0{8 if extended else 2}X} {data}".rstrip()
+
+
 def addresses(text: str, option: str, lowest: int = 1) -> list[int]:
     """Return the addresses of `1-32` or `1,2,0x123-0x12F`, each once, in order; none is below `lowest`. Raises UsageError."""
     found: dict[int, None] = {}
@@ -115,11 +120,11 @@ def addresses(text: str, option: str, lowest: int = 1) -> list[int]:
     return list(found)
 
 
-def near(word: str, known: Iterable[str]) -> str:
-    """Return `; did you mean A or B?` with the names next to a word, or nothing."""
+def near(word: str, known: Iterable[str], most: int = 3) -> str:
+    """Return `; did you mean A or B?` with at most so many names next to a word, or nothing."""
     import difflib
 
-    found = difflib.get_close_matches(word[:_LONGEST].lower(), list(known), 3, 0.5)
+    found = difflib.get_close_matches(word[:_LONGEST].lower(), list(known), most, 0.5)
     return f"; did you mean {' or '.join(found)}?" if found else ""
 
 
@@ -204,7 +209,10 @@ def parse_value(field: Field, text: str, *, as_sent: bool = False) -> int | byte
     """
     stripped = text.strip()
     if field.kind is FieldKind.BYTES:
-        return _parse_bytes(field, stripped)
+        try:
+            return bytes.fromhex(stripped)
+        except ValueError:
+            raise UsageError(f"{field.name}: got {quote(stripped)}, expected hex bytes") from None
     if len(stripped) > _LONGEST:
         raise _unknown(field, text)
     word = stripped.lower().replace("-", "_")
@@ -242,13 +250,6 @@ def _parse_switch(field: Field, word: str) -> int | None:
     if not switches or word not in _ON | _OFF:
         return None
     return int(word in _ON)
-
-
-def _parse_bytes(field: Field, text: str) -> bytes:
-    try:
-        return bytes.fromhex(text)
-    except ValueError:
-        raise UsageError(f"{field.name}: got {quote(text)}, expected hex bytes") from None
 
 
 def _unknown(field: Field, text: str) -> UsageError:

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from analyzer import dialects
-
-ROOT = Path(__file__).parents[1]
+from tests import ROOT
 
 
 def make_site(folder: Path, module: str, text: str, dialect: str) -> Path:

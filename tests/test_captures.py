@@ -7,7 +7,6 @@ import gzip
 import hashlib
 import importlib.util
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -15,9 +14,9 @@ from analyzer.cli import main
 from analyzer.cli.reading import add_reading_arguments, open_reading
 from analyzer.decoder import physical
 from analyzer.pipeline import Pipeline
+from tests import CAPTURES
 from tests.collect import Collect
 
-CAPTURES = Path(__file__).parents[1] / "captures"
 FILES = sorted(p for p in CAPTURES.iterdir() if p.suffix not in (".py", ".golden", ".md") and p.is_file())
 
 

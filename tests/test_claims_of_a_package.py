@@ -8,9 +8,8 @@ import re
 import subprocess
 import sys
 import textwrap
-from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from tests import ROOT
 
 
 def test_the_example_of_the_page_is_a_claim(tmp_path):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -15,6 +14,7 @@ from analyzer.protocols import mks_can, mks_shared
 from conformance.drives.mks import paths
 from conformance.motion import ramp
 from conformance.safety import stopping
+from tests import ROOT
 
 ALL = tuple(dialects.every())
 MKS = tuple(d for d in ALL if d.family == "mks")
@@ -246,7 +246,6 @@ def test_an_erratum_leaves_in_doubt_what_it_names() -> None:
 
 # --- what nothing but the catalogue says ------------------------------------------------------------------------------
 
-ROOT = Path(__file__).parents[1]
 #: Where dialects are declared, and the drives that speak them.
 _NAMING = ("analyzer/protocols", "analyzer/dialects.py", "conformance/drives")
 

@@ -6,7 +6,8 @@ import re
 
 import pytest
 
-from tests.test_readme import README, ROOT, make
+from tests import ROOT
+from tests.test_readme import README, make
 
 PAGE = (ROOT / "docs" / "first-hour.md").read_text()
 #: Commands that print what is on this machine.

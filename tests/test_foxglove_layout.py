@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 
-ROOT = Path(__file__).parents[1]
+from tests import ROOT
+
 LAYOUT = json.loads((ROOT / "docs" / "servotap.foxglove-layout.json").read_text())
 PANELS = LAYOUT["configById"]
 #: Kind of panel in a layout file -> its name in the SDK.

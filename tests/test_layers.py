@@ -6,9 +6,8 @@ import ast
 import re
 import subprocess
 import sys
-from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from tests import ROOT
 
 #: Lower layers first; a module imports only what stands before it (or beside it).
 LAYERS = (

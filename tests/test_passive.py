@@ -30,9 +30,9 @@ from pathlib import Path
 
 import pytest
 
+from tests import ROOT
 from tests.live.recorded import Recorded, pty_pair
 
-ROOT = Path(__file__).parents[1]
 MODULES = sorted((ROOT / "analyzer").rglob("*.py"))
 
 #: What opens a device, and what it may use to do so.

@@ -9,7 +9,8 @@ import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from tests import CAPTURES, ROOT
+
 _RUN = """
 import json, sys
 for name in ("fcntl", "termios", "pty", "tty", "resource", "grp", "pwd"):
@@ -26,7 +27,7 @@ def without_unix(*commands: list[str], cwd: Path) -> subprocess.CompletedProcess
 
 
 def test_what_only_reads_files_needs_no_unix(tmp_path):
-    capture = str(ROOT / "captures" / "mks_rs485.log")
+    capture = str(CAPTURES / "mks_rs485.log")
     done = without_unix(
         ["decode", capture, "-o", "a.mcap"], ["show", "a.mcap", "--limit", "3"], ["check", "a.mcap"],
         ["cut", "a.mcap", "--bus", "serial", "-o", "b.mcap"], ["export", "a.mcap", "-o", "a.csv"],

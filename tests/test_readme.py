@@ -6,15 +6,14 @@ import argparse
 import importlib.util
 import re
 from importlib import import_module
-from pathlib import Path
 
 import pytest
 
 from analyzer.cli import _every_command
 from analyzer.live import endpoint
+from tests import ROOT
 from tests.test_layers import PACKAGES
 
-ROOT = Path(__file__).parents[1]
 _SPEC = importlib.util.spec_from_file_location("make_docs", ROOT / "docs" / "make.py")
 make = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(make)

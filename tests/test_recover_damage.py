@@ -15,7 +15,9 @@ from analyzer.cli import main
 from analyzer.cli.recover import _unbroken
 from analyzer.live.spool import HEAD, RecordKind, SpoolReader, SpoolWriter, pack, segments, stems
 from analyzer.sources.stream import ZSTD_MAGIC
+from tests import CAPTURES
 from tests.collect import sum8
+from tests.fuzz.corpus import lay_out
 from tests.live.spooled import Spools, port, read
 
 LOG = "out.mcap"
@@ -43,23 +45,22 @@ def killed(whole):
     return found, set(sent)
 
 
+def frames_in(path):
+    """The frames of a log as they came, also where their declarations are lost."""
+    raw = [v["_raw"] for topic, _, v in read(path) if topic.endswith("/raw") or ("/lost/" in topic and "_raw" in v)]
+    return {each.replace(" ", "") for each in raw}
+
+
 def recovered(files, folder):
     """The frames of all logs there are after `recover`, each of which the library reads."""
-    for name, data in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+    lay_out(files, folder)
     assert main(["recover", str(folder / LOG)]) == 0
     assert not list(folder.glob("*.spool"))
     found = set()
     for path in folder.glob("*.mcap"):
         with path.open("rb") as stream:
             make_reader(stream, validate_crcs=True).get_summary()
-        found |= {
-            v["_raw"].replace(" ", "")
-            for topic, _, v in read(path)
-            if topic.endswith("/raw") or ("/lost/" in topic and "_raw" in v)
-        }
+        found |= frames_in(path)
     return found
 
 
@@ -159,16 +160,10 @@ def test_a_stray_file_is_no_spool(tmp_path):
     files, sent = killed(True)
     for name in ("notes.raw", "x.000000.raw", "-1-x.0.raw"):
         files = {**files, f"{SPOOL}/{name}": b"anything"}
-    for name, data in files.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_bytes(data)
+    lay_out(files, tmp_path)
     assert stems(tmp_path / SPOOL) == ["1-left"]
     assert main(["recover", str(tmp_path / LOG)]) == 0
-    assert sent == {
-        v["_raw"].replace(" ", "")
-        for topic, _, v in read(tmp_path / LOG)
-        if topic.endswith("/raw") or ("/lost/" in topic and "_raw" in v)
-    }
+    assert frames_in(tmp_path / LOG) == sent
 
 
 @pytest.mark.parametrize("pattern", ["recording*.json", "checkpoint.?", "*.raw"])
@@ -176,9 +171,7 @@ def test_what_is_missing_is_said_with_what_to_do(tmp_path, pattern, capsys, cli)
     files, sent = killed(True)
     files = {name: data for name, data in files.items() if not Path(name).match(pattern)}
     if pattern == "recording*.json":
-        for name, data in files.items():
-            (tmp_path / name).parent.mkdir(exist_ok=True)
-            (tmp_path / name).write_bytes(data)
+        lay_out(files, tmp_path)
         assert "repairs the log alone" in cli("recover", tmp_path / LOG, status=2).err
         assert (tmp_path / LOG).read_bytes() == files[LOG]
         return
@@ -222,7 +215,7 @@ def test_what_is_no_file_is_not_replaced(command, tmp_path, cli):
     os.mkfifo(fifo)
     link = tmp_path / "link"
     link.symlink_to(fifo)
-    capture = str(Path(__file__).parents[1] / "captures" / "mks_rs485.mcap")
+    capture = str(CAPTURES / "mks_rs485.mcap")
     for target in map(str, (fifo, link)):
         words = (
             [capture, "-o", target]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import ast
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests import ROOT
+
 MODULES = sorted(path for package in ("conformance", "servotap") for path in (ROOT / package).rglob("*.py"))
 
 #: What can write to a port, a connection or a bus -> the calls that make it able to.

@@ -149,11 +149,9 @@ def _main(words: list[str]) -> int:
 
     entry = COMMANDS.get(name) or _added().get(name)
     if entry is None:
-        import difflib
+        from analyzer.values import near
 
-        near = difflib.get_close_matches(name, [*COMMANDS, *_added()], 1, 0.4)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        print(f"servotap: no command {name!r}{hint} (see servotap --help)", file=sys.stderr)
+        print(f"servotap: no command {name!r}{near(name, [*COMMANDS, *_added()], 1)} (see servotap --help)", file=sys.stderr)
         return 2
     load = partial(_loaded, entry[0])
     module = load() if entry[0].startswith(_OWN) else attempt(f"the command {name} ({entry[0]})", load)
@@ -196,13 +194,12 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one line: the usage stands in the help."""
 
     def error(self, message: str) -> NoReturn:
-        import difflib
-
-        from analyzer.values import printable
+        from analyzer.values import near, printable
 
         wrong = next((word for word in message.split() if word.startswith("--")), "")
-        near = difflib.get_close_matches(wrong.partition("=")[0], self._option_string_actions, 1, 0.6) if wrong else []
-        hint = f"; did you mean {near[0]}?" if near and near[0] not in message else ""
+        hint = near(wrong.partition("=")[0], self._option_string_actions, 1) if wrong else ""
+        # argparse may have named the option itself.
+        hint = "" if hint[len("; did you mean ") : -1] in message else hint
         self.exit(2, f"{self.prog}: {printable(message)}{hint} (see {self.prog} --help)\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:

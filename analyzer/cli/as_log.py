@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 
 from analyzer.catalogue import Dialect
-from analyzer.cli.decode import cores, decode, processes
+from analyzer.cli.decode import cores, decode, processes, watched_here
 from analyzer.cli.decode_targets import Capture
 from analyzer.cli.reading import asks_for_decoding, progress
 from analyzer.cli.time_range import TimeRange
@@ -56,11 +56,7 @@ def as_log(path: str, arguments: argparse.Namespace) -> Iterator[AsLog]:
     with scratch_folder() as folder:
         target = folder / "capture.mcap"
         given = argparse.Namespace(**vars(arguments) | {"to": "mcap", "jobs": processes(cores()), "force": True})
-        done = decode(
-            Capture(path, target),
-            given,
-            lambda reading, frames: progress(reading.source, f"decoding {reading.source.name}", frames),
-        )
+        done = decode(Capture(path, target), given, watched_here)
         if done.stopped.startswith("stopped"):
             raise KeyboardInterrupt
         reading = done.reading

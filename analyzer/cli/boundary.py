@@ -54,14 +54,29 @@ def _escape(error: UnicodeError) -> tuple[str, int]:
 codecs.register_error(_ERRORS, _escape)
 
 
+class Forgiving:
+    """A text stream to which writing never fails; all else is as with the stream itself."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 class _Clean:
-    """A text stream to which nothing gets that steers a terminal; all else is as with the stream itself.
+    """A text stream to which nothing gets that steers a terminal; all else is as with the stream itself."""
 
-    `forgiving`: writing never fails, as nothing is left where one could say so.
-    """
-
-    def __init__(self, stream: TextIO, *, forgiving: bool) -> None:
-        self._forgiving = contextlib.suppress(OSError) if forgiving else contextlib.nullcontext()
+    def __init__(self, stream: TextIO | Forgiving) -> None:
         #: Where rich writes: its own escapes are wanted.
         self.rich_proxied_file = stream
         self._colours = stream.isatty()
@@ -69,18 +84,11 @@ class _Clean:
             cast(Any, stream).reconfigure(errors=_ERRORS)
 
     def write(self, text: str) -> int:
-        """Write a text, cleaned."""
         if not text.isprintable() and text != "\n":
             parts = _COLOUR.split(text) if self._colours else [text]
             text = "".join(part if n % 2 else printable(part, "\n\t") for n, part in enumerate(parts))
-        with self._forgiving:
-            self.rich_proxied_file.write(text)
+        self.rich_proxied_file.write(text)
         return len(text)
-
-    def flush(self) -> None:
-        """Flush the stream."""
-        with self._forgiving:
-            self.rich_proxied_file.flush()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.rich_proxied_file, name)
@@ -93,9 +101,9 @@ def _clean_streams() -> Iterator[None]:
         _reserve_descriptors()
     for number, name, stream in ((1, "stdout", sys.stdout), (2, "stderr", sys.stderr)):
         if not isinstance(stream, _Clean):
-            # Errors that cannot be told go nowhere; an output that cannot be written is one.
             usable = stream or open(number, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
-            setattr(sys, name, _Clean(usable, forgiving=name == "stderr"))
+            # Errors that cannot be told go nowhere; an output that cannot be written is one.
+            setattr(sys, name, _Clean(Forgiving(usable) if name == "stderr" else usable))
     try:
         yield
     finally:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import IO, Any, NoReturn
 
 from rich.console import Console as RichConsole
 from rich.console import ConsoleOptions, RenderableType
 from rich.segment import Segment
+from rich.table import Table
 
 from analyzer.values import printable
 
@@ -36,3 +37,14 @@ class Console(RichConsole):
     def on_broken_pipe(self) -> NoReturn:
         """Leave it to the command's boundary."""
         raise BrokenPipeError
+
+
+def table(*columns: str, numbers: Collection[str] = (), **more: Any) -> Table:
+    """Return a table without rows. On a narrow terminal texts go over several lines, and `numbers` stay whole."""
+    made = Table(box=None, pad_edge=False, header_style="bold", **more)
+    for name in columns:
+        if name in numbers:
+            made.add_column(name, justify="right", no_wrap=True)
+        else:
+            made.add_column(name, overflow="fold")
+    return made

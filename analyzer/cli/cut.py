@@ -124,7 +124,6 @@ class _Cut:
         return at_ns
 
     def _is_traffic(self, channel: Channel) -> bool:
-        """Say whether a channel has frames or bytes of a wanted bus."""
         parts = channel.topic.split("/")
         if len(parts) < 3 or parts[2] == "stats" or parts[-1] == "state":
             return False

@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     found = captures(arguments)
     if len(found) == 1:
         arguments.jobs = arguments.jobs or processes(cores())
-        done = decode(found[0], arguments, _progress)
+        done = decode(found[0], arguments, watched_here)
         done.report(arguments)
         if done.stopped.startswith("stopped"):
             raise KeyboardInterrupt
@@ -205,7 +205,6 @@ class _Done:
         return 1 if arguments.strict and self.summary.severities[Severity.ERROR] else 0
 
     def as_object(self) -> dict[str, Any]:
-        """Return the summary as an object for JSON."""
         reading = self.reading
         return {
             "file": reading.source.path,
@@ -246,7 +245,8 @@ class _Done:
 Progress = Callable[[OpenCapture, Callable[[], int]], contextlib.AbstractContextManager[None]]
 
 
-def _progress(reading: OpenCapture, frames: Callable[[], int]) -> contextlib.AbstractContextManager[None]:
+def watched_here(reading: OpenCapture, frames: Callable[[], int]) -> contextlib.AbstractContextManager[None]:
+    """Show on the terminal how far a capture has come."""
     return progress(reading.source, f"decoding {reading.source.name}", frames)
 
 
@@ -308,7 +308,10 @@ def _metadata(
 ) -> dict[str, str]:
     source = reading.source
     total = pipeline.bytes_in - reading.time_range.unseen_bytes
-    _account(total, summary)
+    accounted = summary.frame_bytes + sum(summary.junk_bytes.values())
+    if accounted != total:
+        # A byte was lost or accounted twice: a fault of this program.
+        raise RuntimeError(f"{total} bytes came in, {accounted} accounted for")
     values = {
         "source": source.name,
         "source_size": str(source.size if source.size is not None else source.position()),
@@ -334,10 +337,3 @@ def _metadata(
     if source.notes:
         values["notes"] = "; ".join(source.notes)
     return values
-
-
-def _account(total: int, summary: Summary) -> None:
-    """Raise if a byte was lost or accounted twice: that would be a fault of this program."""
-    accounted = summary.frame_bytes + sum(summary.junk_bytes.values())
-    if accounted != total:
-        raise RuntimeError(f"{total} bytes came in, {accounted} accounted for")

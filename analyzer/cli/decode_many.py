@@ -23,6 +23,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -223,28 +224,19 @@ class _Work:
 
 
 def _print_summary(outcomes: Sequence[tuple[Capture, Outcome]], count: int, seconds: float, asked: str) -> None:
-    from rich.table import Table
     from rich.text import Text
 
-    from analyzer.cli.console import Console
+    from analyzer.cli.console import Console, table
 
     console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 160)
 
     def line(text: str, style: str = "") -> None:
         console.print(Text(printable(text), style=style))
 
-    def heading() -> Table:
-        table = Table(box=None, pad_edge=False, header_style="bold")
-        # On a narrow terminal names go over several lines, and numbers stay whole.
-        for name in ("capture", "format", "dialect"):
-            table.add_column(name, overflow="fold")
-        for name in ("frames", "junk bytes", "findings", "errors"):
-            table.add_column(name, justify="right", no_wrap=True)
-        table.add_column("log", overflow="fold")
-        return table
-
+    numbers = ("frames", "junk bytes", "findings", "errors")
+    heading = partial(table, "capture", "format", "dialect", *numbers, "log", numbers=numbers)
     good = [(capture, outcome) for capture, outcome in outcomes if outcome.whole]
-    table = heading()
+    rows = heading()
     rules: Counter[str] = Counter()
     severity: dict[str, str] = {}
     where: dict[str, Counter[str]] = {}
@@ -253,13 +245,13 @@ def _print_summary(outcomes: Sequence[tuple[Capture, Outcome]], count: int, seco
     for capture, outcome in good:
         whole = outcome.whole
         found = whole["findings"]
-        numbers = (whole["frames"], sum(whole["bytes"]["junk"].values()), sum(each["count"] for each in found))
+        counts = (whole["frames"], sum(whole["bytes"]["junk"].values()), sum(each["count"] for each in found))
         errors = sum(each["count"] for each in found if each["severity"] == "error")
-        row = (capture.path, whole["format"], ", ".join(whole["dialects"]), *map(str, (*numbers, errors)), whole["log"])
-        if table.row_count == _ROWS:
-            console.print(table)
-            table = heading()
-        table.add_row(*(Text(printable(cell)) for cell in row))
+        row = (capture.path, whole["format"], ", ".join(whole["dialects"]), *map(str, (*counts, errors)), whole["log"])
+        if rows.row_count == _ROWS:
+            console.print(rows)
+            rows = heading()
+        rows.add_row(*(Text(printable(cell)) for cell in row))
         frames, size = frames + whole["frames"], size + (0 if outcome.stopped else capture.size)
         for each in found:
             rules[each["rule"]] += each["count"]
@@ -268,11 +260,9 @@ def _print_summary(outcomes: Sequence[tuple[Capture, Outcome]], count: int, seco
         for text in (*(f"note: {note}" for note in whole["notes"]), *outcome.causes):
             said.setdefault(text, []).append(capture.path)
     if good:
-        console.print(table)
+        console.print(rows)
     if rules:
-        listed = Table(box=None, pad_edge=False, header_style="bold")
-        for name in ("finding", "severity", "count", "most of them in"):
-            listed.add_column(name, justify="right" if name == "count" else "left", overflow="fold")
+        listed = table("finding", "severity", "count", "most of them in", numbers=("count",))
         for rule, times in rules.most_common():
             most, more = where[rule].most_common(1)[0][0], len(where[rule]) - 1
             also = f" and {counted(more, 'other')}" if more else ""

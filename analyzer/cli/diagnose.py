@@ -11,7 +11,7 @@ import json
 import sys
 from typing import Any
 
-from analyzer.cli.reading import add_reading_arguments, open_reading, progress
+from analyzer.cli.reading import add_reading_arguments, open_reading, progress, tell_notes
 from analyzer.cli.signals import Interrupt
 from analyzer.diagnosis.diagnose import Diagnosis, diagnosis, lines
 from analyzer.diagnosis.watch import Watch
@@ -53,8 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             for line in [*lines(found), *_next(found)]:
                 print(printable(line if len(arguments.files) == 1 else f"{path}: {line}"))
-            for note in notes:
-                print(printable(f"note: {note}"), file=sys.stderr)
+            tell_notes(notes)
         status = max(status, 1 if found.causes else 0)
     return status
 

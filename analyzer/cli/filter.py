@@ -29,7 +29,7 @@ from analyzer.errors import UsageError
 from analyzer.findings import RULES
 from analyzer.layout import NOT_NUMERIC, Field, FieldKind
 from analyzer.records import Frame, Severity
-from analyzer.values import factor, near, quote
+from analyzer.values import factor, near, quote, raw_text
 
 _LONGEST = 2000
 _DEEPEST = 50
@@ -109,7 +109,9 @@ def vocabulary(dialects: Iterable[Dialect]) -> dict[str, Meaning]:
         "section": _of(Kind.TEXT),
         "sequence": _of(Kind.NUMBER),
     }
-    known["address"].low, known["address"].high = 0, max((_highest(dialect) for dialect in chosen), default=None)
+    # Frames can name all addresses that their bits hold.
+    highest = (0x1FFF_FFFF if dialect.bus == "can" else 0xFF for dialect in chosen)
+    known["address"].low, known["address"].high = 0, max(highest, default=None)
     for dialect in chosen:
         for command in (*dialect.commands, *dialect.fallbacks.values()):
             forms = (*command.request_forms, *command.reply_forms, *((dialect.exception,) if dialect.exception else ()))
@@ -119,11 +121,6 @@ def vocabulary(dialects: Iterable[Dialect]) -> dict[str, Meaning]:
                 if declared.choices is not None:
                     known.setdefault(name + "_name", Meaning(Kind.TEXT)).words |= set(declared.choice_names.values())
     return known
-
-
-def _highest(dialect: Dialect) -> int:
-    """Return the highest address that a frame on the bus of a dialect can name: all that its bits hold."""
-    return 0x1FFF_FFFF if dialect.bus == "can" else 0xFF
 
 
 @dataclass(frozen=True)
@@ -192,7 +189,6 @@ class Filter:
         self._test = self._condition(tree)
 
     def __call__(self, names: _Names) -> bool:
-        """Say whether a message with these names is wanted."""
         try:
             return self._test(names)
         except (TypeError, ValueError, ArithmeticError):
@@ -269,11 +265,9 @@ class Filter:
 
 
 def bytes_text(frame: Frame) -> str:
-    """Return what `raw` names: the bytes of a frame as hex, on CAN its identifier first."""
-    text = frame.data.hex(" ").upper()
-    if frame.can is None:
-        return text
-    return f"{frame.can.id:08X} {text}".rstrip() if frame.can.extended else f"{frame.can.id:02X} {text}".rstrip()
+    """Return what `raw` names of a frame."""
+    can_id, extended = (None, False) if frame.can is None else (frame.can.id, frame.can.extended)
+    return raw_text(frame.data.hex(" ").upper(), can_id, extended=extended)
 
 
 def parsed(text: str) -> ast.expr:

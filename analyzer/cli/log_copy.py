@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -20,6 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from analyzer import __version__
 from analyzer.cli.output import free_target, inputs, whole
+from analyzer.cli.reading import tell_notes
 from analyzer.errors import UnreadableError, UsageError
 from analyzer.sinks.mcap_chunk import CHUNK_SIZE
 from analyzer.sources import Source, open_source
@@ -179,8 +179,7 @@ def write_made(
         with whole(target, replace=arguments.force) as stream:
             said, notes = write(logs, stream)
     print(f"wrote {printable(arguments.output)}: {said}")
-    for note in notes:
-        print(f"note: {printable(note)}", file=sys.stderr)
+    tell_notes(notes)
     return 0
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from analyzer.cli.as_log import AsLog, as_log
 from analyzer.cli.filter import Filter, vocabulary
 from analyzer.cli.output import free_target, inputs, write_whole
-from analyzer.cli.reading import add_reading_arguments
+from analyzer.cli.reading import add_reading_arguments, tell_notes
 from analyzer.dialects import every
 from analyzer.errors import UsageError
 from analyzer.report.kept import extremes
@@ -74,8 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         write_whole(target, plots.picture(target.suffix[1:].lower()), replace=arguments.force)
         print(printable(f"wrote {target}"))
-    for note in notes:
-        print(f"note: {printable(note)}", file=sys.stderr)
+    tell_notes(notes)
     return 0
 
 

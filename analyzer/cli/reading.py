@@ -6,7 +6,7 @@ import argparse
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cached_property
 from itertools import chain
@@ -36,7 +36,7 @@ from analyzer.pipeline import Item, Pipeline
 from analyzer.port import Options, PortSetup, Setups, listed_in
 from analyzer.records import CanFrame, Chunk, Event
 from analyzer.sources.times import ESTIMATED
-from analyzer.values import quote
+from analyzer.values import printable, quote
 
 if TYPE_CHECKING:
     from analyzer.sources import Source
@@ -138,11 +138,9 @@ class OpenCapture:
         return tuple(d for d in every.values() if d.bus not in self._first_kinds)
 
     def __iter__(self) -> Iterator[Item]:
-        """Yield all items of the capture."""
         return self._items
 
     def pipeline(self, sinks: Sequence[Sink]) -> Pipeline:
-        """Return the pipeline that decodes this capture into sinks."""
         on_setup: Callable[[Event], PortSetup | None] | None = self._set_up if self._known else None
         wanted = self.time_range.sinks(sinks)
         return Pipeline(self.dialects, wanted, self.options, ports=self.ports, on_setup=on_setup, others=lambda: self.others)
@@ -153,7 +151,6 @@ class OpenCapture:
         return tuple(self._known.values()) or (*self.dialects, *self.others)
 
     def _by_name(self) -> dict[str, Dialect]:
-        """Return every dialect that may come up, by its name."""
         return registry.readable_by_name(self._devices, self.model)
 
     # --- the choice of dialects -----------------------------------------------------------------------------------
@@ -410,6 +407,12 @@ def meanwhile(work: Callable[[threading.Event], None]) -> Iterator[None]:
     finally:
         done.set()
         thread.join()
+
+
+def tell_notes(notes: Iterable[str]) -> None:
+    """Print what a user should know, beside the output proper."""
+    for note in notes:
+        print(f"note: {printable(note)}", file=sys.stderr)
 
 
 def now_text() -> str:

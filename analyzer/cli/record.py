@@ -135,7 +135,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def display_of(arguments: argparse.Namespace, command: str) -> Display:
     """Return how the recording is to be shown. Raises UsageError where that cannot be."""
-    from analyzer.cli.record_display import make_display
+    from analyzer.cli.record_display import Display, JsonDisplay, TableDisplay, ViewDisplay
 
     if arguments.view and arguments.json:
         raise UsageError("--view and --json exclude each other")
@@ -143,7 +143,8 @@ def display_of(arguments: argparse.Namespace, command: str) -> Display:
         from analyzer.view import require_terminal
 
         require_terminal(f"servotap {command} --view")
-    return make_display(json=arguments.json, view=arguments.view)
+        return ViewDisplay()
+    return JsonDisplay() if arguments.json else TableDisplay() if sys.stdout.isatty() else Display()
 
 
 def asked_duration_ns(arguments: argparse.Namespace) -> int:

@@ -27,15 +27,6 @@ _BEHIND_NS = 1_000_000_000
 _LOOK_S = 0.25
 
 
-def make_display(*, json: bool = False, view: bool = False) -> Display:
-    """Return what fits the options and where the output goes."""
-    if view:
-        return ViewDisplay()
-    if json:
-        return JsonDisplay()
-    return TableDisplay() if sys.stdout.isatty() else Display()
-
-
 def counts(supervisor: Supervisor) -> list[tuple[str, str, BusCounts]]:
     """Return the buses with the state of their ports and their counts."""
     snapshot = supervisor.snapshot
@@ -113,7 +104,6 @@ class Display:
         self._notes.put((bus, text))
 
     def tell_notes(self) -> None:
-        """Tell all that has been noted."""
         while not self._notes.empty():
             self._tell(*self._notes.get())
 
@@ -224,7 +214,6 @@ class TableDisplay(Display):
         self._console = Console(highlight=False)
 
     def _tell(self, bus: str, text: str) -> None:
-        """Print a note above the table."""
         from rich.text import Text
 
         self._console.print(Text(printable(f"{bus}: {text}" if bus else text), style="yellow"))
@@ -239,17 +228,15 @@ class TableDisplay(Display):
                 thread.join(_LOOK_S)
 
     def _table(self, supervisor: Supervisor) -> Table:
-        from rich.table import Table
         from rich.text import Text
 
+        from analyzer.cli.console import table
+
         snapshot = supervisor.snapshot
-        table = Table(box=None, pad_edge=False, header_style="bold", title_justify="left", caption_justify="left")
-        table.add_column("bus")
-        table.add_column("")
-        for name in ("stored", "frames", "/s", "bytes/s", "load", "junk", "findings"):
-            table.add_column(name, justify="right")
+        numbers = ("stored", "frames", "/s", "bytes/s", "load", "junk", "findings")
+        shown = table("bus", "", *numbers, numbers=numbers, caption_justify="left")
         for bus, state, count in counts(supervisor):
-            table.add_row(
+            shown.add_row(
                 Text(printable(bus)),
                 Text(state, style="" if state == "listening" else "red"),
                 _stored(supervisor, bus),
@@ -263,8 +250,8 @@ class TableDisplay(Display):
         size = size_text(snapshot.log_bytes) if snapshot is not None else "0 B"
         late = _behind_text(supervisor)
         doing = "finishing the log" if supervisor.phase in ("ending", "finishing") else "Ctrl-C ends it"
-        table.caption = Text(f"{duration_text(int(seconds_of(supervisor) * 1e9))}, {size}{late and ', '}{late}; {doing}")
-        return table
+        shown.caption = Text(f"{duration_text(int(seconds_of(supervisor) * 1e9))}, {size}{late and ', '}{late}; {doing}")
+        return shown
 
 
 class ViewDisplay(Display):
@@ -278,16 +265,13 @@ class ViewDisplay(Display):
         self._open = True
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Pass it on."""
         self._snapshots.offer(snapshot)
 
     def say(self, text: str) -> None:
-        """Say it unless the view has the terminal."""
         if not self._open:
             super().say(text)
 
     def watch(self, supervisor: Supervisor, thread: threading.Thread) -> None:
-        """Show the view until the user quits or the recording ends."""
         from analyzer.view import run_live
 
         threading.Thread(target=self._end_with, args=(thread,), daemon=True).start()

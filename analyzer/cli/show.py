@@ -19,7 +19,7 @@ import msgspec
 from analyzer.catalogue import Role
 from analyzer.cli.filter import Filter, bytes_text, vocabulary
 from analyzer.cli.option_types import whole
-from analyzer.cli.reading import LONG_CAPTURE, add_reading_arguments, open_reading, progress
+from analyzer.cli.reading import LONG_CAPTURE, add_reading_arguments, open_reading, progress, tell_notes
 from analyzer.decoder import physical, units_of
 from analyzer.entries import Entry
 from analyzer.events import text_of
@@ -85,11 +85,9 @@ class Table:
             print(f"{'time':>15}  {'bus':<8} {'addr':>{self._who}} {'role':<7} {'command':<24} fields")
 
     def begin(self, plain: Plain) -> None:
-        """Take the next block."""
         self._plain = plain
 
     def run(self, start: int, stop: int, sequence: int) -> None:
-        """Print the plain frames in some rows that are wanted."""
         from analyzer.cli.sieve import Run, Sieve
 
         run = Run(self._plain, start, stop, sequence)
@@ -102,7 +100,6 @@ class Table:
             self._print(run.entry(row))
 
     def entry(self, entry: Entry) -> None:
-        """Print a frame if it is wanted."""
         if self._wanted is None or self._wanted(_filtered(entry)):
             self._print(entry)
 
@@ -128,7 +125,6 @@ class Table:
         self._line(self._shown_as(text, _COLORS[role]))
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Print a piece of junk if no filter is set."""
         if self._wanted is not None:
             return
         self._shown = {sequence}
@@ -142,7 +138,6 @@ class Table:
         self._line(self._shown_as(text, "35"))
 
     def finding(self, found: Finding) -> None:
-        """Print a finding below its message."""
         if self._json or (self._wanted is not None and found.sequence not in self._shown):
             return
         about = "" if found.sequence in self._shown else f" (frame {found.sequence}, {found.topic})"
@@ -151,7 +146,6 @@ class Table:
         print(self._shown_as(text, "31"))
 
     def happened(self, event: Event, sequence: int) -> None:
-        """Print what happened to the recording."""
         if self._wanted is not None or self._json or event.name in _UNSHOWN:
             return
         who = f"{printable(event.port)}: " if event.port else ""
@@ -159,7 +153,6 @@ class Table:
         print(self._shown_as(text, "2"), flush=self._flush)
 
     def comment(self, comment: Comment) -> None:
-        """Print a comment of the capture."""
         if self._wanted is None and not self._json:
             print(f"{'':>15}  # {printable(comment.text).lstrip('# ')}")
 
@@ -261,9 +254,8 @@ def _show(arguments: argparse.Namespace) -> int:
                     pipeline.run(reading)
             else:
                 pipeline.run(reading)
-        for note in reading.source.notes:
-            print(f"note: {printable(note)}", file=sys.stderr)
+        tell_notes(reading.source.notes)
         if not table.lines and arguments.limit != 0 and (wanted is not None or reading.time_range.wanted):
             asked = " and ".join(["the filter"] * (wanted is not None) + ["the time range"] * reading.time_range.wanted)
-            print(f"note: no frame fits {asked}", file=sys.stderr)
+            tell_notes([f"no frame fits {asked}"])
     return 0

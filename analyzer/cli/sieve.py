@@ -35,7 +35,6 @@ class Run:
         self.number = sequence - start
 
     def entry(self, row: int) -> Entry:
-        """Return the message of a row."""
         plain, sequence = self.plain, self.number + row
         lane = plain.lanes[plain.lane[row]]
         latency_ns = int(plain.latencies[row])

@@ -48,7 +48,6 @@ class _Paper:
         return Console(highlight=False, soft_wrap=True, width=None if self._styled else 140)
 
     def line(self, text: str, style: str = "") -> None:
-        """Print a line of text."""
         if not self._styled:
             print(printable(text))
             return
@@ -57,7 +56,6 @@ class _Paper:
         self._console.print(Text(printable(text), style=style))
 
     def table(self, table: Table) -> None:
-        """Print a table."""
         self._console.print(table)
 
 
@@ -101,7 +99,8 @@ def _commands(summary: Summary) -> Iterator[str]:
         lat = row.latencies
         times = [milliseconds(lat.quantile(0.5)), milliseconds(lat.quantile(0.99)), milliseconds(lat.greatest)]
         counts = [str(row.messages)] * told + [str(row.requests + row.unknown), str(row.replies)]
-        rows.append((printable(bus), who_text(summary, bus, address), name, *counts, *(times if lat.count else ("", "", ""))))
+        who = identifier(int(address)) if bus in summary.can and address.isdigit() else address
+        rows.append((printable(bus), who, name, *counts, *(times if lat.count else ("", "", ""))))
     widths = [max(map(cell_len, column)) for column in zip(*rows, strict=True)]
     for cells in rows:
         blanks = [" " * (width - cell_len(cell)) for width, cell in zip(widths, cells, strict=True)]
@@ -110,20 +109,13 @@ def _commands(summary: Summary) -> Iterator[str]:
         yield "  ".join(shown)
 
 
-def who_text(summary: Summary, bus: str, address: str) -> str:
-    """Return an address as people read it: on CAN the identifier in hexadecimal."""
-    return identifier(int(address)) if bus in summary.can and address.isdigit() else address
-
-
 def _others(summary: Summary) -> Table:
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("bus", "not of this dialect"):
-        table.add_column(name, no_wrap=True)
-    for name in ("frames", "share", "per s", "bytes"):
-        table.add_column(name, justify="right")
+    from analyzer.cli.console import table
+
+    numbers = ("frames", "share", "per s", "bytes")
+    found = table("bus", "not of this dialect", *numbers, numbers=numbers)
     seconds = (summary.last_ns - (summary.first_ns or 0)) / 1e9
     listed = summary.by_frames()
     more = listed[_OTHERS_NAMED:]
@@ -133,8 +125,8 @@ def _others(summary: Summary) -> Table:
     for bus, who, frames, size in rows:
         rate = f"{frames / seconds:.1f}" if seconds > 0 else ""
         share = f"{100 * frames / summary.frames:.1f} %"
-        table.add_row(Text(printable(bus)), who, str(frames), share, rate, str(size))
-    return table
+        found.add_row(Text(printable(bus)), who, str(frames), share, rate, str(size))
+    return found
 
 
 def _place(found: Finding) -> str:
@@ -144,16 +136,13 @@ def _place(found: Finding) -> str:
 
 
 def _findings(summary: Summary) -> Table:
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("finding")
-    table.add_column("severity")
-    table.add_column("count", justify="right")
-    table.add_column("the first few", overflow="fold")
+    from analyzer.cli.console import table
+
+    found = table("finding", "severity", "count", "the first few", numbers=("count",))
     for rule, count in summary.findings.most_common():
         severity = summary.worst[rule]
-        first = "\n".join(_place(found) + printable(found.text) for found in summary.first[rule])
-        table.add_row(rule, Text(severity.value, style=COLOURS[severity]), str(count), Text(first))
-    return table
+        first = "\n".join(_place(each) + printable(each.text) for each in summary.first[rule])
+        found.add_row(rule, Text(severity.value, style=COLOURS[severity]), str(count), Text(first))
+    return found

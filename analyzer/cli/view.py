@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import sys
 from pathlib import Path
 
 from analyzer.cli.filter import Filter, vocabulary
-from analyzer.cli.reading import add_reading_arguments, open_reading
+from analyzer.cli.reading import add_reading_arguments, open_reading, tell_notes
 from analyzer.errors import UsageError
 from analyzer.live.lock import recorded
 from analyzer.live.profile import FILE, names
 from analyzer.sources.tail import Follow
-from analyzer.values import printable
 from analyzer.view import require_terminal, run_capture
 
 EXAMPLES = """\
@@ -51,8 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.filter:
             Filter(arguments.filter, vocabulary(reading.possible))
         why = run_capture(reading, filter_text=arguments.filter)
-        for note in reading.source.notes:
-            print(f"note: {printable(note)}", file=sys.stderr)
+        tell_notes(reading.source.notes)
     if why != "quit":
         raise UsageError(why)
     return 0

@@ -34,7 +34,6 @@ class Format(NamedTuple):
 
     module: str
     writer: str
-    title: str
     summary: str
     ending: str
     holds: tuple[str, ...]
@@ -44,15 +43,15 @@ class Format(NamedTuple):
 FORMATS: dict[str, Format] = {
     "candump": Format(
         "candump", "CandumpWriter",
-        "candump", "the log form of can-utils (candump -L), CAN alone", ".candump.log", (CAN,),
+        "the log form of can-utils (candump -L), CAN alone", ".candump.log", (CAN,),
     ),
     "pcapng": Format(
         "pcapng", "PcapngWriter",
-        "pcapng", "for Wireshark: CAN as SocketCAN, serial as USER0 or RTAC", ".pcapng", (CAN, SERIAL), True,
+        "for Wireshark: CAN as SocketCAN, serial as USER0 or RTAC", ".pcapng", (CAN, SERIAL), True,
     ),
     "hex": Format(
         "hextext", "HexTextWriter",
-        "hex text", "a line of time, mark and hex bytes for each piece, serial alone", ".hex.txt", (SERIAL,),
+        "a line of time, mark and hex bytes for each piece, serial alone", ".hex.txt", (SERIAL,),
     ),
 }  # fmt: skip
 

@@ -193,7 +193,6 @@ class DataFile:
         self._captures |= dict.fromkeys(captures)
 
     def finish(self, place: Place) -> Added:
-        """Bring the file to the lake."""
         self._writer.close()
         data, name = memoryview(self._buffer.getvalue()), f"{uuid.uuid4().hex}.parquet"
         place.write(f"{self._table}/{name}", data)
@@ -213,7 +212,6 @@ class Files:
         self._added: list[Added] = []
 
     def add(self, name: str, rows: pyarrow.Table, capture: str, owner: Owner) -> None:
-        """Take rows of a capture's table."""
         self._owners[capture] = owner
         # Captures with and without dates have two schemas for one table, and so may two versions of a package.
         key = (name, rows.schema.serialize().to_pybytes())
@@ -224,7 +222,6 @@ class Files:
             self._convert(name, self._waiting.pop(key))
 
     def finish(self) -> list[Added]:
-        """Bring all files to the lake, and return them."""
         for (name, _), pieces in self._waiting.items():
             self._convert(name, pieces)
         self._write_transactions()

@@ -214,14 +214,11 @@ def _days(day: date) -> int:
 
 def health(question: Question) -> Health:
     """Look at a lake. Raises UnreadableError for one without captures that were read."""
-    totals = (
-        question.sql(
-            """select count(*) as captures, count(*) filter (status not in ('decoded', 'incomplete')) as unread,
+    (totals,) = _rows(
+        question,
+        """select count(*) as captures, count(*) filter (status not in ('decoded', 'incomplete')) as unread,
         count(distinct machine) as machines, min(date) as first, max(date) as last, sum(frames)::bigint as frames,
-        sum(size)::bigint as size, sum(errors)::bigint as errors from captures"""
-        )
-        .to_arrow_table()
-        .to_pylist()[0]
+        sum(size)::bigint as size, sum(errors)::bigint as errors from captures""",
     )
     if totals["last"] is None:
         raise UnreadableError(f"{question.lake.place.url} has no capture that could be read")
@@ -235,31 +232,29 @@ def health(question: Question) -> Health:
                     found.changes.append(change)
     found.changes.sort(key=lambda each: (not each.worse, -abs(each.deviations)))
     since = found.last - timedelta(days=RECENT)
-    found.captures = (
-        question.sql(
-            f"""select machine, date, source, name, status, reason, errors, frames, junk_bytes, causes from captures
+    found.captures = _rows(
+        question,
+        f"""select machine, date, source, name, status, reason, errors, frames, junk_bytes, causes from captures
         where (errors > 0 or status not in ('decoded', 'incomplete')) and (date is null or date > '{since}')
-        order by errors desc nulls first, name limit {SHOWN}"""
-        )
-        .to_arrow_table()
-        .to_pylist()
+        order by errors desc nulls first, name limit {SHOWN}""",
     )
-    found.silent = (
-        question.sql(
-            f"""select machine, max(date) as last from captures
+    found.silent = _rows(
+        question,
+        f"""select machine, max(date) as last from captures
         where status in ('decoded', 'incomplete') and machine is not null
-        group by machine having max(date) <= '{since}' order by last desc, machine limit {SHOWN}"""
-        )
-        .to_arrow_table()
-        .to_pylist()
+        group by machine having max(date) <= '{since}' order by last desc, machine limit {SHOWN}""",
     )
     return found
 
 
+def _rows(question: Question, query: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = question.sql(query).to_arrow_table().to_pylist()
+    return found
+
+
 def _by_drive(question: Question, query: str) -> dict[Who, History]:
-    rows = question.sql(f"select * from ({query}) where date is not null and value is not null order by date").to_arrow_table()
     grouped: dict[Who, list[tuple[float, float, float]]] = {}
-    for row in rows.to_pylist():
+    for row in _rows(question, f"select * from ({query}) where date is not null and value is not null order by date"):
         who = Who(row["machine"] or "", row["bus"] or "", row["address"])
         grouped.setdefault(who, []).append((_days(row["date"]), row["value"], row["count"]))
     return {who: History(*np.array(days, dtype=np.float64).T) for who, days in grouped.items()}

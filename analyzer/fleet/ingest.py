@@ -112,12 +112,10 @@ class Outcome:
     notes: list[str] = field(default_factory=list)
 
     def told(self) -> str:
-        """Say how far it is."""
         failed = f", {len(self.unread):,} not read" if self.unread else ""
         return f"ingesting {self.wanted:,} captures, {self.done:,} done{failed}"
 
     def as_object(self) -> dict[str, Any]:
-        """Return it for JSON."""
         unread = [{"name": name, "reason": reason} for name, reason in self.unread]
         return {"files": self.files, "bytes": self.read, "frames": self.frames, "new": self.new, "known": self.known,
                 "batches": self.batches, "recovered": self.recovered, "unread": unread, "notes": self.notes}  # fmt: skip
@@ -405,7 +403,6 @@ class Ingest:
         return [f"{small}: a new lake with --partition-by date has fewer and larger ones"]
 
     def commit(self) -> None:
-        """Commit what has come."""
         if self._waiting:
             self._sizes += [file.size for each in self._waiting for file in each.added]
             new = self.lake.commit(self._waiting)

@@ -167,7 +167,6 @@ class Lake:
             self.place.check_files(f"{folder}/{name}" for name in os.listdir(path))
 
     def exists(self, table: str) -> bool:
-        """Say whether there is a table of a name."""
         with self.reading(table):
             return bool(self._delta.DeltaTable.is_deltatable(self.uri(table), storage_options=self._options))
 
@@ -293,26 +292,23 @@ class Lake:
         """
         counts.check(self, {each.table for task in tasks for each in task.added})
         with self._writing():
-            return self._commit(tasks)
-
-    def _commit(self, tasks: Sequence[Taken]) -> int:
-        for _ in range(_RACES):
-            known, batch = self.known(), uuid.uuid4().hex
-            fresh: dict[str, dict[str, Any]] = {}
-            files: list[Added] = []
-            for task in tasks:
-                rows = {row["capture"]: row for row in task.captures if _is_new(row, known) and row["capture"] not in fresh}
-                fresh |= rows
-                files += only(self.place, task.added, rows.keys())
-            if not fresh:
-                return 0
-            entries = self._entries(files)
-            self.place.write(f"{JOURNAL}/{batch}.json", msgspec.json.encode(Journal(self._seen, entries)))
-            if self._commit_captures(batch, list(fresh.values()), known, entries):
-                self._settle(batch, entries)
-                return sum(row["status"] in TAKEN for row in fresh.values())
-            self.place.remove(f"{JOURNAL}/{batch}.json")
-        raise _lost(self.place.url)
+            for _ in range(_RACES):
+                known, batch = self.known(), uuid.uuid4().hex
+                fresh: dict[str, dict[str, Any]] = {}
+                files: list[Added] = []
+                for task in tasks:
+                    rows = {row["capture"]: row for row in task.captures if _is_new(row, known) and row["capture"] not in fresh}
+                    fresh |= rows
+                    files += only(self.place, task.added, rows.keys())
+                if not fresh:
+                    return 0
+                entries = self._entries(files)
+                self.place.write(f"{JOURNAL}/{batch}.json", msgspec.json.encode(Journal(self._seen, entries)))
+                if self._commit_captures(batch, list(fresh.values()), known, entries):
+                    self._settle(batch, entries)
+                    return sum(row["status"] in TAKEN for row in fresh.values())
+                self.place.remove(f"{JOURNAL}/{batch}.json")
+            raise _lost(self.place.url)
 
     def _entries(self, files: Sequence[Added]) -> dict[str, list[dict[str, Any]]]:
         """Return what the journal says of files, by table; those of another version are brought to its folder."""
@@ -400,43 +396,39 @@ class Lake:
     def compact(self, days: float) -> tuple[int, int]:
         """Join small files, and remove those that no table has needed for some days; return how many of both."""
         with self._writing():
-            return self._compact(days)
-
-    def _compact(self, days: float) -> tuple[int, int]:
-        joined = removed = 0
-        tables = self.tables()
-        if link := self.place.link_in(tables):
-            raise UsageError(f"{link} is a link to a folder, whose files would be removed: put what it leads to in its place")
-        for name in tables:
-            opened = self.open(name)
-            joined += opened.optimize.compact()["numFilesRemoved"]
-            removed += len(opened.vacuum(int(days * 24), dry_run=False, enforce_retention_duration=False, full=True))
-            opened.create_checkpoint()
-            opened.cleanup_metadata()
-        before = time.time() - days * 86_400
-        # A client that died has left them.
-        there = self.place.files(RANGES) if self.place.glob(f"{RANGES}/*") else []
-        left = [each for each in there if each.modified < before]
-        for each in left:
-            self.place.remove(f"{RANGES}/{each.name}")
-        return joined, removed + len(left)
+            joined = removed = 0
+            tables = self.tables()
+            if link := self.place.link_in(tables):
+                raise UsageError(
+                    f"{link} is a link to a folder, whose files would be removed: put what it leads to in its place"
+                )
+            for name in tables:
+                opened = self.open(name)
+                joined += opened.optimize.compact()["numFilesRemoved"]
+                removed += len(opened.vacuum(int(days * 24), dry_run=False, enforce_retention_duration=False, full=True))
+                opened.create_checkpoint()
+                opened.cleanup_metadata()
+            before = time.time() - days * 86_400
+            # A client that died has left them.
+            there = self.place.files(RANGES) if self.place.glob(f"{RANGES}/*") else []
+            left = [each for each in there if each.modified < before]
+            for each in left:
+                self.place.remove(f"{RANGES}/{each.name}")
+            return joined, removed + len(left)
 
     def recover(self) -> int:
         """Finish batches whose client died in the middle; return how many."""
         with self._writing():
-            return self._recover()
-
-    def _recover(self) -> int:
-        finished = 0
-        for batch, journal in list(self.pending()):
-            captures = self.open(CAPTURES)
-            if self.seen(CAPTURES, batch) is not None:
-                self._settle(batch, journal.files)
-                finished += 1
-            elif captures.version() > journal.seen:
-                # Another commit came first, so this one can never succeed.
-                self.place.remove(f"{JOURNAL}/{batch}.json")
-        return finished
+            finished = 0
+            for batch, journal in list(self.pending()):
+                captures = self.open(CAPTURES)
+                if self.seen(CAPTURES, batch) is not None:
+                    self._settle(batch, journal.files)
+                    finished += 1
+                elif captures.version() > journal.seen:
+                    # Another commit came first, so this one can never succeed.
+                    self.place.remove(f"{JOURNAL}/{batch}.json")
+            return finished
 
 
 def _lost(where: str) -> UsageError:

@@ -209,7 +209,6 @@ class Place:
             raise
 
     def move(self, name: str, to: str) -> None:
-        """Give a file another name."""
         again(lambda: self.fs.makedirs(posixpath.dirname(self.path(to)), exist_ok=True))
         again(lambda: self.fs.mv(self.path(name), self.path(to)))
 
@@ -219,17 +218,14 @@ class Place:
         return data
 
     def glob(self, pattern: str) -> list[str]:
-        """Return the paths that fit a pattern."""
         self.fs.invalidate_cache()
         return list(again(lambda: self.fs.glob(self.path(pattern))))
 
     def remove_folder(self, name: str) -> None:
-        """Remove a folder with its files, if it is there."""
         with contextlib.suppress(FileNotFoundError):
             again(lambda: self.fs.rm(self.path(name), recursive=True))
 
     def remove(self, name: str) -> None:
-        """Remove a file, if it is there."""
         with contextlib.suppress(FileNotFoundError):
             again(lambda: self.fs.rm_file(self.path(name)))
 

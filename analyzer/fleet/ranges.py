@@ -63,7 +63,6 @@ class Scan:
 
     @property
     def folder(self) -> str:
-        """The folder of its ranges, below the lake."""
         return f"{RANGES}/{self.name}"
 
     def path(self, number: int) -> str:
@@ -138,7 +137,6 @@ class _Spool:
         self.written = 0
 
     def feed(self, pipeline: Pipeline, item: Item) -> None:
-        """Pass an item on to the pipeline, and keep it."""
         self.capture.sees(item)
         if not self._items:
             self._before = self._state(pipeline)

@@ -96,7 +96,6 @@ class _Held:
         self.pieces: list[pyarrow.Table] = []
 
     def write(self, rows: pyarrow.Table) -> None:
-        """Hold the next rows."""
         self.pieces.append(rows)
         self._capture.holds(len(rows))
 
@@ -146,7 +145,6 @@ class Capture:
         return self._day or _day(self.work.found.modified)
 
     def release(self, files: Files) -> None:
-        """Give what is held to files."""
         owner = Owner(self.day.isoformat(), self.work.machine or None)
         for held in self.held:
             for piece in held.pieces if held.name != "metadata" else ():

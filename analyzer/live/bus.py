@@ -65,7 +65,6 @@ class Bus:
 
     @property
     def load(self) -> Speed:
-        """How long a byte and a bit take, as far as known."""
         if self.kind == "can":
             return Speed(0, 1_000_000_000 // self.speed if self.speed else 0)
         return Speed(self.byte_ns, 0)

@@ -42,7 +42,6 @@ class RecordingCounts:
         self.marks += 1
 
     def begin_part(self) -> None:
-        """Count a part from here on."""
         self._before = self._now()
 
     @property

@@ -72,7 +72,6 @@ class Detection:
                 self._size -= len(self._sample.popleft().data)
 
     def junk(self, size: int) -> None:
-        """Count bytes that belonged to no frame."""
         self._junk += size
 
     def first(self, t_ns: int, *, final: bool = False) -> Choice | None:

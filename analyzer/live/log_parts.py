@@ -155,7 +155,6 @@ class LogParts:
         }
 
     def sync(self) -> None:
-        """Bring the part onto the disk."""
         if self._stream is not None:
             self._stream.sync()
 
@@ -221,7 +220,6 @@ class LogParts:
             self._index.store_again()
 
     def close(self) -> None:
-        """Close the files of the part."""
         if self._stream is not None:
             self._closed = self._stream.stat()
             self.touched = self.touched or self._stream.touched

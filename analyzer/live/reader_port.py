@@ -81,13 +81,11 @@ class Stop:
         self.ask(self._gone)
 
     def ask(self, reason: str) -> None:
-        """Request the end."""
         self.asked = self.asked or reason
         # The end of the stream ends every wait, now and later.
         self._woken.shutdown(socket.SHUT_RD)
 
     def fileno(self) -> int:
-        """Return the descriptor to wait for."""
         return self._woken.fileno()
 
     def wait(self, seconds: float) -> bool:
@@ -143,11 +141,9 @@ class LibraryPort:
     library: str
 
     def adopt(self, fd: int) -> Opened:
-        """Refuse."""
         raise Unopened(f"{self.library}'s ports cannot be handed over")
 
     def descriptor(self) -> int | None:
-        """Return None."""
         return None
 
 

@@ -57,7 +57,6 @@ class SerialPort(DescriptorPort):
     # --- opening --------------------------------------------------------------------------------------------------
 
     def open(self, stop: Stop) -> Opened:
-        """Open the port and set it up."""
         path = self._path()
         self._adopted = False
         before_ns = time.monotonic_ns()

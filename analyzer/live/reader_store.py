@@ -100,7 +100,6 @@ class Store:
         self.idle = False
 
     def can(self, t_ns: int, can_id: int, flags: int, payload: bytes) -> None:
-        """Take a frame of a CAN bus."""
         t_ns = self._stamp(t_ns)
         self._batch.append(pack_can(t_ns, self.count, can_id, flags, payload))
         self.count += 1
@@ -233,7 +232,6 @@ class Store:
         return {self._unit: self._dropping, **about}
 
     def close(self, reason: str, wait: Callable[[float], None] = time.sleep) -> None:
-        """Note the end of a port and `finish`."""
         self.event("closed", reason=reason, records=self.records, **{self._unit: self.count})
         self.finish(wait)
 

@@ -403,7 +403,6 @@ class Recording:
         self.decode(bus, frame)
 
     def decode(self, bus: Bus, item: Chunk | CanFrame) -> None:
-        """Decode what came on a bus."""
         self._watched(item, bus.offset - len(item.data))
         try:
             self.pipeline.feed(item)

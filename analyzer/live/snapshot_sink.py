@@ -160,7 +160,6 @@ class SnapshotSink:
         self._events.append(FrameLine(0, comment.t_ns or 0, comment.port, EVENT, "comment", text=comment.text))
 
     def happened(self, event: Event, sequence: int) -> None:
-        """Take what happened to the recording and stands in its log."""
         if event.name not in _QUIET:
             self._events.append(event_line(event, sequence))
 

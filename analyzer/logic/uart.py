@@ -71,7 +71,6 @@ class Read:
 
     @property
     def bad(self) -> int:
-        """How many bytes have an error."""
         return int((self.bad_stop | self.bad_parity).sum())
 
 

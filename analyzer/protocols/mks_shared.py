@@ -292,14 +292,17 @@ def direction(**options: Any) -> Field:
     return bits("direction", 1, **{"choices": MotionDirection, "printed": "dir"} | options)
 
 
+_SPEED: dict[str, Any] = {"maximum": 3000, "unit": "rpm", "printed": "speed"}
+
+
 def speed12(**options: Any) -> Field:
     """Declare the 12-bit speed of a motion command."""
-    return bits("speed", 12, **{"maximum": 3000, "unit": "rpm", "printed": "speed"} | options)
+    return bits("speed", 12, **_SPEED | options)
 
 
 def speed16(**options: Any) -> Field:
     """Declare the 16-bit speed of a motion command."""
-    return u16("speed", **{"maximum": 3000, "unit": "rpm", "printed": "speed"} | options)
+    return u16("speed", **_SPEED | options)
 
 
 def acceleration(**options: Any) -> Field:
@@ -332,7 +335,7 @@ def position_body(width: int, unit: str, printed: str, **options: Any) -> tuple[
 
 def status(choices: type[IntEnum] = Success, **options: Any) -> Field:
     """Declare a status byte."""
-    return u8("status", **{"choices": choices, "printed": "status"} | options)
+    return u8("status", **dict[str, Any](choices=choices, printed="status") | options)
 
 
 def pins(*names: str) -> tuple[Field, ...]:

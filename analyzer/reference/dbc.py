@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from analyzer.catalogue import Command, Dialect, Form, Role
 from analyzer.dialects import code_text
 from analyzer.layout import Field, FieldKind, Order
+from analyzer.reference.objects import number
 from analyzer.table.extras import needed
 
 if TYPE_CHECKING:
@@ -135,14 +136,13 @@ def _signals(shape: Shape, several: bool, receiver: str) -> Iterator[Signal]:
     for offset, field in shape.form.layout:
         if field.kind is FieldKind.RESERVED:
             continue
-        scale = field.scale.numerator if field.scale.denominator == 1 else float(field.scale)
         yield can.Signal(
             signal_name(shape.command, field) if several else field.name,
             _start(8 * len(shape.head) + offset, field),
             field.bit_width,
             "little_endian" if field.order is Order.LITTLE else "big_endian",
             field.kind is FieldKind.INT,
-            conversion=conversion.factory(scale=scale, choices=OrderedDict(field.choice_names) or None),
+            conversion=conversion.factory(scale=number(field), choices=OrderedDict(field.choice_names) or None),
             minimum=field.physical(field.low),
             maximum=field.physical(field.high),
             unit=field.unit or None,

@@ -378,13 +378,11 @@ def _right(dialect: Dialect, message: Message, head: Head, can_id: int | None) -
     """Return the frame as it should be, and what in its head is not so (lengths and counts)."""
     link, data, command = dialect.link, message.frame.data, message.command
     fixed = _with_checks(link, data, can_id)
-    if any(v.rule in ("wrong_length", "short_package") for v in message.violations) and message.form is None:
+    broken = {v.rule for v in message.violations}
+    if "short_package" in broken or ("wrong_length" in broken and message.form is None):
         return None, []
-    if any(v.rule == "short_package" for v in message.violations):
-        return None, []
-    if message.form is None or command is None or command.slots is not None:
-        return fixed, []
-    if dialect.by_name.get(command.name) is not command or message.form is dialect.exception:
+    # What does not stand in the dialect's own table cannot be built by it.
+    if message.form is None or command is None or dialect.by_name.get(command.name) is not command or command.slots is not None:
         return fixed, []
     if message.form not in (*command.request_forms, *command.reply_forms):
         return fixed, []

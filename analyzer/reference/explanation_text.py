@@ -20,7 +20,7 @@ from analyzer.codec import codec
 from analyzer.decoder import slots_of
 from analyzer.dialects import code_text
 from analyzer.findings import RULES
-from analyzer.layout import Field, FieldKind, ReadLayout
+from analyzer.layout import Field, FieldKind, Order, ReadLayout
 from analyzer.records import Message
 from analyzer.reference.columns import COLOURS, columns, styled
 from analyzer.reference.explanation import Explanation
@@ -225,9 +225,10 @@ def _block_rows(block: list[tuple[int, Field]], data: bytes, base: int) -> Itera
 
 def _value(field: Field, raw: bytes, at: int, total: int) -> int:
     """Return a field's integer as sent from the bytes of its block, `at` bits behind their begin."""
-    order = "little" if field.order.value == "little" else "big"
-    whole = int.from_bytes(raw, "little" if order == "little" else "big")
-    value = whole >> (total - at - field.bit_width) & ((1 << field.bit_width) - 1) if order == "big" else whole
+    if field.order is Order.LITTLE:
+        value = int.from_bytes(raw, "little")
+    else:
+        value = int.from_bytes(raw, "big") >> (total - at - field.bit_width) & ((1 << field.bit_width) - 1)
     if field.kind is FieldKind.INT and value >> (field.bit_width - 1) & 1:
         value -= 1 << field.bit_width
     return value

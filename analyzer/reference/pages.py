@@ -174,9 +174,7 @@ def _form_lines(dialect: Dialect, command: Command, form: Form, role: Role) -> I
     if slots is not None:
         facts[0] = ("data", f"{slots.count} slots of {slots.size} bytes: address, code, the data of that command, zeros")
     yield from columns(facts, width=WIDTH, indent=_INDENT)
-    if slots is not None:
-        return
-    if not layout.fields:
+    if slots is not None or not layout.fields:
         return
     yield ""
     yield from (_INDENT + line for line in bit_diagram(layout))

@@ -40,7 +40,6 @@ class Track:
             self.count += len(values)
 
     def columns(self) -> tuple[Integers, Integers, Numbers]:
-        """Return times, sequences and values."""
         if not self._parts:
             return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
         t_ns, sequence, values = (np.concatenate(each) for each in zip(*self._parts, strict=True))

@@ -21,7 +21,7 @@ from analyzer.report.traffic import LATEST_NS
 from analyzer.sources.mcap_scan import LogMessage
 from analyzer.sources.source import Source, describe
 from analyzer.system.decoding import UNDECODABLE
-from analyzer.values import identifier, near, quote
+from analyzer.values import near, quote, raw_text
 
 if TYPE_CHECKING:
     from mcap.records import Channel
@@ -188,7 +188,8 @@ def _names(topic: _Topic, record: LogMessage, values: Mapping[str, Any]) -> dict
     logged = values.get("_findings")
     found = [rule for rule in logged if isinstance(rule, str)] if isinstance(logged, list) else []
     can_id = values.get("_can_id")
-    head = f"{identifier(can_id)[2:].lstrip('0') or '0'} " if isinstance(can_id, int) else ""
+    flags = values.get("_can_flags")
+    extended = isinstance(flags, list) and "extended" in flags
     names = {key: value for key, value in values.items() if not key.startswith("_")} | {
         "time": record.log_ns / 1e9,
         "bus": topic.bus,
@@ -198,7 +199,7 @@ def _names(topic: _Topic, record: LogMessage, values: Mapping[str, Any]) -> dict
         "command": topic.command,
         "checksum_ok": values.get("_checksum_ok", True),
         "findings": [*found, *{RULES[rule].severity for rule in found if rule in RULES}],
-        "raw": f"{head}{values.get('_raw', '')}",
+        "raw": raw_text(str(values.get("_raw", "")), can_id if isinstance(can_id, int) else None, extended=extended),
         "offset": values.get("_offset", 0),
         "sequence": record.sequence,
         "section": topic.metadata.get("section", ""),

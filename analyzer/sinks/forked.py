@@ -46,7 +46,6 @@ class Ends:
         return sized.take(self.source)
 
     def close(self) -> None:
-        """Close both."""
         for end in (self.source, self._target):
             end.close()
             _held.discard(end)
@@ -83,7 +82,6 @@ class Forked(Ends):
         return self.process > 0
 
     def kill(self) -> None:
-        """End it at once."""
         if self.alive:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.process, signal.SIGKILL)

@@ -112,7 +112,6 @@ class FoxgloveServer:
         return FoxgloveFile(file, self)
 
     def close(self) -> None:
-        """Stop listening."""
         # A server that has lost its socket cannot be stopped again; there is nothing left to do then.
         with contextlib.suppress(RuntimeError):
             self._server.stop()
@@ -141,7 +140,6 @@ class FoxgloveFile:
 
     @property
     def messages(self) -> int:
-        """Messages added so far."""
         return self._file.messages
 
     def add_schema(self, name: str, data: bytes) -> int:
@@ -164,11 +162,9 @@ class FoxgloveFile:
             topic.log(data, log_ns)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record."""
         self._file.add_metadata(name, values)
 
     def flush(self) -> None:
-        """Write everything so far."""
         self._file.flush()
 
     def finish(self) -> None:
@@ -176,5 +172,4 @@ class FoxgloveFile:
         self._file.finish()
 
     def abandon(self) -> None:
-        """Give the file up."""
         self._file.abandon()

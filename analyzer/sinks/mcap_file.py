@@ -195,7 +195,6 @@ class McapFile:
 
     @property
     def messages(self) -> int:
-        """Messages written so far."""
         return self._messages
 
     @property
@@ -204,11 +203,9 @@ class McapFile:
         return self._position
 
     def schemas(self) -> Iterator[Schema]:
-        """Yield the schemas registered so far."""
         return self._indexed(Opcode.SCHEMA, Schema.read)
 
     def channels(self) -> Iterator[Channel]:
-        """Yield the channels registered so far."""
         return self._indexed(Opcode.CHANNEL, Channel.read)
 
     def _indexed(self, opcode: Opcode, read: Callable[[ReadDataStream], Any]) -> Iterator[Any]:
@@ -216,13 +213,11 @@ class McapFile:
             yield read(ReadDataStream(io.BytesIO(record[9:])))
 
     def add_schema(self, name: str, data: bytes) -> int:
-        """Register a JSON Schema and return its id."""
         self._schemas += 1
         self._in_chunk(Schema(id=self._schemas, data=data, encoding="jsonschema", name=name))
         return self._schemas
 
     def add_channel(self, topic: str, schema_id: int, metadata: Mapping[str, str]) -> int:
-        """Register a channel of JSON messages and return its id."""
         self._channels += 1
         channel = Channel(id=self._channels, topic=topic, message_encoding="json", metadata=dict(metadata), schema_id=schema_id)
         self._counts[channel.id] = 0
@@ -236,7 +231,6 @@ class McapFile:
         self._building.size += len(data)
 
     def add_message(self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> None:
-        """Add a message; `log_ns` must not be smaller than the one before."""
         building = self._building
         index = building.index.get(channel_id)
         if index is None:
@@ -279,7 +273,6 @@ class McapFile:
             start, sequence, log_ns = end, sequence + count, log_ns[count:]
 
     def flush(self) -> None:
-        """Write everything so far to the stream and flush it."""
         self._end_batch()
         while self._waiting:
             self._write_oldest()
@@ -318,7 +311,6 @@ class McapFile:
     # --- chunks ---------------------------------------------------------------------------------------------------
 
     def _end_piece(self) -> None:
-        """Begin new messages behind those so far."""
         building = self._building
         if building.parts:
             self._pieces.append(building)

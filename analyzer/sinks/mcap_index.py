@@ -38,14 +38,12 @@ class MemoryIndex:
         self._records: dict[int, list[bytes]] = {}
 
     def add(self, record: bytes) -> None:
-        """Take a record."""
         self._records.setdefault(record[0], []).append(record)
 
     def flush(self) -> None:
         """Do nothing: there is nowhere to store it."""
 
     def records(self, opcode: int) -> Iterator[bytes]:
-        """Yield the records of a kind."""
         yield from self._records.get(opcode, ())
 
 
@@ -73,7 +71,6 @@ class FileIndex:
         self._pending.append(record)
 
     def flush(self) -> None:
-        """Store what was taken."""
         if not self._pending:
             return
         data = b"".join(self._pending)
@@ -119,7 +116,6 @@ class FileIndex:
         self._stream = stream
 
     def close(self) -> None:
-        """Close the file."""
         self._stream.close()
 
 
@@ -198,9 +194,7 @@ class WholeWrites:
         return os.fstat(self._stream.fileno())
 
     def sync(self) -> None:
-        """Bring it onto the disk."""
         os.fsync(self._stream.fileno())
 
     def close(self) -> None:
-        """Close the file."""
         self._stream.close()

@@ -109,7 +109,6 @@ class McapLog:
 
     @property
     def messages(self) -> int:
-        """Messages written so far."""
         return self._file.messages
 
     # --- sink -----------------------------------------------------------------------------------------------------
@@ -160,7 +159,6 @@ class McapLog:
         second.wire_ns += size * byte_ns if can is None else (CAN_OVERHEAD_BITS + 8 * size) * bit_ns
 
     def begin(self, plain: Plain) -> None:
-        """Take the next block of frames."""
         import numpy as np
 
         self._plain = plain
@@ -284,7 +282,6 @@ class McapLog:
         return _encode(shown)
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Write bytes that are no frame."""
         lane = self._lanes.get(topic)
         if lane is None:
             lane = self._add_lane(topic, "servotap.junk", schemas.junk_schema, {"bus_kind": "serial"})
@@ -304,7 +301,6 @@ class McapLog:
         second.wire_ns += len(junk.data) * second.speed.byte_ns
 
     def finding(self, found: Finding) -> None:
-        """Write a finding."""
         second = self._seconds.get(found.port)
         if second is not None:
             second.errors += found.severity is Severity.ERROR
@@ -325,7 +321,6 @@ class McapLog:
         self._log("/findings", data, found.sequence, found.last_ns)
 
     def comment(self, comment: Comment) -> None:
-        """Write a comment of the capture."""
         t_ns = self._last_ns if comment.t_ns is None else comment.t_ns
         data = {
             "timestamp": {"sec": max(0, t_ns) // SECOND_NS, "nsec": max(0, t_ns) % SECOND_NS},
@@ -337,7 +332,6 @@ class McapLog:
         self._log("/comments", data, 0, t_ns)
 
     def happened(self, event: Event, sequence: int) -> None:
-        """Write an event."""
         lane = self._lanes.get(events.TOPIC)
         if lane is None:
             lane = self._add_lane(events.TOPIC, "servotap.recording", schemas.event_schema, {})
@@ -368,11 +362,9 @@ class McapLog:
         self._seconds.clear()
 
     def flush(self) -> None:
-        """Write everything so far to the stream."""
         self._file.flush()
 
     def abandon(self) -> None:
-        """Give the file up."""
         self._file.abandon()
 
     # --- topics ---------------------------------------------------------------------------------------------------

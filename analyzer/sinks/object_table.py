@@ -63,13 +63,11 @@ class Table:
         return self._numbers.get(id(what))
 
     def object(self, number: int) -> Dialect | Command | Form:
-        """Return the object of a number."""
         if number >= len(self.objects):
             self._load()
         return self.objects[number]
 
     def dialect(self, name: str) -> Dialect:
-        """Return a dialect by its name."""
         if all(each.name != name for each in self.dialects):
             self._load()
         return next(each for each in self.dialects if each.name == name)

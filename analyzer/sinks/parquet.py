@@ -95,7 +95,6 @@ class _Table:
             self._batches = [needed("pyarrow").concat_tables(self._batches).combine_chunks()]
 
     def write(self) -> None:
-        """Write what is held, in order."""
         pa = needed("pyarrow")
         alone = [pa.Table.from_pylist(self.rows, schema=self.schema)] if self.rows else []
         if not self._batches and not alone:
@@ -125,7 +124,6 @@ class _Table:
         return pa.concat_tables([*parts, held.slice(at, many - at)])
 
     def close(self) -> None:
-        """Write the rest, and end the table."""
         self.write()
         self._target.close()
 
@@ -174,14 +172,12 @@ class ParquetTables:
     # --- frames by columns ----------------------------------------------------------------------------------------
 
     def begin(self, plain: Plain) -> None:
-        """Take the next block of frames."""
         self._hold()
         if self._held >= HELD:
             self._write()
         self._plain = plain
 
     def run(self, start: int, stop: int, sequence: int) -> None:
-        """Take plain exchanges; they become columns together with those of other blocks."""
         self._taken.append((start, stop, sequence))
 
     def _hold(self) -> None:
@@ -321,11 +317,9 @@ class ParquetTables:
     # --- frames one by one ----------------------------------------------------------------------------------------
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
-        """Take a frame that is in order."""
         self.entry(plain_entry(lane, frame, sequence, latency_ns, request_sequence))
 
     def entry(self, entry: Entry) -> None:
-        """Take a decoded frame, and the state it carries."""
         message = entry.message
         frame, command, can = message.frame, message.command, message.frame.can
         shown = physical(message)
@@ -355,13 +349,11 @@ class ParquetTables:
             self._states().rows.append(place | found)
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Take bytes that are no frame."""
         row = self._place(junk.last_ns, junk.port, None, sequence)
         row |= {"reason": junk.reason.value, "length": len(junk.data), "_raw": junk.data, "_offset": junk.offset}
         self._other("junk", reason="string", length="int64", _raw="binary", _offset="int64").rows.append(row)
 
     def finding(self, found: Finding) -> None:
-        """Take a finding."""
         row = self._place(found.last_ns, found.port, found.address, found.sequence)
         row |= {"rule": found.rule, "severity": found.severity.value, "text": found.text, "topic": found.topic}
         row |= {"section": found.section, "_offset": found.offset}
@@ -369,12 +361,10 @@ class ParquetTables:
         self._other("findings", **words, _offset="int64").rows.append(row)
 
     def comment(self, comment: Comment) -> None:
-        """Take a comment of the capture."""
         row = self._place(comment.t_ns, comment.port, None, None)
         self._other("comments", text="string").rows.append(row | {"text": comment.text})
 
     def happened(self, event: Event, sequence: int) -> None:
-        """Take an event."""
         row = self._place(event.t_ns, event.port, None, sequence)
         values = msgspec.json.encode(dict(event.values)).decode()
         row |= {"event": event.name, "text": events.text_of(event), "values": values}

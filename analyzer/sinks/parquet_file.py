@@ -66,7 +66,6 @@ class File:
         self._writer.write_table(rows)
 
     def close(self) -> None:
-        """End the file."""
         self._writing.wait()
         if self._writer is not None:
             self._writer.close()

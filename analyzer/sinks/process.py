@@ -55,7 +55,6 @@ class SinkProcess:
     # --- sink -----------------------------------------------------------------------------------------------------
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
-        """Pass a frame on that is in order."""
         number = self._number(lane, frame)
         data = frame.data
         head = _HEAD.pack(
@@ -77,27 +76,21 @@ class SinkProcess:
         self._other(("begin", (plain.dialect, plain.block, lanes, *columns)))
 
     def run(self, start: int, stop: int, sequence: int) -> None:
-        """Pass a run on."""
         self._other(("run", (start, stop, sequence)))
 
     def entry(self, entry: Entry) -> None:
-        """Pass an entry on."""
         self._other(("entry", (entry,)))
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Pass a piece of junk on."""
         self._other(("junk", (junk, sequence, topic)))
 
     def finding(self, found: Finding) -> None:
-        """Pass a finding on."""
         self._other(("finding", (found,)))
 
     def comment(self, comment: Comment) -> None:
-        """Pass a comment on."""
         self._other(("comment", (comment,)))
 
     def happened(self, event: Event, sequence: int) -> None:
-        """Pass an event on to the sinks that take them."""
         self._other(("happened", (event, sequence)))
 
     # --- calls ----------------------------------------------------------------------------------------------------
@@ -117,7 +110,6 @@ class SinkProcess:
         self._worker.ended()
 
     def close(self) -> None:
-        """End the worker after the last call."""
         self._worker.ended()
 
     def _answer(self) -> Any:
@@ -130,12 +122,11 @@ class SinkProcess:
         return result
 
     def _number(self, lane: Lane, frame: Frame) -> int:
-        number = self._lanes.get(id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role))
-        return self._add_lane(lane, frame) if number is None else number
-
-    def _add_lane(self, lane: Lane, frame: Frame) -> int:
-        number = len(self._lanes)
-        self._lanes[id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role)] = number
+        key = id(lane) if frame.role is Role.UNKNOWN else (id(lane), frame.role)
+        number = self._lanes.get(key)
+        if number is not None:
+            return number
+        number = self._lanes[key] = len(self._lanes)
         about = (frame.dialect, lane.role, lane.address, lane.command, lane.form, lane.start, lane.stop, lane.topic)
         assert self._table.number(lane.command) is not None  # lanes are of the dialects that the pipeline was made with
         self._other(("lane", (about, frame.port, frame.role, None if frame.can is None else frame.can.id)))

@@ -53,7 +53,6 @@ class RecordingLog(McapLog):
         self._file.add_message(self._raws[chunk.port], 0, log_ns, publish_ns, text)
 
     def raw_can(self, can: CanFrame, offset: int) -> None:
-        """Write a CAN frame as it came."""
         shown: dict[str, Any] = {"_raw": can.data.hex(" ").upper(), "_offset": offset, "_can_id": can.id}
         flags = can_flags(can)
         if flags:
@@ -64,7 +63,6 @@ class RecordingLog(McapLog):
         self._file.add_message(self._raws[can.port], 0, log_ns, log_ns, msgspec.json.encode(shown))
 
     def silence(self, t_ns: int, bus: str, offset: int) -> None:
-        """Write a pause that ended what waited on a bus."""
         log_ns = self._clock(t_ns)
         self._file.add_message(self._raws[bus], 0, log_ns, log_ns, b'{"_raw":"","_offset":%d,"_silence":true}' % offset)
 
@@ -72,7 +70,6 @@ class RecordingLog(McapLog):
 
     @property
     def last_ns(self) -> int:
-        """Time of the last message."""
         return self._last_ns
 
     def learn(self, bus: str, speed: Speed) -> None:
@@ -87,7 +84,6 @@ class RecordingLog(McapLog):
     # --- files ----------------------------------------------------------------------------------------------------
 
     def describe(self, name: str, metadata: Mapping[str, str]) -> None:
-        """Write a metadata record. Raises OSError with nothing written."""
         self._file.add_metadata(name, metadata)
 
     def finish(self, metadata: Mapping[str, str]) -> None:

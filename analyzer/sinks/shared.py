@@ -53,7 +53,6 @@ class Shared:
         self.free = list(range(count))
 
     def slot(self) -> Slot | None:
-        """Return a free slot."""
         try:
             return Slot(self, self.free.pop())
         except IndexError:

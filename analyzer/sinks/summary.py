@@ -39,7 +39,6 @@ class Latencies:
         self._buckets: dict[int, int] = {}
 
     def add(self, latency_ns: int) -> None:
-        """Count a time."""
         self.count += 1
         if latency_ns > self.greatest:
             self.greatest = latency_ns
@@ -55,7 +54,6 @@ class Latencies:
         self._buckets[bucket] = self._buckets.get(bucket, 0) + count
 
     def add_all(self, latencies_ns: Integers) -> None:
-        """Count times of a column."""
         import numpy as np
 
         if len(latencies_ns):
@@ -117,7 +115,6 @@ class Summary:
         self.frames = 0
         self.frame_bytes = 0
         self.junk_bytes: Counter[str] = Counter()
-        self.junk_pieces: Counter[str] = Counter()
         self.findings: Counter[str] = Counter()
         self.severities: Counter[Severity] = Counter()
         #: The worst severity that a rule's findings had: it can be milder than the rule's own.
@@ -138,7 +135,6 @@ class Summary:
         self._taken: list[slice] = []
 
     def plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request_sequence: int | None) -> None:
-        """Count a frame that is in order."""
         row = self._known.get(lane.topic)
         if row is None:
             self.entry(plain_entry(lane, frame, sequence, latency_ns, request_sequence))
@@ -155,7 +151,6 @@ class Summary:
                 row.latencies.add(latency_ns)
 
     def begin(self, plain: Plain) -> None:
-        """Take the next block of frames."""
         self.settle()
         self._plain = plain
         self._taken = []
@@ -227,7 +222,6 @@ class Summary:
         return self
 
     def entry(self, entry: Entry) -> None:
-        """Count a frame."""
         message = entry.message
         frame = message.frame
         self.frames += 1
@@ -279,15 +273,12 @@ class Summary:
         return row
 
     def junk(self, junk: Junk, sequence: int, topic: str) -> None:
-        """Count bytes that are no frame."""
         self.junk_bytes[junk.reason.value] += len(junk.data)
-        self.junk_pieces[junk.reason.value] += 1
         if self.first_ns is None:
             self.first_ns = junk.first_ns
         self.last_ns = max(self.last_ns, junk.last_ns)
 
     def finding(self, found: Finding) -> None:
-        """Count a finding."""
         self.findings[found.rule] += 1
         self.severities[found.severity] += 1
         worst = self.worst.get(found.rule)
@@ -298,7 +289,6 @@ class Summary:
             kept.append(found)
 
     def comment(self, comment: Comment) -> None:
-        """Count a comment."""
         self.comments += 1
 
     def doubtful(self) -> list[tuple[str, str, int]]:

@@ -48,11 +48,9 @@ class Task(Generic[R]):
         return self._workers.done(self._function, self._argument)
 
     def begun(self) -> bool:
-        """Say whether it is under way or has ended."""
         return self._future.running() or self._future.done()
 
     def done(self) -> bool:
-        """Say whether there is a result."""
         return self._future.done()
 
     def here(self) -> bool:
@@ -67,7 +65,6 @@ class Task(Generic[R]):
         return True
 
     def result(self) -> R:
-        """Return the result, once it is there."""
         if not self.here():
             while not self._future.done():
                 if not self._workers.help():
@@ -85,7 +82,6 @@ class Workers:
         self.died: list[str] = []
         #: Tasks of each kind that may wait.
         self.ahead = count * _AT_ONCE
-        self._most = count * _AT_ONCE
         # What is loaded before the workers begin, they share.
         import_module("analyzer.columns.rows")
         self._shared = Shared(table, _SLOTS + _SLOTS_EACH * count)
@@ -109,7 +105,7 @@ class Workers:
         """Have a batch packed; where enough waits, it is packed now."""
         self._packing = deque(task for task in self._packing if not task.done())
         task = self._task(Batch.packed, batch)
-        if len(self._packing) >= self._most or len(self.died) == len(self._workers):
+        if len(self._packing) >= self.ahead or len(self.died) == len(self._workers):
             task.here()
         self._packing.append(task)
         return task
@@ -120,7 +116,7 @@ class Workers:
         error: Exception | None = None
         more = True
         while True:
-            while more and len(tasks) < self._most:
+            while more and len(tasks) < self.ahead:
                 try:
                     own = next(ranges)
                 except StopIteration:

@@ -99,7 +99,6 @@ class _Released:
         self._stream: IO[bytes] = stream
 
     def release(self) -> None:
-        """Let the file go."""
         self._stream = _Counting(self._stream.tell())
 
     def write(self, data: bytes) -> int:

@@ -93,7 +93,6 @@ class Recorded:
         return [c for c in shape.columns if not c.field.endswith(TWIN) or c.field in self.twins]
 
     def rows(self) -> Iterator[Row]:
-        """Yield all rows, from the first."""
         decode = msgspec.msgpack.Decoder(list[Row]).decode
         stream = self.stream
         stream.seek(0)
@@ -174,7 +173,6 @@ class Rows:
         row.severity = max(row.severity, found.severity.rank)
 
     def comment(self, comment: Comment) -> None:
-        """Count what has no place in a table."""
         self.recorded.comments += 1
 
     def finish(self) -> Recorded:

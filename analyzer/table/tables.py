@@ -46,12 +46,10 @@ class Chosen:
     _used: set[str] = field(default_factory=set)
 
     def topic(self, topic: str) -> bool:
-        """Say whether a topic is chosen."""
         whole = [(p, topic, p) if p.startswith("/") else (p, f"{topic}/", f"*/{p}/*") for p in self.topics]
         return self._any(whole)
 
     def column(self, column: Column) -> bool:
-        """Say whether a column is chosen, by its field or its name."""
         return self._any([(p, text, p) for p in self.fields for text in (column.field, column.name)])
 
     def _any(self, tries: list[tuple[str, str, str]]) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 from analyzer.errors import UsageError
@@ -44,11 +45,7 @@ def run_live(snapshots: SnapshotQueue, *, mark: Callable[[str], str], log: str =
     from analyzer.view.app import run
     from analyzer.view.live import LiveSource
 
-    source = LiveSource(snapshots, mark=mark, log=log, model=model)
-    try:
-        return run(source)
-    finally:
-        source.close()
+    return run(LiveSource(snapshots, mark=mark, log=log, model=model))
 
 
 def run_capture(reading: OpenCapture, *, filter_text: str = "") -> str:
@@ -56,8 +53,5 @@ def run_capture(reading: OpenCapture, *, filter_text: str = "") -> str:
     from analyzer.view.app import run
     from analyzer.view.capture import CaptureSource
 
-    source = CaptureSource(reading)
-    try:
+    with closing(CaptureSource(reading)) as source:
         return run(source, filter_text=filter_text)
-    finally:
-        source.close()

@@ -120,7 +120,6 @@ class ViewApp(App[str]):
     # --- what comes -----------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Take what is new and show it."""
         if self._terminal_gone():
             self.exit(GONE)
             return
@@ -153,12 +152,10 @@ class ViewApp(App[str]):
 
     @property
     def shown(self) -> str:
-        """The panel that is seen."""
         current = self._switch.current
         return "frames" if current in (None, "frames_box") else str(current)
 
     def _tell(self) -> None:
-        """Say what filter, search and pause do at the moment."""
         words = [self._said] if self._said else []
         wanted = self.frames.wanted
         if wanted is not None:
@@ -178,7 +175,6 @@ class ViewApp(App[str]):
         self._status.update(printable("   ".join(words)))
 
     def say(self, text: str) -> None:
-        """Show a word in the status line until the next one."""
         self._said = text
         self._tell()
 
@@ -191,7 +187,6 @@ class ViewApp(App[str]):
         self.call_after_refresh(self.tick)
 
     def on_rows_moved(self, event: Rows.Moved) -> None:
-        """Show the details of another frame."""
         if event.rows is self.frames and self.details.display:
             self._show_details()
 
@@ -300,7 +295,6 @@ class ViewApp(App[str]):
         self.call_after_refresh(self.tick)
 
     def action_leave(self) -> None:
-        """End the view; a recording only if the user means it."""
         if self.source.live and not self.source.done:
             self.push_screen(EndQuestion(), lambda yes: self.exit("quit") if yes else None)
         else:
@@ -379,7 +373,6 @@ class ViewApp(App[str]):
         return True
 
     def action_again(self, step: int) -> None:
-        """Go to the next line with the text that was searched for."""
         if not self._seeker.text:
             self.say("no search yet: press / to enter a text")
             return
@@ -397,7 +390,6 @@ class ViewApp(App[str]):
         self._look()
 
     def _look(self) -> None:
-        """Go on with the search under way, and show what it found."""
         search = self._seeker.look(SHARE)
         if search is None:
             return

@@ -24,6 +24,7 @@ from analyzer.records import Comment, Event, Finding, Frame, Junk, Lane
 from analyzer.view.condition import Condition
 from analyzer.view.kept import Wanted
 from analyzer.view.series import SERIES, Point, Series, series_of, series_prefixes
+from analyzer.view.source import ViewSource
 from analyzer.view.store import BLOCK, FrameStore, Record
 from analyzer.view.watch import FINDINGS, Watch
 
@@ -91,7 +92,7 @@ class WantedNumbers(Wanted):
     first = 0
 
     def __init__(self, store: FrameStore, condition: Condition) -> None:
-        super().__init__(store, condition)
+        super().__init__(store)
         self._store = store
         self._condition = condition
         self._numbers = array("Q")
@@ -112,11 +113,7 @@ class WantedNumbers(Wanted):
         at = bisect_left(self._numbers, number)
         return at if at < len(self._numbers) and self._numbers[at] == number else None
 
-    def _add(self, number: int, line: FrameLine) -> None:
-        self._numbers.append(number)
-
     def look(self, seconds: float) -> None:
-        """Look at further lines for about this long, a block at a time."""
         until = time.perf_counter() + seconds
         store, lanes = self._store, self._lanes
         while self.looked < store.stop and time.perf_counter() < until:
@@ -185,7 +182,7 @@ class Stopped(BaseException):
     """Reading was asked to stop while it waited. No error: what reads must not take it for one."""
 
 
-class CaptureSource:
+class CaptureSource(ViewSource):
     """A capture that is open; a thread reads it to its end, or as long as it grows."""
 
     live = False
@@ -200,7 +197,7 @@ class CaptureSource:
         self.watch.log_bytes = reading.source.size or 0
         self.dialects = reading.possible
         self.times = reading.time_range.shown
-        self.lines = FrameStore()
+        self.lines: FrameStore = FrameStore()
         self._keeper = _Keeper(self.lines)
         # The speed is known where it was given; a guess would make up a load, and so would made-up times.
         unit_ns = reading.options.byte_ns if reading.has_times else 0
@@ -214,8 +211,6 @@ class CaptureSource:
         self._due = 0.0
         self._taken = False
         self._listed = 0
-        #: Why it broke off, if it did.
-        self.broken = ""
         self._thread = threading.Thread(target=self._read, name="servotap-view-reader", daemon=True)
         self._thread.start()
 
@@ -268,11 +263,6 @@ class CaptureSource:
         return f"READING {min(99, 100 * self._reading.source.position() // size)} %"
 
     @property
-    def not_shown(self) -> int:
-        """Every frame is there."""
-        return 0
-
-    @property
     def done(self) -> bool:
         return self._taken
 
@@ -292,10 +282,6 @@ class CaptureSource:
         self._taken = ended
         return True
 
-    def pause(self, paused: bool) -> int:
-        """Say that nothing waits: a capture is read on, and its lines stay where they are."""
-        return 0
-
     def wanted(self, condition: Condition) -> Wanted:
         return WantedNumbers(self.lines, condition)
 
@@ -312,7 +298,6 @@ class CaptureSource:
         return CapturePlot(self.lines, names, low_ns, high_ns)
 
     def mark(self, text: str) -> str:
-        """Refuse: a capture is only read."""
         raise UsageError("a file is read-only; marks need a recording (servotap record --view)")
 
     def close(self) -> None:

@@ -43,7 +43,6 @@ class Condition:
         self._fields = tuple(name for name in self._filter.used if name not in _NAMES)
 
     def __call__(self, line: FrameLine) -> bool:
-        """Say whether a line is wanted."""
         return self._filter(self._names(line))
 
     def of_lane(self, line: FrameLine) -> bool | None:

@@ -35,7 +35,6 @@ class CountsPanel(Rows):
         self.order = "address"
 
     def next_order(self) -> str:
-        """Take the next order; return its name."""
         names = list(_ORDERS)
         self.order = names[(names.index(self.order) + 1) % len(names)]
         self.sync()
@@ -46,7 +45,6 @@ class CountsPanel(Rows):
         return self._rows[self.cursor].leaf if self.cursor < len(self._rows) else None
 
     def toggle(self) -> None:
-        """Open or close the branch under the cursor."""
         if self.cursor < len(self._rows):
             self._folded ^= {self._rows[self.cursor].path}
             self.sync()

@@ -77,7 +77,6 @@ class FindingsPanel(Vertical):
         yield self._text
 
     def on_rows_moved(self) -> None:
-        """Show the whole text of another finding."""
         self._whole()
 
     def _whole(self) -> None:

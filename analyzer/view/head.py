@@ -6,7 +6,7 @@ from pathlib import PurePath
 
 from rich.text import Text
 
-from analyzer.cli.option_types import size_text
+from analyzer.cli.option_types import duration_text, size_text
 from analyzer.live.snapshot import BusCounts
 from analyzer.values import counted, printable
 from analyzer.view.counts_panel import rate_text
@@ -17,16 +17,6 @@ BUS_LINES = 4
 _BAR_WIDTH = 10
 
 
-def span_text(span_ns: int) -> str:
-    """Return a duration."""
-    seconds = span_ns / 1e9
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}"
-
-
 def head_text(source: ViewSource, width: int, *, paused: bool, waiting: int) -> Text:
     """Return the head as lines of at most `width`."""
     watch = source.watch
@@ -35,7 +25,7 @@ def head_text(source: ViewSource, width: int, *, paused: bool, waiting: int) -> 
     words = [printable(PurePath(watch.log).name) or "servotap", state]
     if watch.log_bytes:
         words.append(size_text(watch.log_bytes))
-    words += [span_text(watch.span_ns), f"{counted(watch.frames, 'frame')}", f"{errors} E", f"{warnings} W"]
+    words += [duration_text(watch.span_ns), f"{counted(watch.frames, 'frame')}", f"{errors} E", f"{warnings} W"]
     if source.not_shown:
         words.append(f"{source.not_shown} not shown")
     line = "  ".join(words)

@@ -41,7 +41,6 @@ class Kept(Generic[T]):
 
     @property
     def stop(self) -> int:
-        """One more than the number of the newest."""
         return self.first + len(self._items)
 
     def append(self, item: T) -> None:
@@ -95,38 +94,20 @@ class KeptLines(Kept[FrameLine]):
 
 
 class Wanted(Lines):
-    """Those lines for which a test holds, as far as they have been looked at; numbered among themselves.
+    """Those lines for which a test holds, as far as they have been looked at; numbered among themselves."""
 
-    `look` continues the search and stops after a while, so that the caller stays responsive.
-    """
-
-    def __init__(self, lines: Lines, test: Callable[[FrameLine], bool]) -> None:
+    def __init__(self, lines: Lines) -> None:
         self._lines = lines
-        self._test = test
         self.looked = lines.first
-
-    @abstractmethod
-    def _add(self, number: int, line: FrameLine) -> None:
-        """Take a line that is wanted."""
 
     @property
     def done(self) -> bool:
         """Whether all lines that are there have been looked at."""
         return self.looked >= self._lines.stop
 
+    @abstractmethod
     def look(self, seconds: float) -> None:
-        """Look at further lines for about this long."""
-        lines, test = self._lines, self._test
-        until = time.perf_counter() + seconds
-        number = max(self.looked, lines.first)
-        while number < lines.stop:
-            line = lines.line(number)
-            if test(line):
-                self._add(number, line)
-            number += 1
-            if number % 16 == 0 and time.perf_counter() >= until:
-                break
-        self.looked = number
+        """Look at further lines for about this long, so that the caller stays responsive."""
 
 
 class WantedKept(KeptLines, Wanted):
@@ -134,7 +115,18 @@ class WantedKept(KeptLines, Wanted):
 
     def __init__(self, lines: Lines, test: Callable[[FrameLine], bool], limit: int) -> None:
         KeptLines.__init__(self, limit)
-        Wanted.__init__(self, lines, test)
+        Wanted.__init__(self, lines)
+        self._test = test
 
-    def _add(self, number: int, line: FrameLine) -> None:
-        self.append(line)
+    def look(self, seconds: float) -> None:
+        lines, test = self._lines, self._test
+        until = time.perf_counter() + seconds
+        number = max(self.looked, lines.first)
+        while number < lines.stop:
+            line = lines.line(number)
+            if test(line):
+                self.append(line)
+            number += 1
+            if number % 16 == 0 and time.perf_counter() >= until:
+                break
+        self.looked = number

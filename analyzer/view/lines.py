@@ -10,7 +10,7 @@ from rich.text import Text
 
 from analyzer.live.snapshot import EVENT, FOREIGN, JUNK, FrameLine
 from analyzer.sources.times import ShownTime
-from analyzer.values import SECOND_NS, fields_text, printable
+from analyzer.values import SECOND_NS, fields_text, printable, raw_text
 
 #: Role -> its sign and its colour.
 ROLES = {
@@ -37,9 +37,7 @@ _NARROW = 100
 
 def bytes_text(line: FrameLine) -> str:
     """Return a frame's bytes as hex; on CAN its identifier first."""
-    if line.can_id is None:
-        return line.raw
-    return f"{line.can_id:08X} {line.raw}".rstrip() if line.extended else f"{line.can_id:02X} {line.raw}".rstrip()
+    return raw_text(line.raw, line.can_id, extended=line.extended)
 
 
 def said_text(line: FrameLine) -> str:
@@ -72,7 +70,6 @@ class Columns:
         self.first_ns = 0
 
     def next_time(self) -> str:
-        """Show the next kind of time; return its name."""
         self.time = TIMES[(TIMES.index(self.time) + 1) % len(TIMES)]
         return self.time
 
@@ -86,7 +83,6 @@ class Columns:
         return self.shows or (BOTH if width >= 120 else FIELDS)
 
     def _room(self, width: int) -> tuple[int, int]:
-        """Return the columns for fields and for bytes."""
         left = max(10, width - (2 + _TIME_WIDTH + 1 + self.bus_width + 1 + self.who_width + 3 + _command_width(width) + 1))
         shows = self._shows(width)
         if shows == FIELDS:
@@ -105,7 +101,6 @@ class Columns:
         return self._times.text(t_ns)
 
     def heading(self, width: int) -> Text:
-        """Return the row above the frames."""
         fields, size = self._room(width)
         which = {CLOCK: f"time {self._times.zone}".rstrip(), ELAPSED: "seconds", STEP: "since above"}[self.time]
         text = f"  {which:>{_TIME_WIDTH}} {'bus':<{self.bus_width}} {'addr':>{self.who_width}}   "

@@ -18,6 +18,7 @@ from analyzer.sources.times import ShownTime
 from analyzer.view.condition import Condition
 from analyzer.view.kept import KeptLines, Wanted, WantedKept
 from analyzer.view.series import Plotted, Point
+from analyzer.view.source import ViewSource
 from analyzer.view.watch import Watch
 
 #: Lines that are kept, of all and of those that a filter lets through.
@@ -43,7 +44,6 @@ class SnapshotQueue:
         return self._closed and self._waiting.empty()
 
     def offer(self, snapshot: Snapshot) -> bool:
-        """Add a snapshot if there is room; say whether there was."""
         try:
             self._waiting.put_nowait(snapshot)
         except queue.Full:
@@ -64,10 +64,7 @@ class LivePlot:
         self._plotted = plotted
         self._span = span
 
-    @property
-    def done(self) -> bool:
-        """They are all here."""
-        return True
+    done = True
 
     def look(self, seconds: float) -> None:
         """Do nothing: they are all here."""
@@ -77,19 +74,16 @@ class LivePlot:
         return series.points(*self._span) if series is not None else []
 
 
-class LiveSource:
+class LiveSource(ViewSource):
     """Snapshots of a recording. `mark`: see `run_live`."""
 
-    live = True
-    growing = True
-    broken = ""
-    note = ""
+    live = growing = True
 
     def __init__(self, snapshots: SnapshotQueue, *, mark: Callable[[str], str], log: str = "", model: str = "") -> None:
         self._snapshots = snapshots
         self._mark = mark
         self.watch = Watch(log)
-        self.lines = KeptLines(LINES)
+        self.lines: KeptLines = KeptLines(LINES)
         self.times = ShownTime()
         self.dialects = tuple(registry.for_model(registry.every(), model or None))
         self._plotted = Plotted()
@@ -107,7 +101,6 @@ class LiveSource:
 
     @property
     def not_shown(self) -> int:
-        """Frames and junk that were counted but never came as lines."""
         return max(0, self.watch.things - self._received)
 
     @property
@@ -152,10 +145,6 @@ class LiveSource:
     def wanted(self, condition: Condition) -> Wanted:
         return WantedKept(self.lines, condition, LINES)
 
-    def hop(self, number: int, step: int) -> int:
-        """Return the number itself: any line may have findings."""
-        return number
-
     def series(self) -> dict[str, str]:
         return {name: series.unit for name, series in self._plotted.series.items()}
 
@@ -167,6 +156,3 @@ class LiveSource:
 
     def mark(self, text: str) -> str:
         return self._mark(text)
-
-    def close(self) -> None:
-        """Leave the snapshots to their supervisor."""

@@ -91,7 +91,6 @@ class SeriesRows(Rows):
         return 0, len(self._rows)
 
     def heading(self, width: int) -> Text:
-        """Say what can be done."""
         return Text("Enter plots; ← → read out; + - time", style="bold", no_wrap=True)
 
     def row(self, number: int, width: int) -> Text:
@@ -152,7 +151,6 @@ class PlotPanel(Horizontal):
         return "all of the time" if window is None else f"{window:g} s"
 
     def span(self) -> tuple[int, int]:
-        """Return the time that is shown."""
         first, last = self._source.span()
         window = WINDOWS[self._window]
         if window is None:

@@ -50,7 +50,6 @@ class Prompt(Horizontal):
         yield self._input
 
     def ask(self, what: str, text: str) -> None:
-        """Ask for something, with a text to begin with."""
         self.asking = what
         self._label.update(f"{what}:")
         self._input.placeholder = _HINTS[what]

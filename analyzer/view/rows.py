@@ -66,7 +66,6 @@ class Rows(Widget, can_focus=True, metaclass=_AbstractWidget):  # type: ignore[m
         self.cursor = 0
         self.top = 0
         self.following = self.follows
-        self._shown: tuple[int, int, int, int] | None = None
 
     # --- what a subclass says -------------------------------------------------------------------------------------
 
@@ -118,7 +117,6 @@ class Rows(Widget, can_focus=True, metaclass=_AbstractWidget):  # type: ignore[m
         self.sync()
 
     def action_move(self, step: int) -> None:
-        """Move the cursor by some rows."""
         first, stop = self.bounds()
         target = min(max(self.cursor + step, first), max(first, stop - 1))
         self.following = self.follows and step > 0 and target >= stop - 1
@@ -140,7 +138,6 @@ class Rows(Widget, can_focus=True, metaclass=_AbstractWidget):  # type: ignore[m
         self.following = self.follows
 
     def action_choose(self) -> None:
-        """Choose the row under the cursor."""
         first, stop = self.bounds()
         if stop > first:
             self.post_message(self.Chosen(self))
@@ -170,7 +167,6 @@ class Rows(Widget, can_focus=True, metaclass=_AbstractWidget):  # type: ignore[m
     # --- drawing --------------------------------------------------------------------------------------------------
 
     def render_line(self, y: int) -> Strip:
-        """Return one line as it is seen."""
         width, height = self.size
         style = self.rich_style
         if y == 0:

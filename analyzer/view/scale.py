@@ -40,13 +40,11 @@ class Canvas:
         return 4 * self.height
 
     def dot(self, x: int, y: int) -> None:
-        """Set a dot; one outside is left out."""
         if 0 <= x < self.across and 0 <= y < self.up:
             row = self.up - 1 - y
             self._cells[row // 4][x // 2] |= _DOTS[row % 4][x % 2]
 
     def column(self, x: int, low: int, high: int) -> None:
-        """Set the dots of a column from `low` to `high`."""
         for y in range(max(0, low), min(self.up - 1, high) + 1):
             self.dot(x, y)
 

@@ -32,7 +32,6 @@ class Search:
         self.done = False
 
     def look(self, seconds: float) -> None:
-        """Go on looking for about this long."""
         until = time.perf_counter() + seconds
         looked = 0
         while not self.done:
@@ -73,7 +72,6 @@ class Seeker:
         self.search = Search(lines, test, start, step, what=f"'{self.text}'")
 
     def for_finding(self, lines: Lines, start: int, step: int, hop: Hop | None) -> None:
-        """Begin to look for the next line with a finding."""
         self.search = Search(lines, lambda line: bool(line.rules), start, step, hop=hop, what="a finding")
 
     def look(self, seconds: float) -> Search | None:

@@ -70,7 +70,6 @@ class Record(NamedTuple):
         return _sequence_of(self.data).sequence if self.lane is None else self.head[0]
 
     def line(self) -> FrameLine:
-        """Return the record as a line."""
         if self.lane is None:
             return _from_msgpack(self.data)
         sequence, first_ns, last_ns, offset, latency, request = self.head
@@ -116,7 +115,6 @@ class FrameStore:
     # --- adding ---------------------------------------------------------------------------------------------------
 
     def add_plain(self, lane: Lane, frame: Frame, sequence: int, latency_ns: int | None, request: int | None) -> None:
-        """Add a frame of a lane."""
         number = self._lane_numbers.get(id(lane))
         if number is None:
             number = self._lane_numbers[id(lane)] = len(self._lanes)
@@ -131,7 +129,6 @@ class FrameStore:
         self._add(Record(self._lanes[number], head, data), frame.last_ns)
 
     def add_line(self, line: FrameLine) -> None:
-        """Add any other line."""
         data = _to_msgpack(line)
         # A comment has no sequence: it stands behind what came before it.
         self._sequence = line.sequence or self._sequence
@@ -189,7 +186,6 @@ class FrameStore:
         return self._ends[-1] if self._ends else 0
 
     def line(self, number: int) -> FrameLine:
-        """Return a line. Raises IndexError for a number that is not there."""
         if not 0 <= number < self._stop:
             raise IndexError(number)
         line = self.records(number // BLOCK)[number % BLOCK].line()
@@ -201,7 +197,6 @@ class FrameStore:
         return line
 
     def records(self, block: int) -> list[Record]:
-        """Return the records of a block."""
         with self._lock:
             if block >= len(self._blocks) + len(self._ends):
                 return self._open

@@ -12,28 +12,9 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any, TextIO, cast
+from typing import TextIO, cast
 
-
-class _Forgiving:
-    """A stream to which writing never fails; all else is as with the stream itself."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        """Write a text, if that can be."""
-        with contextlib.suppress(OSError):
-            return self._stream.write(text)
-        return len(text)
-
-    def flush(self) -> None:
-        """Flush, if that can be."""
-        with contextlib.suppress(OSError):
-            self._stream.flush()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
+from analyzer.cli.boundary import Forgiving
 
 
 @contextlib.contextmanager
@@ -43,7 +24,7 @@ def forgiving_terminal() -> Iterator[None]:
     if before is None:
         yield
         return
-    sys.__stderr__ = cast(TextIO, _Forgiving(before))  # type: ignore[assignment,misc]
+    sys.__stderr__ = cast(TextIO, Forgiving(before))  # type: ignore[assignment,misc]
     try:
         yield
     finally:

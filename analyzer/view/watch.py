@@ -18,7 +18,6 @@ class CommandRow:
     bus: str
     who: str
     command: str
-    dialect: str
     roles: dict[str, RowCounts] = field(default_factory=dict)
 
     def count(self, role: str) -> int:
@@ -66,7 +65,6 @@ class Watch:
         #: The lines of each cause of trouble.
         self.causes: dict[str, list[str]] = {}
         self.findings: Kept[FindingLine] = Kept(FINDINGS)
-        self.snapshots = 0
         #: Snapshots that found no room in the pipe.
         self.missed = 0
         self._number = 0
@@ -93,7 +91,6 @@ class Watch:
 
     def take(self, snapshot: Snapshot) -> None:
         """Take a snapshot, without its frames."""
-        self.snapshots += 1
         if snapshot.number > self._number + 1:
             self.missed += snapshot.number - self._number - 1
         self._number = snapshot.number
@@ -109,7 +106,7 @@ class Watch:
             key = (row.bus, row.who, row.dialect, row.command)
             known = self.rows.get(key)
             if known is None:
-                known = self.rows[key] = CommandRow(row.bus, row.who, row.command, row.dialect)
+                known = self.rows[key] = CommandRow(row.bus, row.who, row.command)
             known.roles[row.role] = row
         if snapshot.rules:
             self.rules = snapshot.rules

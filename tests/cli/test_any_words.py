@@ -7,13 +7,12 @@ import random
 import shutil
 from importlib import import_module
 from importlib.metadata import entry_points
-from pathlib import Path
 
 import pytest
 
 from analyzer import cli
+from tests import CAPTURES
 
-CAPTURES = Path(__file__).parents[2] / "captures"
 #: Those that wait for a bus, a port or a person, and those that take long, are attacked by `tests/fuzz`.
 NAMES = ("show", "cut", "merge", "frame", "explain", "catalogue", "export", "restore", "rerun", "replay", "emulate", "send")
 FILES = ("mks_rs485.log", "mks_rs485.mcap", "mks_can.blf")

@@ -357,7 +357,6 @@ def test_a_word_or_a_section_finds_commands(catalogue):
     }
 
 
-def test_a_name_shows_its_page_and_catalog_is_catalogue(catalogue, capsys):
+def test_a_name_shows_its_page_and_catalog_is_catalogue(catalogue, cli):
     page = catalogue("run_speed", "--dialect", "mks-rs485")
-    assert main(["catalog", "run_speed", "--dialect", "mks-rs485"]) == 0
-    assert capsys.readouterr().out == page
+    assert cli("catalog", "run_speed", "--dialect", "mks-rs485").out == page

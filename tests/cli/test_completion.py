@@ -9,7 +9,6 @@ import sys
 
 import pytest
 
-from analyzer.cli import main
 from analyzer.cli.completion import complete
 from analyzer.errors import UsageError
 
@@ -68,12 +67,10 @@ def test_names_of_a_profile_are_completed_and_their_commands(tmp_path):
     assert "mks-can@1" in completed("servotap send mks", tmp_path)
 
 
-def test_the_code_for_each_shell(capsys):
+def test_the_code_for_each_shell(cli):
     for shell in ("bash", "zsh", "fish"):
-        assert main(["completion", shell]) == 0
-        assert "servotap" in capsys.readouterr().out
-    assert main(["completion", "tcsh"]) == 2
-    assert "expected one of bash, zsh, fish" in capsys.readouterr().err
+        assert "servotap" in cli("completion", shell).out
+    assert "expected one of bash, zsh, fish" in cli("completion", "tcsh", status=2).err
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

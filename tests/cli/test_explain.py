@@ -496,18 +496,16 @@ def test_slots_of_a_package_are_all_shown():
 # --- what people paste ------------------------------------------------------------------------------------------------
 
 
-def test_two_frames_that_stand_together_are_explained_one_behind_the_other(capsys):
-    assert main(["explain", "FA 01 32 2D FB 01 32 00 64 92"]) == 0
-    out = capsys.readouterr().out
+def test_two_frames_that_stand_together_are_explained_one_behind_the_other(capsys, cli):
+    out = cli("explain", "FA 01 32 2D FB 01 32 00 64 92").out
     assert out.index("mks-rs485  request  address 1  read_speed") < out.index("mks-rs485  reply  address 1  read_speed")
     assert "speed 100 rpm" in out
     assert main(["explain", "01 04 00 32 00 01 90 05 01 04 02 01 40 B9 50", "--json"]) == 0
     assert [json.loads(row)["command"] for row in capsys.readouterr().out.splitlines()] == ["read_speed", "read_speed"]
 
 
-def test_the_data_of_a_can_frame_without_the_identifier_are_told(capsys):
-    assert main(["explain", "F6 01 40 02 3A"]) == 2
-    assert "without its identifier: 001#F60140023A would fit" in capsys.readouterr().err
+def test_the_data_of_a_can_frame_without_the_identifier_are_told(cli):
+    assert "without its identifier: 001#F60140023A would fit" in cli("explain", "F6 01 40 02 3A", status=2).err
 
 
 # --- as it is pasted --------------------------------------------------------------------------------------------------

@@ -114,8 +114,7 @@ def test_a_node_that_no_checksum_speaks_for_is_named(mixed, tmp_path, capsys):
     assert said == ["can0 0x200: none of 3 frames has a fitting checksum: another node? --ids says who is a drive"]
 
 
-def test_check_judges_drives_alone(mixed, capsys):
-    assert main(["check", mixed]) == 1
-    out = capsys.readouterr().out
+def test_check_judges_drives_alone(mixed, cli):
+    out = cli("check", mixed, status=1).out
     assert "3 frames, 1 request, 3 CAN frames, 2 replies, 4 not of this dialect" in out
     assert "address 0x012, checksum: expected 84, got 00" in out

@@ -12,19 +12,17 @@ from tests.cli.vectors import VECTORS
 
 
 @pytest.fixture
-def frame(capsys):
+def frame(cli):
     def call(*words):
-        assert main(["frame", *words]) == 0
-        return capsys.readouterr().out.strip()
+        return cli("frame", *words).out.strip()
 
     return call
 
 
 @pytest.fixture
-def refused(capsys):
+def refused(cli):
     def call(*words):
-        assert main(["frame", *words]) == 2
-        captured = capsys.readouterr()
+        captured = cli("frame", *words, status=2)
         assert captured.out == ""
         assert captured.err.isascii()
         return captured.err.removeprefix("servotap frame: ").strip()

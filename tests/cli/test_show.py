@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from analyzer.cli import main
+from tests import CAPTURES, ROOT
 
-ROOT = Path(__file__).parents[2]
-CAPTURES = ROOT / "captures"
 BENCH = str(CAPTURES / "mks_rs485.log")
 
 
@@ -48,15 +46,13 @@ def test_a_filter_on_findings(capsys):
         (["--filter", "speed > 300", "--since", "+9.5s"], "the filter and the time range"),
     ],
 )
-def test_an_empty_table_says_why(capsys, words, asked):
-    assert main(["show", BENCH, *words]) == 0
-    assert f"note: no frame fits {asked}" in capsys.readouterr().err
+def test_an_empty_table_says_why(cli, words, asked):
+    assert f"note: no frame fits {asked}" in cli("show", BENCH, *words).err
 
 
-def test_a_filter_that_is_none_is_wrong_use(capsys):
+def test_a_filter_that_is_none_is_wrong_use(cli):
     assert main(["show", BENCH, "--filter", "__import__('os')"]) == 2
-    assert main(["show", BENCH, "--filter", "sped > 3"]) == 2
-    assert "did you mean speed" in capsys.readouterr().err
+    assert "did you mean speed" in cli("show", BENCH, "--filter", "sped > 3", status=2).err
 
 
 def test_json_lines(capsys):
@@ -89,13 +85,6 @@ def test_a_pipe_shows_frames_before_it_ends():
     assert b"read_encoder_carry" in process.stdout.readline()
     out, _ = process.communicate(b"".join(rows[4:]), timeout=20)
     assert out.count(b"\n") >= 20
-
-
-def test_a_closed_pipe_is_no_error():
-    command = f"{sys.executable} -m analyzer show {BENCH} | head -3"
-    done = subprocess.run(command, shell=True, cwd=ROOT, capture_output=True, text=True)
-    assert done.stderr == ""
-    assert len(done.stdout.splitlines()) == 3
 
 
 @pytest.mark.parametrize("value", ["-1", "x", "1.5", ""])

@@ -20,12 +20,12 @@ from analyzer.cli import main
 from analyzer.errors import UsageError
 from analyzer.sources import open_source
 from analyzer.sources.times import iso, parse_time
+from tests import CAPTURES
 from tests.collect import sum8
 from tests.live.spooled import UTC, Spools, content, port, raw_of, read
 from tests.logs import metadata
 
 SECOND = 1_000_000_000
-CAPTURES = Path(__file__).parents[2] / "captures"
 #: A stretch that begins and ends between exchanges.
 FIRST, LAST = 9_950_000_000, 11_950_000_000
 LEFT = port("1-left", "left", byte_ns=260_416, speed=38400)
@@ -128,41 +128,39 @@ def berlin(monkeypatch):
     time.tzset()
 
 
-def shown_times(capsys, path, *words):
-    assert main(["show", str(path), *words]) == 0
-    rows = [row for row in capsys.readouterr().out.splitlines()[1:] if row.strip()]
+def shown_times(cli, path, *words):
+    rows = [row for row in cli("show", path, *words).out.splitlines()[1:] if row.strip()]
     return [row.split("  # ")[1] if "  # " in row else row.split()[0] for row in rows if "!" not in row]
 
 
-def test_times_are_shown_in_the_local_zone_or_in_utc_with_the_date_where_it_changes(tmp_path, capsys, berlin):
+def test_times_are_shown_in_the_local_zone_or_in_utc_with_the_date_where_it_changes(tmp_path, cli, berlin):
     path = tmp_path / "can.log"
     path.write_text("(1764629990.5) can0 001#3031\n(1764630010.25) can0 001#3031\n")
     local = ["2025-12-01 CET (UTC+01:00)", "23:59:50.500000", "2025-12-02 CET (UTC+01:00)", "00:00:10.250000"]
-    assert shown_times(capsys, path) == local
-    assert shown_times(capsys, path, "--utc") == ["2025-12-01 UTC", "22:59:50.500000", "23:00:10.250000"]
+    assert shown_times(cli, path) == local
+    assert shown_times(cli, path, "--utc") == ["2025-12-01 UTC", "22:59:50.500000", "23:00:10.250000"]
     for since in ("00:00:05", "2025-12-02 00:00:05", "2025-12-01T23:00:05Z", "1764630005"):
-        assert shown_times(capsys, path, "--since", since) == local[2:], since
-    assert shown_times(capsys, path, "--utc", "--since", "23:00:05") == ["2025-12-01 UTC", "23:00:10.250000"]
+        assert shown_times(cli, path, "--since", since) == local[2:], since
+    assert shown_times(cli, path, "--utc", "--since", "23:00:05") == ["2025-12-01 UTC", "23:00:10.250000"]
 
 
-def test_times_of_day_are_shown_and_taken_as_the_capture_prints_them(tmp_path, capsys, berlin):
+def test_times_of_day_are_shown_and_taken_as_the_capture_prints_them(tmp_path, capsys, cli, berlin):
     path = tmp_path / "term.log"
     path.write_text("23:59:58.100 FA 01 32 2D\n23:59:58.110 FB 01 32 00 00 2E\n00:00:04.000 FA 01 32 2D\n")
-    assert shown_times(capsys, path) == ["23:59:58.100000", "23:59:58.110000", "day 2", "00:00:04.000000"]
-    assert shown_times(capsys, path, "--since", "00:00:01") == ["day 2", "00:00:04.000000"]
+    assert shown_times(cli, path) == ["23:59:58.100000", "23:59:58.110000", "day 2", "00:00:04.000000"]
+    assert shown_times(cli, path, "--since", "00:00:01") == ["day 2", "00:00:04.000000"]
     out = decoded(path)
     capsys.readouterr()
-    assert shown_times(capsys, out, "--until", "23:59:58.105") == ["23:59:58.100000"]
-    assert main(["cut", str(out), "--until", "23:59:59", "-o", str(tmp_path / "cut.mcap")]) == 0
-    capsys.readouterr()
-    assert shown_times(capsys, tmp_path / "cut.mcap") == ["23:59:58.100000", "23:59:58.110000"]
+    assert shown_times(cli, out, "--until", "23:59:58.105") == ["23:59:58.100000"]
+    cli("cut", out, "--until", "23:59:59", "-o", tmp_path / "cut.mcap")
+    assert shown_times(cli, tmp_path / "cut.mcap") == ["23:59:58.100000", "23:59:58.110000"]
 
 
-def test_dates_without_a_zone_are_shown_as_printed(tmp_path, capsys, berlin):
+def test_dates_without_a_zone_are_shown_as_printed(tmp_path, cli, berlin):
     path = tmp_path / "term.log"
     path.write_text("2026-03-02 09:00:00.100 FA 01 32 2D\n2026-03-02 09:00:00.110 FB 01 32 00 00 2E\n")
-    assert shown_times(capsys, path) == ["2026-03-02", "09:00:00.100000", "09:00:00.110000"]
-    assert shown_times(capsys, path, "--since", "09:00:00.105") == ["2026-03-02", "09:00:00.110000"]
+    assert shown_times(cli, path) == ["2026-03-02", "09:00:00.100000", "09:00:00.110000"]
+    assert shown_times(cli, path, "--since", "09:00:00.105") == ["2026-03-02", "09:00:00.110000"]
 
 
 # --- since and until ------------------------------------------------------------------------------------------------

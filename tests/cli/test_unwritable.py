@@ -14,8 +14,8 @@ from analyzer.cli import output
 from analyzer.cli.output import Output, OutputFolder
 from analyzer.errors import UsageError
 from analyzer.system.scratch import fcntl
+from tests import CAPTURES
 
-CAPTURES = Path(__file__).parents[2] / "captures"
 CAPTURE, LOG = str(CAPTURES / "mks_can.candump.log"), str(CAPTURES / "mks_rs485.mcap")
 #: Every command that writes what it is told to, with the ending of the file.
 WRITERS = {

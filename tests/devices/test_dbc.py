@@ -201,10 +201,9 @@ LOG = """(1700000000.000000) can0 012#3244
 """
 
 
-def test_the_log_has_schemas_and_says_what_decoded_it(tmp_path, capsys):
+def test_the_log_has_schemas_and_says_what_decoded_it(tmp_path, capsys, cli):
     log, out = write(tmp_path, LOG, "bus.log"), tmp_path / "out.mcap"
-    assert main(["decode", log, "--dbc", write(tmp_path, BATTERY), "-o", str(out)]) == 0
-    capsys.readouterr()
+    cli("decode", log, "--dbc", write(tmp_path, BATTERY), "-o", out)
     found = {topic: (schema, value) for topic, schema, _, _, _, value in messages(out.read_bytes())}
     schema, value = found["/can0/291/Status/message"]
     assert (schema, value["Voltage"], value["Mode_name"]) == ("servotap.battery.Status.message", 25.8, "Not Ready")
@@ -271,11 +270,10 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_bad_file_is_told_in_one_line_and_nothing_is_written(name, tmp_path, capsys):
+def test_a_bad_file_is_told_in_one_line_and_nothing_is_written(name, tmp_path, cli):
     text, said = BAD[name]
     log, out = write(tmp_path, LOG, "bus.log"), tmp_path / "out.mcap"
-    assert main(["decode", log, "--dbc", write(tmp_path, text), "-o", str(out)]) == 2
-    err = capsys.readouterr().err
+    err = cli("decode", log, "--dbc", write(tmp_path, text), "-o", out, status=2).err
     assert err.count("\n") == 1
     assert said in err
     assert not out.exists()
@@ -356,14 +354,13 @@ HOSTILE = {
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not bound the memory of a process")
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_small_file_that_takes_all_memory_or_minutes_is_refused_in_a_line(name, tmp_path, capsys, monkeypatch):
+def test_a_small_file_that_takes_all_memory_or_minutes_is_refused_in_a_line(name, tmp_path, cli, monkeypatch):
     import resource
 
     monkeypatch.setattr(dbc, "_SECONDS", 1)
     spent = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     log, out = write(tmp_path, LOG, "bus.log"), tmp_path / "out.mcap"
-    assert main(["decode", log, "--dbc", write(tmp_path, HOSTILE[name], name), "-o", str(out)]) == 2
-    err = capsys.readouterr().err
+    err = cli("decode", log, "--dbc", write(tmp_path, HOSTILE[name], name), "-o", out, status=2).err
     assert err.count("\n") == 1
     assert re.search(rf"{name}: (reading it takes more memory or time than a device file may|.* amplification)", err)
     assert not out.exists()

@@ -196,15 +196,13 @@ def capture(folder):
     return str(path)
 
 
-def test_a_slave_that_works_is_no_trouble(tmp_path, capsys):
-    assert main(["diagnose", capture(tmp_path)]) == 0
-    assert "nothing wrong was found" in capsys.readouterr().out
+def test_a_slave_that_works_is_no_trouble(tmp_path, cli):
+    assert "nothing wrong was found" in cli("diagnose", capture(tmp_path)).out
 
 
-def test_the_log_and_the_filter_know_the_names(tmp_path, capsys):
+def test_the_log_and_the_filter_know_the_names(tmp_path, capsys, cli):
     log, out, listed = capture(tmp_path), tmp_path / "out.mcap", meter(tmp_path)
-    assert main(["decode", log, "--modbus-map", listed, "-o", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["dialects"] == ["meter"]
+    assert json.loads(cli("decode", log, "--modbus-map", listed, "-o", out, "--json").out)["dialects"] == ["meter"]
     values = [value for topic, *_, value in messages(out.read_bytes()) if topic == "/serial/5/read_input_registers/reply"]
     assert [v["voltage"] for v in values] == [230.0] * 4
     assert b"device_file_meter.csv" in out.read_bytes()
@@ -214,14 +212,12 @@ def test_the_log_and_the_filter_know_the_names(tmp_path, capsys):
     assert "read_input_registers" in capsys.readouterr().out
 
 
-def test_other_devices_are_not_judged_and_not_replayed(capsys):
+def test_other_devices_are_not_judged_and_not_replayed(cli):
     given = ("captures/devices/meter.log", "--modbus-map", "captures/devices/meter.csv")
-    assert main(["check", *given]) == 0
-    out = capsys.readouterr().out
+    out = cli("check", *given).out
     assert "3 requests, 6 Modbus frames, 3 replies, 10 not of this dialect" in out
     assert "exception" not in out
-    assert main(["replay", *given, "--on", "serial:none", "--dry-run"]) == 0
-    out = capsys.readouterr().out
+    out = cli("replay", *given, "--on", "serial:none", "--dry-run").out
     assert "3 x mks-modbus@1 read_speed" in out
     assert "10 frames that are not of this dialect: left out" in out
 
@@ -262,10 +258,9 @@ BAD = {
 
 
 @pytest.mark.parametrize("wrong", BAD)
-def test_a_wrong_row_is_told_in_one_line_and_nothing_is_written(wrong, tmp_path, capsys):
+def test_a_wrong_row_is_told_in_one_line_and_nothing_is_written(wrong, tmp_path, cli):
     log, out = capture(tmp_path), tmp_path / "out.mcap"
-    assert main(["decode", log, "--modbus-map", meter(tmp_path, row(wrong)), "-o", str(out)]) == 2
-    err = capsys.readouterr().err
+    err = cli("decode", log, "--modbus-map", meter(tmp_path, row(wrong)), "-o", out, status=2).err
     assert err.count("\n") == 1
     assert f"meter.csv{BAD[wrong]}" in err
     assert not out.exists()

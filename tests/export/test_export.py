@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import msgspec
 import pytest
@@ -19,11 +18,10 @@ from analyzer.catalogue import Role
 from analyzer.cli import main
 from analyzer.export import Choices, Export, writer
 from analyzer.records import CanFrame, Chunk, Comment
+from tests import CAPTURES, ROOT
 from tests.contracts.source_contract import read_all
 from tests.sources import builders
 
-ROOT = Path(__file__).parents[2]
-CAPTURES = ROOT / "captures"
 T = 1_772_442_000_123_456_789
 
 SERIAL = [

@@ -19,6 +19,7 @@ from analyzer.cli import main
 from analyzer.encoder import build
 from analyzer.errors import ServotapError
 from analyzer.export.python_can_io import McapReader, McapWriter
+from tests import CAPTURES
 from tests.conformance.drives.served import Emulated, wait_for
 from tests.logs import messages, metadata
 
@@ -62,7 +63,7 @@ def test_every_kind_of_frame_comes_back_as_it_was(tmp_path: Path) -> None:
     assert all(same(a, b) for a, b in zip(got, KINDS, strict=True))
 
 
-def test_what_is_logged_is_decoded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_logged_is_decoded(tmp_path: Path, cli) -> None:
     path = tmp_path / "a.mcap"
     with can.Logger(path, dialect="mks-can", model="42E", bitrate="500000") as logger:
         logger(KINDS[0])
@@ -70,8 +71,7 @@ def test_what_is_logged_is_decoded(tmp_path: Path, capsys: pytest.CaptureFixture
     assert topics(path)[:2] == ["/can0/1/read_encoder_carry/request", "/can0/1/read_encoder_carry/reply"]
     values = metadata(path)
     assert (values["dialect"], values["model"], values["bit_rate"], values["frames"]) == ("mks-can", "42E", "500000", "2")
-    assert main(["show", str(path)]) == 0
-    assert "carry=1" in capsys.readouterr().out
+    assert "carry=1" in cli("show", path).out
 
 
 def test_numbers_and_no_names_of_channels(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_packed_logs(tmp_path: Path) -> None:
 
 
 def test_serial_buses_are_passed_over(tmp_path: Path) -> None:
-    capture = Path(__file__).parents[2] / "captures/mks_rs485.log"
+    capture = CAPTURES / "mks_rs485.log"
     assert main(["decode", str(capture), "-o", str(tmp_path / "a.mcap")]) == 0
     with can.LogReader(tmp_path / "a.mcap") as reader:
         assert list(reader) == []

@@ -71,7 +71,7 @@ def test_a_folder_that_may_not_be_listed_is_told_and_one_that_fails_now_and_then
 
 
 @pytest.mark.parametrize("call", ["glob", "ls"])
-def test_a_lake_whose_store_has_gone_is_told_in_a_line(captures, tmp_path, capsys, monkeypatch, call):
+def test_a_lake_whose_store_has_gone_is_told_in_a_line(captures, tmp_path, cli, monkeypatch, call):
     made = lake(tmp_path / "lake")
     ingest(made, captures)
 
@@ -84,8 +84,7 @@ def test_a_lake_whose_store_has_gone_is_told_in_a_line(captures, tmp_path, capsy
 
     monkeypatch.setattr(type(made.place.fs), call, gone)
     monkeypatch.setattr(places, "FIRST_WAIT", 0)
-    assert main(["ask", str(tmp_path / "lake"), "select count(*) from captures"]) == 2
-    told = capsys.readouterr().err
+    told = cli("ask", tmp_path / "lake", "select count(*) from captures", status=2).err
     assert (told.count("\n"), "cannot be read: the store is gone" in told) == (1, True)
 
 
@@ -107,20 +106,18 @@ def test_a_download_that_was_cut_is_fetched_again(captures, tmp_path, monkeypatc
 
 @pytest.mark.parametrize("url", ["sftp://host/lake", "zip://lake.zip", "memory://lake", "https://host/lake"])
 @pytest.mark.parametrize("command", ["ingest", "ask", "fleet", "compact"])
-def test_where_no_lake_can_be_is_told_in_a_line(command, url, tmp_path, capsys):
+def test_where_no_lake_can_be_is_told_in_a_line(command, url, tmp_path, cli):
     words = {"ingest": [str(tmp_path), "--to", url], "fleet": [url, "-o", str(tmp_path / "page.html")]}.get(command, [url])
-    assert main([command, *words]) == 2
-    told = capsys.readouterr().err
+    told = cli(command, *words, status=2).err
     assert (told.count("\n"), "cannot commit" in told) == (1, True)
 
 
-def test_a_source_whose_package_is_missing_names_it(tmp_path, capsys, monkeypatch):
+def test_a_source_whose_package_is_missing_names_it(tmp_path, cli, monkeypatch):
     monkeypatch.setitem(sys.modules, "paramiko", None)
     monkeypatch.delitem(sys.modules, "fsspec.implementations.sftp", raising=False)
     # What a test before this one has loaded is kept in a registry.
     monkeypatch.delitem(sys.modules["fsspec.registry"]._registry, "sftp", raising=False)
-    assert main(["ingest", "sftp://host/captures", "--to", str(tmp_path / "lake")]) == 2
-    assert "paramiko" in capsys.readouterr().err
+    assert "paramiko" in cli("ingest", "sftp://host/captures", "--to", tmp_path / "lake", status=2).err
 
 
 @pytest.mark.parametrize(
@@ -212,7 +209,7 @@ def test_what_is_no_endpoint_is_told(url):
 
 
 @pytest.mark.parametrize("name", ["läke ü", "a#b?c", "{a,b}*", "日本 'x' & \"y\"; ~$HOME"])
-def test_a_lake_may_have_a_strange_name(captures, clean, tmp_path, name, capsys):
+def test_a_lake_may_have_a_strange_name(captures, clean, tmp_path, name, cli):
     made = lake(tmp_path / name / "lake")
     assert ingest(made, captures).new == 4
     assert rows(Lake(made.place)) == clean
@@ -220,8 +217,7 @@ def test_a_lake_may_have_a_strange_name(captures, clean, tmp_path, name, capsys)
         (tmp_path / f"{number}.log").write_text(candump(40 + number))
         assert ingest(made, tmp_path / f"{number}.log").new == 1
     assert main(["compact", made.place.url, "--keep", "0"]) == 0
-    assert main(["ask", made.place.url, "select count(*) from captures"]) == 0
-    assert capsys.readouterr().out.split()[-1] == "7"
+    assert cli("ask", made.place.url, "select count(*) from captures").out.split()[-1] == "7"
 
 
 @pytest.mark.parametrize("name", ["a%41", "a\udcff", "a\nb", "[x]", "a|b", "a\\b", "a^b"])

@@ -16,6 +16,7 @@ from analyzer.fleet import ask
 from analyzer.fleet.ask import Question
 from analyzer.fleet.lake import Lake
 from analyzer.fleet.place import Place
+from tests import ROOT
 from tests.fleet.lakes import hall, ingest, lake
 
 
@@ -33,10 +34,9 @@ from tests.fleet.lakes import hall, ingest, lake
         ("not a table", "expected SQL, as in: select"),
     ],
 )
-def test_a_question_without_an_answer_is_told(tmp_path, capsys, query, told):
+def test_a_question_without_an_answer_is_told(tmp_path, cli, query, told):
     lake(tmp_path / "lake")
-    assert main(["ask", str(tmp_path / "lake"), query]) == 2
-    assert told in capsys.readouterr().err
+    assert told in cli("ask", tmp_path / "lake", query, status=2).err
 
 
 def test_lists_and_intervals_are_text_in_csv(tmp_path):
@@ -96,14 +96,13 @@ def changed_in_log(made, table, old, new):
 @pytest.mark.parametrize("version", [2**64 - 1, 2**63 - 1, -5, '"one"'])
 @pytest.mark.parametrize("table", ["captures", "states"])
 @pytest.mark.parametrize("words", [["ask", "select * from states"], ["ingest"]])
-def test_a_count_of_batches_that_is_damaged_is_told_with_its_table(captures, tmp_path, capsys, words, table, version):
+def test_a_count_of_batches_that_is_damaged_is_told_with_its_table(captures, tmp_path, cli, words, table, version):
     at = tmp_path / "lake"
     made = lake(at)
     ingest(made, captures)
     changed_in_log(made, table, '"version":1', f'"version":{version}')
     if words[0] == "ask":
-        assert main(["ask", str(at), *words[1:]]) == 2
-        told = capsys.readouterr().err
+        told = cli("ask", at, *words[1:], status=2).err
     else:
         with pytest.raises(ServotapError) as raised:
             ingest(Lake(Place(str(at))), hall(tmp_path / "more", 1, 77))
@@ -114,7 +113,7 @@ def test_a_count_of_batches_that_is_damaged_is_told_with_its_table(captures, tmp
 
 
 @pytest.mark.parametrize("path", ["../secret.parquet", "states/../../../secret.parquet"])
-def test_a_lake_whose_log_names_a_file_outside_of_it_is_not_read(captures, tmp_path, path, capsys):
+def test_a_lake_whose_log_names_a_file_outside_of_it_is_not_read(captures, tmp_path, path, cli):
     made = lake(tmp_path / "lake")
     ingest(made, captures)
     parquet.write_table(pa.table({"capture": ["is-to-read-this"]}), tmp_path / "lake" / "secret.parquet")
@@ -123,8 +122,7 @@ def test_a_lake_whose_log_names_a_file_outside_of_it_is_not_read(captures, tmp_p
     again = changed_in_log(made, "captures", own, path)
     with pytest.raises(UnreadableError, match="captures cannot be read"):
         Question(again).dataset("captures")
-    assert main(["ask", str(tmp_path / "lake"), "select capture from captures"]) == 2
-    assert "is-to-read-this" not in "".join(capsys.readouterr())
+    assert "is-to-read-this" not in "".join(cli("ask", tmp_path / "lake", "select capture from captures", status=2))
 
 
 def test_the_stack_of_a_library_is_not_told(tmp_path):
@@ -167,20 +165,19 @@ def test_what_a_damaged_lake_would_be_partitioned_by_is_told(captures, tmp_path)
         "from secret",
     ],
 )
-def test_a_question_reads_the_lake_alone(tmp_path, capsys, monkeypatch, query, output):
+def test_a_question_reads_the_lake_alone(tmp_path, cli, monkeypatch, query, output):
     lake(tmp_path / "lake")
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "other.csv"
     file.write_text("a\nkeep out\n")
     secret = pa.table({"a": ["keep out"]})  # noqa: F841 (DuckDB would find it by its name)
-    assert main(["ask", "lake", query.format(file=file), *output]) == 2
-    told = capsys.readouterr()
+    told = cli("ask", "lake", query.format(file=file), *output, status=2)
     assert "keep out" not in told.out + told.err
     assert file.read_text() == "a\nkeep out\n"
     assert not (tmp_path / "answer.csv").exists()
 
 
-def test_the_memory_of_a_question_is_bounded(tmp_path, capsys, monkeypatch):
+def test_the_memory_of_a_question_is_bounded(tmp_path, capsys, cli, monkeypatch):
     resource = pytest.importorskip("resource")
     if not Path("/proc/self/status").exists():
         pytest.skip("what this process has already taken is not known")
@@ -190,8 +187,7 @@ def test_the_memory_of_a_question_is_bounded(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(ask, "_memory", lambda: used + (64 << 20))
     assert main(["ask", str(tmp_path / "lake"), "select sum(length(repeat('x', 99000000 + range::int))) from range(9)"]) == 2
     assert "memory" in capsys.readouterr().err.lower()
-    assert main(["ask", str(tmp_path / "lake"), "select repeat('x', 5000) as long"]) == 0
-    assert "(5000 characters)" in capsys.readouterr().out
+    assert "(5000 characters)" in cli("ask", tmp_path / "lake", "select repeat('x', 5000) as long").out
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
 
 
@@ -203,24 +199,22 @@ def test_the_time_of_a_question_is_bounded(tmp_path, capsys):
     assert not (tmp_path / "answer.csv").exists()
 
 
-def test_a_question_that_is_nested_too_deeply_is_told(tmp_path, capsys):
+def test_a_question_that_is_nested_too_deeply_is_told(tmp_path, cli):
     lake(tmp_path / "lake")
-    assert main(["ask", str(tmp_path / "lake"), "select " + "[" * 600 + "1" + "]" * 600]) == 2
-    assert "nested too deeply" in capsys.readouterr().err
+    assert "nested too deeply" in cli("ask", tmp_path / "lake", "select " + "[" * 600 + "1" + "]" * 600, status=2).err
 
 
-def test_a_commit_that_was_emptied_is_told(captures, tmp_path, capsys):
+def test_a_commit_that_was_emptied_is_told(captures, tmp_path, cli):
     made = lake(tmp_path / "lake")
     ingest(made, captures)
     commits = sorted((tmp_path / "lake" / "captures" / "_delta_log").glob("*.json"))
     commits[-1].write_bytes(b"")
     for words in (["select count(*) from captures"], ["captures"], []):
-        assert main(["ask", str(tmp_path / "lake"), *words]) == 2
-        assert f"{commits[-1].name} is empty" in capsys.readouterr().err
+        assert f"{commits[-1].name} is empty" in cli("ask", tmp_path / "lake", *words, status=2).err
 
 
 @pytest.mark.parametrize("table", ["captures", "states"])
-def test_a_log_that_has_lost_its_newest_commit_is_told(table, captures, tmp_path, capsys):
+def test_a_log_that_has_lost_its_newest_commit_is_told(table, captures, tmp_path, cli):
     at = tmp_path / "lake"
     made = lake(at)
     ingest(made, captures)
@@ -228,8 +222,7 @@ def test_a_log_that_has_lost_its_newest_commit_is_told(table, captures, tmp_path
     newest = max((at / table / "_delta_log").glob("*.json"))
     kept = newest.rename(tmp_path / newest.name)
     told = f"{at}/{table}: its log has lost its newest commits, and with them rows: restore it"
-    assert main(["ask", str(at), f"select count(*) from {table}"]) == 2
-    assert told in capsys.readouterr().err
+    assert told in cli("ask", at, f"select count(*) from {table}", status=2).err
     # Nothing is taken twice, and nothing beside what is gone.
     more = captures if table == "captures" else hall(tmp_path / "more", 1, 77)
     with pytest.raises(UnreadableError, match=re.escape(told)):
@@ -238,7 +231,7 @@ def test_a_log_that_has_lost_its_newest_commit_is_told(table, captures, tmp_path
     assert main(["ask", str(at), f"select count(*) from {table}"]) == 0
 
 
-_DOCS = Path(__file__).parents[2] / "docs" / "fleet.md"
+_DOCS = ROOT / "docs" / "fleet.md"
 _INDENTED = re.findall(r"\n\n((?: {4}.+\n)+)", _DOCS.read_text())
 _QUESTIONS = [" ".join(block.split()) for block in _INDENTED if block.lstrip().startswith("select")]
 

@@ -20,11 +20,11 @@ from analyzer.fleet.ranges import Range, Scan, joined, scan, take_range, waiting
 from analyzer.fleet.rows import take
 from analyzer.sources import source
 from benchmarks.framing_noise import damage, traffic
+from tests import CAPTURES
 from tests.columns.both_ways import short_runs
 from tests.columns.serial_traffic import chunks_of, polls
 from tests.fleet.lakes import Finished, candump, hall, ingest, options, rows
 
-CAPTURES = Path(__file__).parents[2] / "captures"
 FILES = [path for path in sorted(CAPTURES.iterdir()) if path.is_file() and path.suffix not in (".golden", ".md", ".py", ".mf4")]
 
 

@@ -56,7 +56,7 @@ def test_a_bucket_that_fails_one_call_in_five_brings_the_same_rows(bucket, captu
     assert capsys.readouterr().out.split() == ["n", str(len(clean["states"]))]
 
 
-def test_captures_of_a_server_are_fetched_by_sftp(captures, clean, tmp_path, capsys):
+def test_captures_of_a_server_are_fetched_by_sftp(captures, clean, tmp_path, cli):
     pytest.importorskip("paramiko")
     from tests.fleet import sftp_server
 
@@ -64,18 +64,14 @@ def test_captures_of_a_server_are_fetched_by_sftp(captures, clean, tmp_path, cap
     with sftp_server.serving(captures.parent) as port:
         source = f"sftp://plant@127.0.0.1:{port}/{captures.name}"
         words = ["ingest", source, "--to", made, "--machine", "{machine}/{date}/*", "--workers", "1", "--json"]
-        assert main([*words, "--store", "password=wrong"]) == 2
-        assert "Authentication failed" in capsys.readouterr().err
+        assert "Authentication failed" in cli(*words, "--store", "password=wrong", status=2).err
         asked = [*words, "--store", f"password={sftp_server.PASSWORD}"]
-        assert main(asked) == 2
-        told = json.loads(capsys.readouterr().out)
+        told = json.loads(cli(*asked, status=2).out)
         assert (told["new"], [each["name"] for each in told["unread"]]) == (6, ["notes.txt"])
         # Nothing is fetched of what is known.
-        assert main(asked) == 0
-        told = json.loads(capsys.readouterr().out)
+        told = json.loads(cli(*asked).out)
         assert (told["known"], told["bytes"]) == (7, 0)
-        assert main(["ingest", f"{source}/nowhere", *asked[2:]]) == 2
-        assert "does not exist" in capsys.readouterr().err
+        assert "does not exist" in cli("ingest", f"{source}/nowhere", *asked[2:], status=2).err
     assert rows(Lake(Place(made))) == clean
 
 
@@ -196,21 +192,17 @@ def test_processes_of_dask_that_cannot_be_started_are_no_fault(captures, tmp_pat
     assert "7 workers of Dask cannot be started: Nanny failed to start. Fewer need" in capsys.readouterr().err
 
 
-def test_the_commands(captures, tmp_path, capsys):
+def test_the_commands(captures, tmp_path, cli):
     made = str(tmp_path / "lake")
     asked = ["ingest", str(captures), "--to", made, "--machine", "{machine}/{date}/*", "--workers", "1", "--json"]
-    assert main(asked) == 2
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(cli(*asked, status=2).out)
     assert (told["new"], told["known"], [each["name"] for each in told["unread"]]) == (6, 0, ["notes.txt"])
-    assert main(asked) == 0
-    assert json.loads(capsys.readouterr().out)["known"] == 7
+    assert json.loads(cli(*asked).out)["known"] == 7
     table = tmp_path / "speeds.csv"
     assert main(["ask", made, "select machine, count(*) n from captures group by 1 order by 1", "-o", str(table)]) == 0
     assert table.read_text().splitlines()[1:] == ['"m0",3', '"m1",3', ",1"]
-    assert main(["ask", made, "select * from state"]) == 2
-    assert "did you mean states" in capsys.readouterr().err
-    assert main(["ask", made]) == 0
-    assert "mks_can.read_speed_reply" in capsys.readouterr().out
+    assert "did you mean states" in cli("ask", made, "select * from state", status=2).err
+    assert "mks_can.read_speed_reply" in cli("ask", made).out
     assert main(["compact", made]) == 0
     page = tmp_path / "fleet.html"
     assert [main(["fleet", made, "-o", str(page)]) for _ in range(2)] == [0, 2]

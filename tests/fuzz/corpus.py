@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from tests import CAPTURES
+
 #: Files by their path.
 Input = Mapping[str, bytes]
 INPUT = "input"
 FOLDER = Path(__file__).parent / "corpus"
-CAPTURES = Path(__file__).parents[2] / "captures"
 
 
 def load(path: Path) -> Input:

@@ -19,9 +19,10 @@ from analyzer import dialects
 from analyzer.catalogue import Role
 from analyzer.reference.dbc import dbc
 from analyzer.sources import FORMATS
+from tests import CAPTURES
 from tests.bytestreams import vectors
 from tests.collect import sum8
-from tests.fuzz.corpus import CAPTURES, INPUT, Input, captures, quick
+from tests.fuzz.corpus import INPUT, Input, captures, quick
 from tests.fuzz.mutators import SIZE_LIMIT, TOKENS, VALUES, bytes_changed, kind_of, mutated, text_changed
 from tests.live.spooled import START, Spools, port
 from tests.sources.builders import SAMPLES

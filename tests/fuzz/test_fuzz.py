@@ -17,6 +17,7 @@ from analyzer.errors import ServotapError
 from analyzer.live import checkpoint
 from analyzer.live.spool import SpoolReader
 from analyzer.sources import open_source
+from tests import ROOT
 from tests.fuzz import engine, targets
 from tests.fuzz.__main__ import Session
 from tests.fuzz.corpus import INPUT, captures
@@ -29,7 +30,7 @@ ROUNDS = 24
 
 
 def test_the_corpus_holds():
-    root = Path(__file__).parents[2]
+    root = ROOT
     ended = subprocess.run([sys.executable, "-m", "tests.fuzz", "--replay"], cwd=root, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr + ended.stdout
 

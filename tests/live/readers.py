@@ -11,13 +11,12 @@ import socket
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 from analyzer.live.config import PortConfig, RecordingConfig
 from analyzer.live.endpoint import parse
 from analyzer.live.spool import RecordKind, SpoolReader
+from tests import ROOT
 
-ROOT = Path(__file__).parents[2]
 STEM = "1-a"
 
 

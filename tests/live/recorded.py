@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 
 from analyzer.live.spool import last_record, spool_folder, stems
+from tests import ROOT
 from tests.conformance.drives.served import wait_for
 
-ROOT = Path(__file__).parents[2]
 READY_S = 20.0
 
 

@@ -224,11 +224,9 @@ def test_nothing_found_says_what_to_check() -> None:
     assert "note: not all answered" in text
 
 
-def test_the_command_on_this_machine(capsys: pytest.CaptureFixture[str]) -> None:
-    from analyzer.cli import main
+def test_the_command_on_this_machine(cli) -> None:
 
-    assert main(["ports", "--json", "--no-detect"]) == 0
-    listed = json.loads(capsys.readouterr().out)
+    listed = json.loads(cli("ports", "--json", "--no-detect").out)
     assert set(listed) == {"serial", "can"}
     for entry in (*listed["serial"], *listed["can"]):
         parse(entry["endpoint"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
 
 import msgspec
 import pytest
@@ -12,9 +11,9 @@ import pytest
 from analyzer.cli import main, record
 from analyzer.errors import ServotapError, UnreadableError, UsageError
 from analyzer.live import profile
+from tests import ROOT
 from tests.live.test_record_options import parsed
 
-ROOT = Path(__file__).parents[2]
 BENCH = """\
 [bus.left]
 port = "/dev/ttyUSB7"
@@ -250,17 +249,15 @@ def test_record_takes_from_a_profile_what_is_not_said(bench):
     assert (said.ports[0].dialects, said.model, said.ports[0].ids) == (("lk-rs485",), "MG", (7,))
 
 
-def test_frame_takes_a_name(bench, capsys):
+def test_frame_takes_a_name(bench, cli):
     assert main(["frame", "arm", "read_speed"]) == 0
-    assert main(["frame", "wrist", "read_speed"]) == 0
-    assert capsys.readouterr().out.split("\n")[:2] == ["FA 01 32 2D", "12 32 44"]
+    assert cli("frame", "wrist", "read_speed").out.split("\n")[:2] == ["FA 01 32 2D", "12 32 44"]
     # The model's limits count: a 42D takes 3000 mA.
     assert main(["frame", "arm", "set_current", "current=5000"]) == 2
 
 
-def test_view_says_what_a_name_is(bench, capsys):
-    assert main(["view", "arm"]) == 2
-    assert "arm is a name of servotap.toml, expected a file (servotap record arm --view)" in capsys.readouterr().err
+def test_view_says_what_a_name_is(bench, cli):
+    assert "arm is a name of servotap.toml, expected a file (servotap record arm --view)" in cli("view", "arm", status=2).err
 
 
 def test_the_profile_of_the_documentation_is_one(folder):

@@ -19,10 +19,10 @@ from mcap.reader import make_reader
 from analyzer.live.spool import Record, last_record
 from analyzer.records import CanFrame, Chunk
 from analyzer.sources import open_source
+from tests import CAPTURES, ROOT
 from tests.conformance.drives.served import Emulated, wait_for
-from tests.live.recorded import ROOT, Recorded, gone, pty_pair
+from tests.live.recorded import Recorded, gone, pty_pair
 
-CAPTURES = Path(__file__).parents[2] / "captures"
 POLL = bytes.fromhex("FA 01 31 2C FB 01 31 00 00 00 00 40 00 6D")
 
 

@@ -15,12 +15,12 @@ from analyzer.cli import main
 from analyzer.devices import read as read_files
 from analyzer.live.config import CONTROL
 from analyzer.live.spool import CanFlag
+from tests import CAPTURES
 from tests.collect import crc, sum8
 from tests.live.spooled import START, UTC, Spools, content, decoded_of, port, raw_of, read, traffic
 from tests.logs import metadata
-from tests.test_readme import ROOT
 
-DEVICES = ROOT / "captures" / "devices"
+DEVICES = CAPTURES / "devices"
 
 LEFT = port("1-left", "left", byte_ns=260_416, speed=38400)
 

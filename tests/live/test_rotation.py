@@ -67,7 +67,7 @@ def test_no_byte_is_lost_or_doubled_at_the_seams(tmp_path, seed, killed):
         assert events[:4] == ["part", "port", "port", "port"]
 
 
-def test_parts_are_read_as_one_and_each_alone(tmp_path, capsys):
+def test_parts_are_read_as_one_and_each_alone(tmp_path, capsys, cli):
     spools = Spools(tmp_path, LEFT, RIGHT, ARM, rotate_bytes=12_000)
     fill(spools, 5)
     paths = recorded_in_steps(spools, 5)
@@ -85,8 +85,7 @@ def test_parts_are_read_as_one_and_each_alone(tmp_path, capsys):
             assert size
             assert not [note for note in source.notes if "missing in the log" in note]
     paths[1].unlink()
-    assert main(["show", str(tmp_path), "--limit", "1"]) == 0
-    assert "between part 1 and part 3 are missing" in capsys.readouterr().err
+    assert "between part 1 and part 3 are missing" in cli("show", tmp_path, "--limit", "1").err
 
 
 def test_frames_are_not_cut_where_that_can_be(tmp_path):
@@ -183,7 +182,7 @@ def test_names(tmp_path):
     assert base_of(tmp_path / "week.mcap").name == "week.mcap"
 
 
-def test_a_folder_with_two_recordings(tmp_path, capsys):
+def test_a_folder_with_two_recordings(tmp_path, cli):
     for name in ("a.mcap", "b.mcap"):
         spools = Spools(tmp_path, port("1-left", "left"), name=name, late_ns=1_000_000_000)
         spools.data("1-left", 1, sum8("FA 01 32"))
@@ -194,5 +193,4 @@ def test_a_folder_with_two_recordings(tmp_path, capsys):
 
             msgspec.structs.replace(told, anchor_utc_ns=told.anchor_utc_ns + 1).save(spools.folder)
         spools.record()
-    assert main(["show", str(tmp_path)]) == 2
-    assert "holds 2 recordings, name one of them" in capsys.readouterr().err
+    assert "holds 2 recordings, name one of them" in cli("show", tmp_path, status=2).err

@@ -23,6 +23,7 @@ from analyzer.live import recorder, supervisor
 from analyzer.live.recorder import LAST_TRIES_NS, QUIET_NS, Recorder, Stalled
 from analyzer.live.recording import Recording
 from analyzer.live.supervisor import END_S, SILENT_S, Supervisor, Taken
+from tests import ROOT
 from tests.collect import sum8
 from tests.conformance.drives.served import wait_for
 from tests.live.recorded import Recorded, pty_pair, small_disk
@@ -30,7 +31,6 @@ from tests.live.spooled import Spools, port
 from tests.live.test_record import raw, servotap
 from tests.live.test_record_faults import flood
 
-ROOT = Path(__file__).parents[2]
 S = 1_000_000_000
 #: Calls that wait.
 WAITING = {"sleep", "wait", "poll", "get", "select", "read", "recv", "recv_fds", "_turn"}

@@ -208,14 +208,13 @@ def in_zip(path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_what_is_broken_is_one_line_and_writes_nothing(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_broken_is_one_line_and_writes_nothing(name: str, tmp_path: Path, cli) -> None:
     form, spoil, error = BROKEN[name]
     path = WRITERS[form][1](tmp_path / "capture", WAVES, RATE)
     spoil(path)
     with pytest.raises(UnreadableError, match=error):
         read_all(path)
-    assert main(["decode", str(path), "-o", str(tmp_path / "out.mcap")]) == 2
-    said = capsys.readouterr().err
+    said = cli("decode", path, "-o", tmp_path / "out.mcap", status=2).err
     assert said.startswith("servotap decode: capture")
     assert said.count("\n") == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["capture"]

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
 from analyzer.records import CanFrame, Chunk, Event
 from analyzer.sources import open_source
+from tests import CAPTURES
 from tests.contracts.source_contract import read_all
 
-CAPTURES = Path(__file__).parents[2] / "captures" / "logic"
+CAPTURES = CAPTURES / "logic"
 #: Samples a second, and nanoseconds of all bits behind the data of a byte.
 RATES = {
     "ampel64_4800_8n1_frame_errors": (2_000_000, 1 / 4800),

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 import servotap
-from analyzer.cli import main
+from tests import CAPTURES
 
-CAPTURE = Path(__file__).parents[2] / "captures" / "mks_rs485.log"
+CAPTURE = CAPTURES / "mks_rs485.log"
 
 
 @pytest.mark.parametrize("path", ["", None, 5, 3.5, b"a.log", [], object()])
@@ -95,11 +95,8 @@ def test_names_of_columns_and_a_lake_are_checked(value: Any) -> None:
 
 
 @pytest.mark.parametrize("command", ["decode", "diagnose", "show", "check"])
-def test_an_empty_name_is_not_the_current_folder(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_empty_name_is_not_the_current_folder(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli) -> None:
     (tmp_path / "a.log").write_bytes(CAPTURE.read_bytes())
     monkeypatch.chdir(tmp_path)
-    assert main([command, ""]) == 2
-    assert "the name of the capture is empty" in capsys.readouterr().err
+    assert "the name of the capture is empty" in cli(command, "", status=2).err
     assert [path.name for path in tmp_path.iterdir()] == ["a.log"]

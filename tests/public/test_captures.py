@@ -8,7 +8,6 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from pathlib import Path
 
 import matplotlib
 import pandas
@@ -17,10 +16,9 @@ import pytest
 
 import servotap
 from analyzer.sources.stream import BLOCK
+from tests import CAPTURES, ROOT
 
 matplotlib.use("Agg")
-ROOT = Path(__file__).parents[2]
-CAPTURES = ROOT / "captures"
 LOG = CAPTURES / "mks_rs485.log"
 
 
@@ -220,12 +218,10 @@ def test_plots_show_the_values_with_their_units():
 # --- explain ------------------------------------------------------------------------------------------------------------
 
 
-def test_explain_prints_as_the_command_line_does(capsys):
-    from analyzer.cli import main
+def test_explain_prints_as_the_command_line_does(cli):
 
     for frame in ("FA 01 F6 0F A0 02", "FA 01 31 2C FB 01 31 00 00 00 00 7F F0 9C", "001#F60140023A"):
-        assert main(["explain", frame]) == 0
-        assert str(servotap.explain(frame)) + "\n" == capsys.readouterr().out
+        assert str(servotap.explain(frame)) + "\n" == cli("explain", frame).out
 
 
 def test_explain_takes_bytes_and_says_what_is_wrong():

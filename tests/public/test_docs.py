@@ -5,16 +5,16 @@ from __future__ import annotations
 import doctest
 import re
 import runpy
-from pathlib import Path
 
 import matplotlib
 
-ROOT = Path(__file__).parents[2]
+from tests import CAPTURES, ROOT
+
 matplotlib.use("Agg")
 
 
 def test_the_examples_of_the_page_print_what_stands_below_them(tmp_path, monkeypatch):
-    (tmp_path / "captures").symlink_to(ROOT / "captures")
+    (tmp_path / "captures").symlink_to(CAPTURES)
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(), re.DOTALL)
     text = "\n".join(blocks)

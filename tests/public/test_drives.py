@@ -7,7 +7,6 @@ import subprocess
 import sys
 import textwrap
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import pytest
 
@@ -16,8 +15,8 @@ from analyzer import dialects
 from conformance.pytest_plugin.fixtures import port_of
 from conformance.safety import messages as say
 from conformance.safety.guarded_line import GuardedLine
+from tests import ROOT
 
-ROOT = Path(__file__).parents[2]
 RUN = {"direction": "cw", "speed": 60, "acceleration": 250}
 READY = "mks-rs485@1,work_mode=sr_vfoc"
 

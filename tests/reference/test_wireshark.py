@@ -11,6 +11,7 @@ import pytest
 
 from analyzer.catalogue import Dialect
 from analyzer.cli import main
+from tests import CAPTURES
 from tests.reference.beside_wireshark import (
     LINKS,
     PAIRS,
@@ -24,7 +25,6 @@ from tests.reference.beside_wireshark import (
     write_script,
 )
 
-CAPTURES = Path(__file__).parents[2] / "captures"
 needs_tshark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed: apt install tshark")
 
 

@@ -13,12 +13,11 @@ from mcap.writer import Writer
 
 from analyzer.cli import main
 from analyzer.report.page import LARGEST
+from tests import CAPTURES
 from tests.browser import chromium, needs_chromium
 from tests.collect import crc
 from tests.conformance.report.test_page import EVIL, told
-from tests.test_readme import ROOT
 
-CAPTURES = ROOT / "captures"
 START = 1_772_442_000_000_000_000
 
 
@@ -112,11 +111,10 @@ def test_a_capture_with_nothing_to_decode_is_a_page_that_says_so(tmp_path):
 
 
 @pytest.mark.parametrize("data", [b"", b"PK\x03\x04broken"])
-def test_of_a_capture_that_cannot_be_read_there_is_no_page(tmp_path, data, capsys):
+def test_of_a_capture_that_cannot_be_read_there_is_no_page(tmp_path, data, cli):
     path = tmp_path / "x.sr"
     path.write_bytes(data)
-    assert main(["report", str(path)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    assert cli("report", path, status=2).err.count("\n") == 1
     assert [each.name for each in tmp_path.iterdir()] == ["x.sr"]
 
 
@@ -153,7 +151,7 @@ def test_a_log_is_decoded_again_where_that_is_asked_for(tmp_path):
     assert "out_of_range" not in part
 
 
-def test_a_page_is_replaced_only_by_force_and_never_the_capture(tmp_path, capsys):
+def test_a_page_is_replaced_only_by_force_and_never_the_capture(tmp_path, cli):
     capture = tmp_path / "x.html"
     capture.write_text((CAPTURES / "mks_rs485.log").read_text())
     for words, says in (
@@ -161,11 +159,9 @@ def test_a_page_is_replaced_only_by_force_and_never_the_capture(tmp_path, capsys
         (["-o", str(tmp_path)], "is a folder: name a file"),
         ([str(capture)], "name the page with -o OUT.html"),
     ):
-        assert main(["report", str(capture), *words]) == 2
-        assert says in capsys.readouterr().err
+        assert says in cli("report", capture, *words, status=2).err
     made(capture, tmp_path / "y.html")
-    assert main(["report", str(capture), "-o", str(tmp_path / "y.html")]) == 2
-    assert "--force replaces it" in capsys.readouterr().err
+    assert "--force replaces it" in cli("report", capture, "-o", tmp_path / "y.html", status=2).err
 
 
 def test_long_pauses_part_a_capture_and_break_its_lines(tmp_path):

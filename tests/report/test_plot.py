@@ -19,9 +19,9 @@ from analyzer.cli.plot import _drives
 from analyzer.report.picture import Panel, draw
 from analyzer.report.series import series
 from analyzer.sources import open_source
-from tests.test_readme import ROOT
+from tests import CAPTURES, ROOT
 
-CAPTURE = str(ROOT / "captures" / "mks_rs485.log")
+CAPTURE = str(CAPTURES / "mks_rs485.log")
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_a_field_goes_by_its_command_and_a_latency_is_in_ms(log):
 
 
 def test_a_log_is_decoded_again_with_a_file_of_other_devices(tmp_path, capsys):
-    devices, log = ROOT / "captures" / "devices", tmp_path / "x.mcap"
+    devices, log = CAPTURES / "devices", tmp_path / "x.mcap"
     assert main(["decode", str(devices / "battery.log"), "-o", str(log)]) == 0
     assert main(["plot", str(log), "voltage", "--dbc", str(devices / "battery.dbc")]) == 0
     assert "can0/291/battery_status/message.voltage  47.9 to 48 V" in capsys.readouterr().out
@@ -75,37 +75,34 @@ def test_a_log_is_decoded_again_with_a_file_of_other_devices(tmp_path, capsys):
         (["speed", "--filter", "spede > 1"], "spede"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_plotted_is_said_in_a_line(log, words, says, capsys):
-    assert main(["plot", str(log), *words]) == 2
-    told = capsys.readouterr().err
+def test_what_cannot_be_plotted_is_said_in_a_line(log, words, says, cli):
+    told = cli("plot", log, *words, status=2).err
     assert says in told
     assert told.count("\n") == 1
 
 
-def test_only_what_is_wanted_is_plotted(log, capsys):
-    assert main(["plot", str(log), "speed", "--filter", 'command == "read_speed" and speed > 300']) == 0
-    assert "serial/1  320 to 320 rpm" in capsys.readouterr().out
-    assert main(["plot", str(log), "latency", "--since", "+9.5s", "--drive", "serial/2"]) == 0
-    assert "serial/2/read_io/reply.latency" in capsys.readouterr().out
+def test_only_what_is_wanted_is_plotted(log, cli):
+    assert "serial/1  320 to 320 rpm" in cli("plot", log, "speed", "--filter", 'command == "read_speed" and speed > 300').out
+    assert "serial/2/read_io/reply.latency" in cli("plot", log, "latency", "--since", "+9.5s", "--drive", "serial/2").out
+    of_can = cli("plot", CAPTURES / "mks_can.candump.log", "latency", "--filter", 'raw == "01 82 01 84"').out
+    assert "can0/1/set_work_mode/reply.latency  1 to 1 ms" in of_can
     left = _drives(["left/0x10", "3"])
     assert [left(*each) for each in (("left", "16"), ("right", "16"), ("right", "3"))] == [True, False, True]
 
 
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
-def test_a_picture_is_written_once(log, tmp_path, ending, capsys):
+def test_a_picture_is_written_once(log, tmp_path, ending, cli):
     out = tmp_path / f"x.{ending}"
     assert main(["plot", str(log), "speed", "position", "-o", str(out)]) == 0
     if ending == "png":
         assert len(np.unique(matplotlib.image.imread(out).reshape(-1, 4), axis=0)) > 20
-    assert main(["plot", str(log), "speed", "-o", str(out)]) == 2
-    assert "exists; --force replaces it" in capsys.readouterr().err
+    assert "exists; --force replaces it" in cli("plot", log, "speed", "-o", out, status=2).err
 
 
-def test_text_that_no_font_or_formula_takes_is_drawn_as_it_is(tmp_path, capsys, recwarn):
+def test_text_that_no_font_or_formula_takes_is_drawn_as_it_is(tmp_path, cli, recwarn):
     capture = tmp_path / "$\\frac{$ \x1b[31m \u4e2d\ue000.log"
-    capture.write_bytes((ROOT / "captures" / "mks_rs485.log").read_bytes())
-    assert main(["plot", str(capture), "speed", "-o", str(tmp_path / "x.svg")]) == 0
-    assert capsys.readouterr().err == ""
+    capture.write_bytes((CAPTURES / "mks_rs485.log").read_bytes())
+    assert cli("plot", capture, "speed", "-o", tmp_path / "x.svg").err == ""
     assert not recwarn.list
     figure = matplotlib.figure.Figure()
     (axes,) = draw(figure, [Panel("$x", ["$\\frac{$"], [("$a$", [0.0], [1.0])])], "$$")
@@ -117,7 +114,7 @@ def test_text_that_no_font_or_formula_takes_is_drawn_as_it_is(tmp_path, capsys, 
 def test_a_pipe_is_read_once(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     os.mkfifo("PIPE")
-    data = (ROOT / "captures" / "mks_rs485.log").read_bytes()
+    data = (CAPTURES / "mks_rs485.log").read_bytes()
     with ThreadPoolExecutor(1) as pool:
         wrote = pool.submit(Path("PIPE").write_bytes, data)
         assert main(words) == 0
@@ -125,9 +122,8 @@ def test_a_pipe_is_read_once(words, tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out
 
 
-def test_a_capture_without_times_is_plotted_by_its_frames(capsys):
-    assert main(["plot", str(ROOT / "captures" / "mks_rs485.bin"), "position"]) == 0
-    assert "\n   frame 2.0" in capsys.readouterr().out
+def test_a_capture_without_times_is_plotted_by_its_frames(cli):
+    assert "\n   frame 2.0" in cli("plot", CAPTURES / "mks_rs485.bin", "position").out
 
 
 def test_without_matplotlib_it_says_what_to_install(log):

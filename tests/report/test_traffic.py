@@ -10,7 +10,7 @@ from analyzer.cli import main
 from analyzer.report.kept import Marks, extremes
 from analyzer.report.traffic import Traffic
 from analyzer.sources import open_source
-from tests.test_readme import ROOT
+from tests import CAPTURES
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=300), st.integers(4, 60))
@@ -48,7 +48,7 @@ def traffic_of(capture, folder, *words):
 
 
 def test_a_log_gives_values_latencies_marks_and_findings(tmp_path):
-    traffic = traffic_of(ROOT / "captures" / "mks_rs485.log", tmp_path)
+    traffic = traffic_of(CAPTURES / "mks_rs485.log", tmp_path)
     drive = traffic.drives["serial", "1"]
     assert (traffic.frames, drive.requests, drive.replies) == (39, 16, 19)
     assert drive.states["speed"].columns()[2].tolist() == [320]
@@ -65,13 +65,13 @@ def test_a_log_gives_values_latencies_marks_and_findings(tmp_path):
 
 
 def test_a_drive_on_can_goes_by_its_identifier(tmp_path):
-    traffic = traffic_of(ROOT / "captures" / "mks_can.asc", tmp_path)
+    traffic = traffic_of(CAPTURES / "mks_can.asc", tmp_path)
     assert "0x001" in {drive.who for drive in traffic.drives.values()}
     assert traffic.breaches["unknown_choice"].first[0].raw.startswith("001 ")
 
 
 def test_values_of_other_devices_are_kept_with_their_units(tmp_path):
-    devices = ROOT / "captures" / "devices"
+    devices = CAPTURES / "devices"
     battery = traffic_of(devices / "battery.log", tmp_path, "--dbc", str(devices / "battery.dbc")).drives["can0", "291"]
     assert (battery.answers, battery.messages, battery.replies) == (0, 2, 0)
     values = {name: (track.columns()[2].tolist(), battery.units[name]) for name, track in battery.states.items()}

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from tests.fuzz.corpus import CAPTURES
+from tests import CAPTURES
 
 LOAD = (
     "import sys; from importlib.util import find_spec; from analyzer.system import own_process; own_process.is_own = {}; "

@@ -16,7 +16,6 @@ import sys
 import time
 from datetime import datetime, timedelta
 from itertools import pairwise
-from pathlib import Path
 
 import duckdb
 import openpyxl
@@ -32,9 +31,8 @@ from analyzer.sources.times import Clock, ShownTime
 from analyzer.table import files
 from analyzer.table.columns import HEAD, TAIL, units_of_dialects
 from analyzer.table.tables import Long, parse_rate
+from tests import CAPTURES, ROOT
 
-ROOT = Path(__file__).parents[2]
-CAPTURES = ROOT / "captures"
 EVERY = ("mks_rs485.log", "mks_modbus.log", "mks_can.asc", "lk_rs485.log", "mks_rs485.bin")
 
 
@@ -45,9 +43,8 @@ def exported(capsys, source, target, *options):
     return told.out
 
 
-def refused(capsys, *words):
-    assert main(["export", *map(str, words)]) == 2
-    return capsys.readouterr().err
+def refused(cli, *words):
+    return cli("export", *words, status=2).err
 
 
 def shown(capsys, source):
@@ -295,7 +292,7 @@ def test_junk_and_findings_have_their_columns(tmp_path, capsys):
     assert {(row["findings"], row["command"], row["sequence"]) for row in late} >= {("unanswered", "read_speed", "1")}
 
 
-def test_frames_of_other_nodes_are_rows_without_fields(tmp_path, capsys):
+def test_frames_of_other_nodes_are_rows_without_fields(tmp_path, capsys, cli):
     source = tmp_path / "a.log"
     source.write_text(
         "(1436509052.249713) can0 001#F60140023A\n(1436509052.269713) can0 12345678#AABBCC\n(1436509052.279713) can0 223#1122\n"
@@ -305,7 +302,7 @@ def test_frames_of_other_nodes_are_rows_without_fields(tmp_path, capsys):
     assert table.select("address", "role", "dialect", "command", "checksum_ok", "raw", "findings").rows()[1:] == [
         (0x12345678, "foreign", None, None, None, "AA BB CC", None), (0x223, "foreign", None, None, None, "11 22", None),
     ]  # fmt: skip
-    assert "--ids is for csv and parquet and xlsx" in refused(capsys, source, "-o", tmp_path / "a.pcapng", "--ids", "1")
+    assert "--ids is for csv and parquet and xlsx" in refused(cli, source, "-o", tmp_path / "a.pcapng", "--ids", "1")
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -322,12 +319,11 @@ def test_every_byte_of_a_damaged_capture_stands_once(seed, tmp_path, capsys):
     assert b"".join(bytes.fromhex(raw) for _, raw in sorted(rows)) == data
 
 
-def test_every_finding_stands_once(tmp_path, capsys):
+def test_every_finding_stands_once(tmp_path, capsys, cli):
     for name in EVERY:
         exported(capsys, CAPTURES / name, tmp_path / "a.csv")
         told = [rule for row in read_csv(tmp_path / "a.csv") for rule in row["findings"].split("; ") if rule]
-        assert main(["decode", str(CAPTURES / name), "-o", str(tmp_path / "a.mcap"), "--force", "--json"]) == 0
-        counts = json.loads(capsys.readouterr().out)["findings"]
+        counts = json.loads(cli("decode", CAPTURES / name, "-o", tmp_path / "a.mcap", "--force", "--json").out)["findings"]
         assert {rule: told.count(rule) for rule in told} == {each["rule"]: each["count"] for each in counts}
 
 
@@ -375,10 +371,10 @@ def test_rates(text, hertz):
     assert parse_rate(text) == hertz
 
 
-def test_a_clock_that_jumps_by_years_gives_no_endless_table(tmp_path, capsys):
+def test_a_clock_that_jumps_by_years_gives_no_endless_table(tmp_path, cli):
     source = hex_log(tmp_path / "a.log", *[("left", "<", bytes.fromhex("FB013201406F"))] * 2)
     source.write_text(source.read_text().replace("2026-03-02 09:00:01", "2046-03-02 09:00:01"))
-    assert "choose a lower rate" in refused(capsys, source, "-o", tmp_path / "a.csv", "--rate", "1kHz")
+    assert "choose a lower rate" in refused(cli, source, "-o", tmp_path / "a.csv", "--rate", "1kHz")
     assert not (tmp_path / "a.csv").exists()
 
 
@@ -418,21 +414,21 @@ def test_long_rows_without_a_chosen_field_are_left_out(tmp_path, capsys):
         (["--chunks"], "--chunks is for candump and pcapng and hex, and this is csv"),
     ],
 )
-def test_what_cannot_be_chosen_is_told_with_the_near_word(option, told, tmp_path, capsys):
+def test_what_cannot_be_chosen_is_told_with_the_near_word(option, told, tmp_path, capsys, cli):
     words = [CAPTURES / "mks_rs485.log", "-o", tmp_path / "a.csv", *option]
     try:
-        error = refused(capsys, *words)
+        error = refused(cli, *words)
     except SystemExit:
         error = capsys.readouterr().err
     assert told in error
     assert not list(tmp_path.iterdir())
 
 
-def test_the_end_of_the_name_says_the_format(tmp_path, capsys):
+def test_the_end_of_the_name_says_the_format(tmp_path, capsys, cli):
     exported(capsys, CAPTURES / "mks_rs485.log", tmp_path / "a.pcapng")
     assert (tmp_path / "a.pcapng").read_bytes()[:4] == b"\x0a\x0d\x0d\x0a"
-    assert ".csv, .parquet, .xlsx" in refused(capsys, CAPTURES / "mks_rs485.log", "-o", tmp_path / "a.doc")
-    error = refused(capsys, CAPTURES / "mks_rs485.log", "-o", tmp_path / "b.pcapng", "--wide")
+    assert ".csv, .parquet, .xlsx" in refused(cli, CAPTURES / "mks_rs485.log", "-o", tmp_path / "a.doc")
+    error = refused(cli, CAPTURES / "mks_rs485.log", "-o", tmp_path / "b.pcapng", "--wide")
     assert "--wide is for csv and parquet and xlsx, and this is pcapng" in error
 
 
@@ -440,9 +436,9 @@ def test_the_end_of_the_name_says_the_format(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("kind", "package"), [("parquet", "pyarrow"), ("xlsx", "xlsxwriter")])
-def test_a_missing_package_is_named_with_its_extra(kind, package, tmp_path, capsys, monkeypatch):
+def test_a_missing_package_is_named_with_its_extra(kind, package, tmp_path, cli, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
-    error = refused(capsys, CAPTURES / "mks_rs485.log", "-o", tmp_path / f"a.{kind}")
+    error = refused(cli, CAPTURES / "mks_rs485.log", "-o", tmp_path / f"a.{kind}")
     assert f"needs {package}, which is not installed: pip install 'servotap[table]'" in error
     assert not list(tmp_path.iterdir())
 
@@ -482,23 +478,23 @@ def test_an_interrupt_leaves_no_file(kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet", "xlsx"])
-def test_a_full_disk_leaves_no_file(kind, tmp_path, capsys, monkeypatch):
+def test_a_full_disk_leaves_no_file(kind, tmp_path, cli, monkeypatch):
     class Full(Long):
         def lines(self):
             yield from list(super().lines())[:5]
             raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("analyzer.cli.export_table.Long", Full)
-    error = refused(capsys, CAPTURES / "mks_rs485.log", "-o", tmp_path / f"a.{kind}")
+    error = refused(cli, CAPTURES / "mks_rs485.log", "-o", tmp_path / f"a.{kind}")
     assert error == (
         f"servotap export: cannot write {tmp_path / f'a.{kind}'}: No space left on device; the incomplete file was removed\n"
     )
     assert not list(tmp_path.iterdir())
 
 
-def test_more_columns_than_excel_holds_are_told(tmp_path, capsys, monkeypatch):
+def test_more_columns_than_excel_holds_are_told(tmp_path, cli, monkeypatch):
     monkeypatch.setattr("analyzer.table.files.EXCEL_COLUMNS", 20)
-    assert "choose some with --topics" in refused(capsys, CAPTURES / "mks_rs485.log", "-o", tmp_path / "a.xlsx")
+    assert "choose some with --topics" in refused(cli, CAPTURES / "mks_rs485.log", "-o", tmp_path / "a.xlsx")
     assert not list(tmp_path.iterdir())
 
 
@@ -510,9 +506,9 @@ def test_texts_that_look_like_formulas_stay_texts(tmp_path, capsys):
     assert (cell.value, cell.data_type) == ("--1", "s")
 
 
-def test_a_file_that_exists_stays(tmp_path, capsys):
+def test_a_file_that_exists_stays(tmp_path, cli):
     (tmp_path / "a.csv").write_text("mine")
-    assert "--force replaces it" in refused(capsys, CAPTURES / "mks_rs485.log", "-o", tmp_path / "a.csv")
+    assert "--force replaces it" in refused(cli, CAPTURES / "mks_rs485.log", "-o", tmp_path / "a.csv")
     assert (tmp_path / "a.csv").read_text() == "mine"
 
 

@@ -20,7 +20,6 @@ from analyzer.view.capture import CaptureSource
 from analyzer.view.live import LiveSource, SnapshotQueue
 from analyzer.view.source import ViewSource
 
-CAPTURES = Path(__file__).parents[2] / "captures"
 SMALL = (80, 24)
 
 

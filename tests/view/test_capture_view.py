@@ -14,8 +14,9 @@ from analyzer.records import Chunk
 from analyzer.sinks.mcap_log import McapLog
 from analyzer.sources.tail import Follow
 from analyzer.view.capture import CaptureSource
+from tests import CAPTURES
 from tests.collect import sum8
-from tests.view.screen import CAPTURES, capture_of, drive, driven, reading_of
+from tests.view.screen import capture_of, drive, driven, reading_of
 
 START = 1_700_000_000_000_000_000
 

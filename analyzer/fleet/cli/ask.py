@@ -107,14 +107,11 @@ def _text(value: Any) -> str:
 
 
 def _show(names: list[str], rows: list[list[str]]) -> None:
-    from rich.table import Table
     from rich.text import Text
 
-    from analyzer.cli.console import Console
+    from analyzer.cli.console import Console, table
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in names:
-        table.add_column(printable(name), overflow="fold")
+    shown = table(*map(printable, names))
     for row in rows:
-        table.add_row(*map(Text, row))
-    Console(highlight=False, width=None if sys.stdout.isatty() else 160).print(table)
+        shown.add_row(*map(Text, row))
+    Console(highlight=False, width=None if sys.stdout.isatty() else 160).print(shown)

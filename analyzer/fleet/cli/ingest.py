@@ -12,7 +12,7 @@ import time
 
 from analyzer.cli.decode import cores
 from analyzer.cli.option_types import positive
-from analyzer.cli.reading import add_reading_arguments, showing_progress
+from analyzer.cli.reading import add_reading_arguments, showing_progress, tell_notes
 from analyzer.cli.signals import Interrupt
 from analyzer.fleet.cli.stores import add_store_argument, lake, place
 from analyzer.fleet.files import PARTITIONS
@@ -100,8 +100,7 @@ def _report(arguments: argparse.Namespace, outcome: Outcome, seconds: float) -> 
     if len(outcome.unread) > _NAMED:
         more = counted(len(outcome.unread) - _NAMED, "more capture")
         print(f'servotap ingest: and {more}: servotap ask {arguments.to} "{_WHY}"', file=sys.stderr)
-    for note in outcome.notes:
-        print(f"note: {printable(note)}", file=sys.stderr)
+    tell_notes(outcome.notes)
     if outcome.recovered:
         print(f"finished what an earlier ingest had begun to commit ({outcome.recovered} at once)")
     rate = f", {outcome.frames / seconds:,.0f} frames/s" if outcome.frames else ""
