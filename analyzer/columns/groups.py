@@ -21,20 +21,19 @@ def ranks(values: NDArray[Any]) -> tuple[Integers, NDArray[Any]]:
     if int(values.max(initial=0)) >= _DENSE:
         known, places = np.unique(values, return_inverse=True)
         return known, places
-    known = np.flatnonzero(np.bincount(values))
-    table = np.zeros(int(known[-1]) + 1 if len(known) else 0, dtype=np.uint16 if len(known) <= _SHORT else np.int64)
+    known = np.flatnonzero(np.bincount(values) > 0)
+    table = np.empty(int(known[-1]) + 1 if len(known) else 0, dtype=np.uint16 if len(known) <= _SHORT else np.int64)
     table[known] = np.arange(len(known))
     return known, table.take(values)
 
 
 def groups(values: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
     """Yield each value above 0 that occurs, rising, with the rows that have it. No value is negative."""
-    rows = np.flatnonzero(values)
-    known, places = ranks(values.take(rows))
-    order = rows.take(np.argsort(places, kind="stable"))
-    start = 0
-    for value, count in zip(known.tolist(), np.bincount(places, minlength=len(known)).tolist(), strict=True):
-        yield value, order[start : start + count]
+    known, places = ranks(values)
+    order, start = np.argsort(places, kind="stable"), 0
+    for value, count in zip(known.tolist(), np.bincount(places).tolist(), strict=True):
+        if value:
+            yield value, order[start : start + count]
         start += count
 
 

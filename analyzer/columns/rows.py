@@ -9,8 +9,9 @@ chunk of the log.
 from __future__ import annotations
 
 from binascii import hexlify
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
+from operator import attrgetter
 from typing import Any
 
 import msgspec
@@ -32,6 +33,8 @@ HEADER = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
 )
 _SECOND = 1_000_000_000
+#: Groups of lanes, and what is asked of each, that are kept.
+_GROUPS = 64
 _MESSAGE = 5
 #: Of a header, the bytes that its length does not count: opcode and length.
 _UNCOUNTED = 9
@@ -63,7 +66,7 @@ class Rows:
     ) -> None:
         self.plain = plain
         count = len(plain.lane)
-        each = of_lanes(plain, [1 + lane.states for lane in plain.lanes], 0)
+        each = of_lanes(plain, _messages, 0)
         #: Where the messages of each row begin among all: its own, and behind it the state that it carries.
         self._firsts = np.zeros(count + 1, dtype=np.int64)
         np.cumsum(each, out=self._firsts[1:])
@@ -115,23 +118,41 @@ class Rows:
         return Messages(self._data, self._ends[own], self._channels[own], self._entries[own])
 
 
-def alike(plain: Plain, keys: Sequence[Hashable], wanted: Flags) -> Iterator[tuple[Integers, Lane]]:
-    """Yield the rows of lanes that have the same key and frames of one length, with one of these lanes.
+def alike(plain: Plain, numbers: Integers, wanted: Flags) -> Iterator[tuple[Integers, Lane]]:
+    """Yield the rows of lanes that have the same number and frames of one length, with one of these lanes.
 
-    `keys`: of each lane; `wanted`: of each row, whether it is.
+    `numbers`: of each lane, above 0, and behind them 0; `wanted`: of each row, whether it is.
     """
-    kinds: dict[Hashable, int] = {}
-    numbers = [kinds.setdefault(key, len(kinds)) for key in keys]
-    examples = dict(zip(numbers, plain.lanes, strict=True))
-    kind = of_lanes(plain, [number + 1 for number in numbers], 0)
-    for number, rows in groups(kind * wanted):
-        yield rows, examples[number - 1]
+    for _, rows in groups(numbers.take(plain.lane, mode="wrap") * wanted):
+        yield rows, plain.lanes[plain.lane[rows[0]]]
 
 
-def of_lanes(plain: Plain, each: Sequence[Any], other: Any) -> NDArray[Any]:
+def of_lanes(plain: Plain, what: Callable[[Lane], Any], other: Any) -> NDArray[Any]:
     """Return for each row what its lane has. `other`: for rows without a lane, whose number is -1."""
-    result: NDArray[Any] = np.array([*each, other]).take(plain.lane, mode="wrap")
-    return result
+    return _each(plain.lanes, what, other).take(plain.lane, mode="wrap")
+
+
+@lru_cache(maxsize=_GROUPS)
+def _each(lanes: tuple[Lane, ...], what: Callable[[Lane], Any], other: Any) -> NDArray[Any]:
+    """Return what each lane has, and `other` behind them. It is kept, since most blocks have the lanes of the block before."""
+    return np.array([*map(what, lanes), other])
+
+
+def _messages(lane: Lane) -> int:
+    return 1 + lane.states
+
+
+def _has_few(lane: Lane) -> bool:
+    """Say whether frames can have few texts."""
+    return lane.stop - lane.start <= 1 and not lane.states
+
+
+def _reading(lane: Lane) -> int:
+    """Return a number that is the same where the same fields stand at the same places."""
+    return 1 + lane.states + 2 * column_codec(lane.form.layout, lane.start).reading
+
+
+_START, _IS_REQUEST = attrgetter("start"), attrgetter("is_request")
 
 
 #: Rows, and pieces of their messages.
@@ -144,9 +165,7 @@ def _heads(plain: Plain, carried: list[_Part]) -> Iterator[_Part]:
     for rows, table in _few(plain):
         left[rows] = False
         yield rows, [table]
-    codecs = [column_codec(lane.form.layout, lane.start) for lane in plain.lanes]
-    keys = [(codec.reading, lane.states) for codec, lane in zip(codecs, plain.lanes, strict=True)]
-    for rows, lane in alike(plain, keys, left):
+    for rows, lane in alike(plain, _each(plain.lanes, _reading, 0), left):
         data = taken(plain.block.data, rows)
         wire = column_codec(lane.form.layout, lane.start).wire(data)
         named = lane.form.layout.named
@@ -176,7 +195,7 @@ def _tails(plain: Plain, sequences: Integers, log_ns: Integers) -> Iterator[_Par
     """
     block = plain.block
     backward_ns = np.where(block.t_ns < log_ns - JUMP_BACK_NS, log_ns - block.t_ns, 0)
-    asks = of_lanes(plain, [lane.is_request for lane in plain.lanes], False)
+    asks = of_lanes(plain, _IS_REQUEST, False)
     for rows, is_request in ((np.flatnonzero(asks), True), (np.flatnonzero((plain.lane >= 0) & ~asks), False)):
         if not len(rows):
             continue
@@ -206,11 +225,11 @@ def _reply(plain: Plain, rows: Integers, sequences: Integers) -> list[text.Piece
 def _few(plain: Plain) -> Iterator[tuple[Integers, text.Cell]]:
     """Yield rows of lanes whose frames can have few texts, and the beginnings of their messages, as far as the bytes."""
     lanes, block = plain.lanes, plain.block
-    rows = np.flatnonzero(of_lanes(plain, [lane.stop - lane.start <= 1 and not lane.states for lane in lanes], False))
+    rows = np.flatnonzero(of_lanes(plain, _has_few, False))
     if not len(rows):
         return
     width, numbers = block.data.shape[1], plain.lane.take(rows)
-    starts = np.array([min(lane.start, width - 1) for lane in lanes]).take(numbers)
+    starts = np.minimum(_each(lanes, _START, 0), width - 1).take(numbers)
     known, places = ranks(numbers << 8 | block.data.reshape(-1).take(width * rows + starts))
     examples = np.empty(len(known), dtype=np.int64)
     examples[places] = rows

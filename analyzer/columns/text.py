@@ -158,7 +158,7 @@ def _digits(values: NDArray[np.integer[Any]], digits: int) -> Bytes:
     """Return so many digits, and before them more of no meaning, in whole words."""
     groups = -(-digits // 4)
     codes = np.empty((len(values), groups), dtype=np.uint32)
-    rest = values.astype(np.uint32) if digits <= _SMALL_DIGITS else values
+    rest = values.astype(np.uint32, copy=False) if digits <= _SMALL_DIGITS else values
     for place in range(groups - 1, 0, -1):
         above = rest // _GROUP
         codes[:, place] = _DIGITS.take(rest - above * _GROUP)

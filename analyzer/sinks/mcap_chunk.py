@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from analyzer.columns.plain import Plain
     from analyzer.columns.rows import Messages, Rows
 
-#: Uncompressed bytes of a chunk.
-CHUNK_SIZE = 1 << 20
+#: Uncompressed bytes of a chunk. Each has an index of every channel, which smaller ones would repeat more often.
+CHUNK_SIZE = 1 << 21
 MESSAGE = struct.Struct("<BQHIQQ")
 #: Of the index of a channel's messages in a chunk: opcode, length, channel, bytes of its entries.
 INDEX_HEAD = struct.Struct("<BQHI")

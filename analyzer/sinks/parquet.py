@@ -214,9 +214,10 @@ class ParquetTables:
 
     def _settle(self, plain: Plain, sequences: Integers) -> None:
         """Give the rows of a block that have a number to their tables."""
-        keys = [(id(lane.form), lane.is_request, lane.start) for lane in plain.lanes]
+        keys: dict[object, int] = {}
+        numbers = [keys.setdefault((id(lane.form), lane.is_request, lane.start), 1 + len(keys)) for lane in plain.lanes]
         kinds: dict[str, list[tuple[Integers, Lane]]] = {}
-        for rows, lane in alike(plain, keys, sequences > 0):
+        for rows, lane in alike(plain, np.array([*numbers, 0]), sequences > 0):
             kinds.setdefault(f"{lane.command.name}.{lane.role}", []).append((rows, lane))
         carried: list[_Part] = []
         parts = [self._read(plain, each, carried) for each in kinds.values()]
