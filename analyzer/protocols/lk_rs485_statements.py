@@ -368,7 +368,7 @@ STATEMENTS: tuple[S, ...] = (
         unclaimed="observed by motion/set_position/under-way: what 95h does to its end is not said"),
     S("25/ram", "The name is gone when power was off.", ("motion/set_position/lost",)),
     S("25/type", "The angle is signed, of four bytes, low byte first.", ("ranges/set_position/position/*",)),
-    S("25/unit", "One unit is 0.01 degrees.", ("motion/set_position/and-moves", "motion/set_position/counts-on")),
+    S("25/unit", "One unit is 0.01 degrees.", ("motion/set_position/to-the-digit", "motion/set_position/counts-on")),
     S("25/echo", "The reply has the angle that was sent.", ("shape/set_position/echo",)),
     # --- appendix 1 ---
     *(

@@ -153,6 +153,7 @@ REFUTES = {
     "motion/read_single_turn/within-turn": "lk-single-turn-runs-on lk-single-turn-36000 lk-single-turn-36000-turned",
     "motion/clear_turns/drops-turns": "lk-clear-turns-ignored lk-clear-turns-upward",
     "motion/set_position/lost": "lk-set-position-kept",
+    "motion/set_position/to-the-digit": "lk-named-less-while-off lk-named-less-when-stopped",
     "motion/set_zero/at-power-up": "lk-zero-lost",
     "motion/run_open_loop/other-models": "lk-runs-open-loop",
     "motion/run_torque/crossed-stopped": "lk-stop-keeps-torque lk-off-keeps-torque lk-stop-ignored-backwards",
@@ -422,7 +423,8 @@ REFUTES = {
     ),
     "read-back/save_speed/clean": "mks-modbus@1,fault=clean-ignored cleaning-stops+",
     "read-back/set_zero_mode/restart": (
-        "mks-modbus@1,fault=zero-mode-ignored way-back-slower-cw way-back-slower-ccw zero-direction-turned zero-speed-fixed"
+        "mks-modbus@1,fault=zero-mode-ignored way-back-slower-cw way-back-slower-ccw zero-direction-turned zero-speed-fixed "
+        "way-back-told-over+"
     ),
     "read-back/restore/settings": "mks-rs485@1,model=42D,fault=restore-lies current-kept",
     "read-back/restore/link": "address-kept+ dialect-kept",
