@@ -72,7 +72,9 @@ def _within_the_turn(section: str, command: str, null: str, of: str, *unit: str)
 def _by_an_increment(section: str, command: str, of: str) -> Iterator[S]:
     """Yield what is said of a move by an angle. `of`: as above."""
     reaches, ranges = f"motion/{command}/reaches", f"ranges/{command}/position/*"
-    yield S(f"{section}/moves", "It moves the motor by an angle.", (reaches, f"motion/{command}/adds-up"))
+    yield S(
+        f"{section}/moves", "It moves the motor by an angle.", (reaches, f"motion/{command}/adds-up", f"motion/{command}/many")
+    )
     yield S(f"{section}/type", "The increment is signed, of four bytes, low byte first.", (ranges,))
     yield S(f"{section}/unit", f"One unit{of} is 0.01 degrees: 36000 are a turn.", (reaches,))
     yield S(f"{section}/direction", "The sign of the increment is the direction.", (reaches, ranges))

@@ -502,7 +502,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "The frames of the manual turn the shaft 20 times, either way.",
         said("4.5.1/distance", "The shaft moves by so many pulses of the subdivision that is set.",
             "motion/move_relative_pulses/distance", "motion/move_relative_pulses/behind-ended",
-            "motion/set_subdivision/pulses-at-*", "motion/move_relative_pulses/again"),
+            "motion/set_subdivision/pulses-at-*", "motion/move_relative_pulses/again", "motion/move_relative_pulses/many"),
         said("4.5.1/direction", "Direction 0 turns counter-clockwise and 1 clockwise, as in a run.",
             "motion/move_relative_pulses/opposite", "motion/run_speed/same-sense"),
     ),
@@ -526,7 +526,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "The frames of the manual move by 4000h and by -4000h.",
         said("4.7.1/distance", "The shaft moves by so many counts of the encoder, as 31 reads them.",
             "motion/move_relative_axis/distance", "motion/move_relative_axis/behind-ended", "motion/move_relative_axis/sign",
-            "motion/move_relative_axis/again"),
+            "motion/move_relative_axis/again", "motion/move_relative_axis/many"),
     ),
     *_stop("4.7.2", "stop_relative_axis", "F4 with speed and way 0"),
     *_move(
