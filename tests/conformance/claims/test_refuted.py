@@ -258,7 +258,10 @@ REFUTES = {
     "motion/set_home/end-limit-told-move_relative_pulses": "right-limit-told-complete",
     "motion/set_home/end-limit-inactive-move_relative_axis": "limit-told-aloud",
     "motion/home/holds": "lets-go-once-limited+ homing-ccw-lets-go+",
-    "motion/release_protection/limp-either-way": "current-not-put-back+ released-once+ fe-unwatched+ protected-goes-on+",
+    "motion/release_protection/limp-either-way": (
+        "current-not-put-back+ released-once+ fe-unwatched+ protected-goes-on+ close-unwatched+"
+    ),
+    "motion/set_protection/lets-go-turning": "close-unwatched+",
     "motion/run_speed/ended-by-others": "run-unstopped-by-fd+",
     "motion/run_torque/while-off": "lk-while-off-backwards",
     "motion/move_absolute_pulses/disabled": "disabled-moves-fast+",
