@@ -589,7 +589,8 @@ REFUTES = {
     "addressing/group/write_io": "group-ports-ignored",
     "addressing/group/as-sent": "group-without-ramp",
     "addressing/set_address/shared-heard": (
-        "deaf-to-all-when-moved+ highest-group-unheard highest-group-id-unheard lowest-group-unheard"
+        "deaf-to-all-when-moved+ highest-group-unheard highest-group-id-unheard lowest-group-unheard old-address-obeyed+ "
+        "old-address-moves+ old-group-obeyed+ old-group-sets+"
     ),
     "addressing/others-asked/ends-told": "end-untold-behind-all end-untold-behind-group end-untold-behind-other",
     "modbus/function/other_reads": "exception-always-04 exception-without-bit function-03-reads",
