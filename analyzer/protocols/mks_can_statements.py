@@ -289,7 +289,7 @@ STATEMENTS: tuple[Statement, ...] = (
         "ranges/set_bit_rate/bit_rate/unlisted", "ranges/set_bit_rate/bit_rate/unchanged"),
     *_tables("3.2.11", "set_address", "8B with 16 bits", "a status of one byte"),
     said("3.2.11/set", "The drive is heard at the ID that was set.",
-        "addressing/set_address/moves", "addressing/set_address/shared-heard", "ranges/set_address/new_address/highest"),
+        "addressing/set_address/moves", "addressing/set_address/gone", "ranges/set_address/new_address/highest"),
     said("3.2.11/range", "The ID goes up to 7FFh.",
         "ranges/set_address/new_address/highest", "ranges/set_address/new_address/above"),
     said("3.2.11/default", "1 is the default.", "read-back/restore/link"),

@@ -95,11 +95,11 @@ def _rate(probe: Probe, many: Many, command: Command) -> None:
 
 
 #: What is sent to an address that the drive has no more, and how long a step takes that would show.
-_TO_GONE: tuple[tuple[Verb, Mapping[str, int]], ...] = (
-    (Verb.SET_ZERO, {}),
-    (Verb.MOVE_RELATIVE_AXIS, {"speed": declared.CALM, "acceleration": declared.QUICK, "position": effects.STEP}),
-    (Verb.ENABLE, {"enabled": 0}),
-)
+_TO_GONE: Mapping[Verb, Mapping[str, int]] = {
+    Verb.SET_ZERO: {},
+    Verb.MOVE_RELATIVE_AXIS: {"speed": declared.CALM, "acceleration": declared.QUICK, "position": effects.STEP},
+    Verb.ENABLE: {"enabled": 0},
+}
 #: How far from its zero the shaft is then, in degrees.
 _AWAY = 45
 
@@ -111,7 +111,7 @@ def _obeyed(probe: Probe, gone: int, at: int) -> str:
         return int(probe.reply(probe.ask(verb, address=at, quiet_ns=0)).values[name])
 
     before = read(Verb.READ_POSITION, "position")
-    for verb, values in _TO_GONE:
+    for verb, values in _TO_GONE.items():
         probe.ask(verb, values, address=gone, until=Until.TIMEOUT, timeout_ns=probe.rig.quiet_ns)
         probe.wait(effects.STEP_NS if verb is Verb.MOVE_RELATIVE_AXIS else 0)
     went = abs(read(Verb.READ_POSITION, "position") - before) > probe.within("counts")
@@ -119,21 +119,46 @@ def _obeyed(probe: Probe, gone: int, at: int) -> str:
     return " and ".join(word for word, done in (("another position", went), ("a motor that is off", off)) if done)
 
 
-@of_motion(
+def _expect_nothing(probe: Probe, gone: str, done: str, exchange: Exchange) -> None:
+    text = f"a drive obeys at {gone}, which it has no more: {done}"
+    probe.expect(done or "nothing", equal="nothing", refutes=text, exchange=exchange, key="an address of before is heard")
+
+
+_at_another = partial(
+    of_motion,
     theme=Theme.ADDRESSING,
     each=commands(Verb.SET_ADDRESS),
-    name="{command}/shared-heard",
-    refuted_by="a drive that all drives' address, or its group's, no longer reaches, or one that it has no more does",
     at_best=Certainty.LIKELY,
-    rests_on=(Doubt.ADDRESSING,),
-    risks=risks_by(Verb.SET_GROUP_ADDRESS, Verb.RESTART, *(verb for verb, _ in _TO_GONE)),
-    settings=lambda case: ("group_address",) if Verb.SET_GROUP_ADDRESS in case.dialect.by_verb else (),
     quirks=may_meet(NEW_ADDRESS_ANSWERS),
     aspect=Aspect.STATE,
     alone=True,
 )
+
+
+@_at_another(name="{command}/gone", refuted_by="another position, or a motor that is off", risks=risks_by(*_TO_GONE))
+def _gone(probe: Probe, command: Command) -> None:
+    """At the address that it had a drive obeys nothing: no setting, no move and no switch."""
+    motion.ready_to_move(probe)
+    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _AWAY)
+    own, away = probe.address, other_address(probe.dialect)
+    away -= own == away
+    exchange = change_address(probe, command, away)
+    try:
+        done = _obeyed(probe, own, away)
+    finally:
+        change_address(probe, command, own, at=away)
+    _expect_nothing(probe, f"the address {own:#x}", done, exchange)
+
+
+@_at_another(
+    name="{command}/shared-heard",
+    refuted_by="a drive that all drives' address, or its group's, no longer reaches, or a group that it left does",
+    rests_on=(Doubt.ADDRESSING,),
+    risks=risks_by(Verb.SET_GROUP_ADDRESS, Verb.RESTART, *_TO_GONE),
+    settings=lambda case: ("group_address",) if Verb.SET_GROUP_ADDRESS in case.dialect.by_verb else (),
+)
 def _shared_heard(probe: Probe, command: Command) -> None:
-    """All drives' address and the group's, highest and lowest, are heard behind other addresses, and none that was before."""
+    """All drives' address and the group's, highest and lowest, are heard behind other addresses, and no group that was left."""
     motion.ready_to_move(probe)
     arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _AWAY)
     need_reliable_replies(probe)
@@ -142,7 +167,6 @@ def _shared_heard(probe: Probe, command: Command) -> None:
     joins = probe.dialect.by_verb.get(Verb.SET_GROUP_ADDRESS)
     last, shared = probe.dialect.addresses[1], [probe.dialect.broadcast or 0]
     seen: list[tuple[str, str]] = []
-    obeyed: dict[str, str] = {}
 
     def look(behind: str, at: int) -> None:
         unheard = [f"{to:#x}" for to in shared if not any(hears(probe, to, at) for _ in range(_TRIES))]
@@ -161,10 +185,9 @@ def _shared_heard(probe: Probe, command: Command) -> None:
     exchange = change_address(probe, command, away)
     try:
         look(f"the address {away:#x}", away)
-        obeyed[f"the address {own:#x}"] = _obeyed(probe, own, away)
         left = shared[1:]
         join(1, away)
-        obeyed |= {f"the group {group:#x}": _obeyed(probe, group, away) for group in left}
+        obeyed = {f"the group {group:#x}": _obeyed(probe, group, away) for group in left}
         probe.ask(Verb.RESTART, address=away)
         wait_for_answer(probe, away)
         look(f"a restart at {away:#x}", away)
@@ -176,5 +199,4 @@ def _shared_heard(probe: Probe, command: Command) -> None:
         text = f"a drive with another address does not hear all that it shares: {unheard} behind {behind}"
         probe.expect(unheard or "each", equal="each", refutes=text, exchange=exchange, key="a shared address is not heard")
     for gone, done in obeyed.items():
-        text = f"a drive obeys at {gone}, which it has no more: {done}"
-        probe.expect(done or "nothing", equal="nothing", refutes=text, exchange=exchange, key="an address of before is heard")
+        _expect_nothing(probe, gone, done, exchange)

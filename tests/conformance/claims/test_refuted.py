@@ -589,9 +589,10 @@ REFUTES = {
     "addressing/group/write_io": "group-ports-ignored",
     "addressing/group/as-sent": "group-without-ramp",
     "addressing/set_address/shared-heard": (
-        "deaf-to-all-when-moved+ highest-group-unheard highest-group-id-unheard lowest-group-unheard old-address-obeyed+ "
-        "old-address-moves+ old-group-obeyed+ old-group-sets+"
+        "deaf-to-all-when-moved+ highest-group-unheard highest-group-id-unheard lowest-group-unheard old-group-obeyed+ "
+        "old-group-sets+"
     ),
+    "addressing/set_address/gone": "old-address-obeyed+ old-address-moves+",
     "addressing/others-asked/ends-told": "end-untold-behind-all end-untold-behind-group end-untold-behind-other",
     "modbus/function/other_reads": "exception-always-04 exception-without-bit function-03-reads",
     "modbus/register/between": "exception-always-04 exceptions-mixed-up exception-without-bit",
