@@ -72,7 +72,9 @@ def _within_the_turn(section: str, command: str, null: str, of: str, *unit: str)
 def _by_an_increment(section: str, command: str, of: str) -> Iterator[S]:
     """Yield what is said of a move by an angle. `of`: as above."""
     reaches, ranges = f"motion/{command}/reaches", f"ranges/{command}/position/*"
-    yield S(f"{section}/moves", "It moves the motor by an angle.", (reaches, f"motion/{command}/adds-up"))
+    yield S(
+        f"{section}/moves", "It moves the motor by an angle.", (reaches, f"motion/{command}/adds-up", f"motion/{command}/many")
+    )
     yield S(f"{section}/type", "The increment is signed, of four bytes, low byte first.", (ranges,))
     yield S(f"{section}/unit", f"One unit{of} is 0.01 degrees: 36000 are a turn.", (reaches,))
     yield S(f"{section}/direction", "The sign of the increment is the direction.", (reaches, ranges))
@@ -368,7 +370,7 @@ STATEMENTS: tuple[S, ...] = (
         unclaimed="observed by motion/set_position/under-way: what 95h does to its end is not said"),
     S("25/ram", "The name is gone when power was off.", ("motion/set_position/lost",)),
     S("25/type", "The angle is signed, of four bytes, low byte first.", ("ranges/set_position/position/*",)),
-    S("25/unit", "One unit is 0.01 degrees.", ("motion/set_position/and-moves", "motion/set_position/counts-on")),
+    S("25/unit", "One unit is 0.01 degrees.", ("motion/set_position/to-the-digit", "motion/set_position/counts-on")),
     S("25/echo", "The reply has the angle that was sent.", ("shape/set_position/echo",)),
     # --- appendix 1 ---
     *(

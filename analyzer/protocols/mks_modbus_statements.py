@@ -87,7 +87,8 @@ _READS = (
     *read("8.1.6", "read_angle_error", "39h reads the angle error in four signed bytes.", "motion/read_angle_error/*"),
     *read("8.1.7", "read_enabled", "3Ah reads 1 when the motor is enabled and 0 when not.", "motion/enable/is-read"),
     *read("8.1.8", "read_zero_status", "3Bh reads how the way back to zero goes.", "motion/read_zero_status/*"),
-    said("8.1.8/going", "0: on its way to zero; 1: back at zero.", "motion/read_zero_status/tells"),
+    said("8.1.8/going", "0: on its way to zero.", "motion/read_zero_status/tells", "read-back/set_zero_mode/restart"),
+    said("8.1.8/success", "1: back at zero.", "motion/read_zero_status/tells", "read-back/set_zero_mode/restart"),
     *read(
         "8.1.9",
         "read_protection",

@@ -58,8 +58,8 @@ _LONG_READS = (
     *read("5.1.6", "read_angle_error", "39 reads the angle error in four signed bytes.", "motion/read_angle_error/*"),
     *read("5.1.7", "read_enabled", "3A reads 1 when the motor is enabled and 0 when not.", "motion/enable/is-read"),
     *read("5.1.8", "read_zero_status", "3B reads how the way back to zero goes.", "motion/read_zero_status/*"),
-    said("5.1.8/going", "0: on its way to zero.", "motion/read_zero_status/tells"),
-    said("5.1.8/success", "1: back at zero.", "motion/read_zero_status/tells"),
+    said("5.1.8/going", "0: on its way to zero.", "motion/read_zero_status/tells", "read-back/set_zero_mode/restart"),
+    said("5.1.8/success", "1: back at zero.", "motion/read_zero_status/tells", "read-back/set_zero_mode/restart"),
     said("5.1.9/releases", "3D ends the protection of a locked rotor.", "motion/release_protection/*"),
     said("5.1.9/status", "It is answered by 1, or by 0 when that fails.", "shape/release_protection/status"),
     *read(

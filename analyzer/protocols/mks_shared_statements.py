@@ -258,7 +258,8 @@ EFFECTS: dict[str, tuple[Statement, ...]] = {
     "move_relative_pulses": (
         said("pulses", "It goes on by the pulses, 32 bits of them.",
             "motion/move_relative_pulses/distance", "motion/move_relative_pulses/behind-ended",
-            "ranges/move_relative_pulses/pulses/width", "motion/move_relative_pulses/low-word", "motion/*/crossed-ends"),
+            "ranges/move_relative_pulses/pulses/width", "motion/move_relative_pulses/low-word", "motion/*/crossed-ends",
+            "motion/move_relative_pulses/many"),
     ),
     "move_absolute_pulses": (
         said("place", "It goes to a place in pulses, 32 signed bits.",
@@ -269,7 +270,8 @@ EFFECTS: dict[str, tuple[Statement, ...]] = {
     "move_relative_axis": (
         said("distance", "It goes on by a distance in encoder counts, 32 signed bits.",
             "motion/move_relative_axis/distance", "motion/move_relative_axis/behind-ended",
-            "ranges/move_relative_axis/position/width", "motion/move_relative_axis/low-word", "motion/*_axis/crossed-ends"),
+            "ranges/move_relative_axis/position/width", "motion/move_relative_axis/low-word", "motion/*_axis/crossed-ends",
+            "motion/move_relative_axis/many"),
     ),
     "move_absolute_axis": (
         said("place", "It goes to a place in encoder counts, 32 signed bits.",

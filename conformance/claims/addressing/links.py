@@ -3,7 +3,8 @@
     FA 00 8B 5A ..    every drive has the address 5A
     FA 50 8A 05 ..    every drive of the group 50h speaks at 57600 baud
 
-And all drives' and its group's address are heard by a drive that has been given other addresses, before and after a restart.
+And all drives' and its group's address are heard by a drive that has been given other addresses, before and after a restart;
+at an address, and in a group, that it has no more nothing of it is heard.
 
 Rules kept here:
 - The drive is led back by itself, at its new address or speed.
@@ -33,10 +34,10 @@ from conformance.claims.settings.link_changes import (
     settle,
 )
 from conformance.claims.settings.setting_effects import hears
-from conformance.motion import declared, motion
+from conformance.motion import arriving, declared, effects, motion
 from conformance.talk.acceptance import answers, need_reliable_replies
 from conformance.talk.exchange import Exchange
-from conformance.talk.probe import MS, Probe
+from conformance.talk.probe import MS, Probe, Until
 from conformance.talk.restarts import wait_for_answer
 
 #: How long such a setting is listened to; how often something is told that a line may lose.
@@ -93,22 +94,73 @@ def _rate(probe: Probe, many: Many, command: Command) -> None:
 # --- what is heard behind them ----------------------------------------------------------------------------------------
 
 
-@of_motion(
+#: What is sent to an address that the drive has no more, and how long a step takes that would show.
+_TO_GONE: Mapping[Verb, Mapping[str, int]] = {
+    Verb.SET_ZERO: {},
+    Verb.MOVE_RELATIVE_AXIS: {"speed": declared.CALM, "acceleration": declared.QUICK, "position": effects.STEP},
+    Verb.ENABLE: {"enabled": 0},
+}
+#: How far from its zero the shaft is then, in degrees.
+_AWAY = 45
+
+
+def _obeyed(probe: Probe, gone: int, at: int) -> str:
+    """Return what a drive that answers `at` an address does of a setting, a move and a switch that are sent to one it had."""
+
+    def read(verb: Verb, name: str) -> int:
+        return int(probe.reply(probe.ask(verb, address=at, quiet_ns=0)).values[name])
+
+    before = read(Verb.READ_POSITION, "position")
+    for verb, values in _TO_GONE.items():
+        probe.ask(verb, values, address=gone, until=Until.TIMEOUT, timeout_ns=probe.rig.quiet_ns)
+        probe.wait(effects.STEP_NS if verb is Verb.MOVE_RELATIVE_AXIS else 0)
+    went = abs(read(Verb.READ_POSITION, "position") - before) > probe.within("counts")
+    off = not read(Verb.READ_ENABLED, "enabled")
+    return " and ".join(word for word, done in (("another position", went), ("a motor that is off", off)) if done)
+
+
+def _expect_nothing(probe: Probe, gone: str, done: str, exchange: Exchange) -> None:
+    text = f"a drive obeys at {gone}, which it has no more: {done}"
+    probe.expect(done or "nothing", equal="nothing", refutes=text, exchange=exchange, key="an address of before is heard")
+
+
+_at_another = partial(
+    of_motion,
     theme=Theme.ADDRESSING,
     each=commands(Verb.SET_ADDRESS),
-    name="{command}/shared-heard",
-    refuted_by="a drive that all drives' address, or its group's, no longer reaches",
     at_best=Certainty.LIKELY,
-    rests_on=(Doubt.ADDRESSING,),
-    risks=risks_by(Verb.SET_GROUP_ADDRESS, Verb.RESTART, Verb.ENABLE),
-    settings=lambda case: ("group_address",) if Verb.SET_GROUP_ADDRESS in case.dialect.by_verb else (),
     quirks=may_meet(NEW_ADDRESS_ANSWERS),
     aspect=Aspect.STATE,
     alone=True,
 )
-def _shared_heard(probe: Probe, command: Command) -> None:
-    """All drives' address and the group's, highest and lowest, are heard behind other addresses, a restart, and back."""
+
+
+@_at_another(name="{command}/gone", refuted_by="another position, or a motor that is off", risks=risks_by(*_TO_GONE))
+def _gone(probe: Probe, command: Command) -> None:
+    """At the address that it had a drive obeys nothing: no setting, no move and no switch."""
     motion.ready_to_move(probe)
+    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _AWAY)
+    own, away = probe.address, other_address(probe.dialect)
+    away -= own == away
+    exchange = change_address(probe, command, away)
+    try:
+        done = _obeyed(probe, own, away)
+    finally:
+        change_address(probe, command, own, at=away)
+    _expect_nothing(probe, f"the address {own:#x}", done, exchange)
+
+
+@_at_another(
+    name="{command}/shared-heard",
+    refuted_by="a drive that all drives' address, or its group's, no longer reaches, or a group that it left does",
+    rests_on=(Doubt.ADDRESSING,),
+    risks=risks_by(Verb.SET_GROUP_ADDRESS, Verb.RESTART, *_TO_GONE),
+    settings=lambda case: ("group_address",) if Verb.SET_GROUP_ADDRESS in case.dialect.by_verb else (),
+)
+def _shared_heard(probe: Probe, command: Command) -> None:
+    """All drives' address and the group's, highest and lowest, are heard behind other addresses, and no group that was left."""
+    motion.ready_to_move(probe)
+    arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), _AWAY)
     need_reliable_replies(probe)
     own, away = probe.address, other_address(probe.dialect)
     away -= own == away
@@ -133,7 +185,9 @@ def _shared_heard(probe: Probe, command: Command) -> None:
     exchange = change_address(probe, command, away)
     try:
         look(f"the address {away:#x}", away)
+        left = shared[1:]
         join(1, away)
+        obeyed = {f"the group {group:#x}": _obeyed(probe, group, away) for group in left}
         probe.ask(Verb.RESTART, address=away)
         wait_for_answer(probe, away)
         look(f"a restart at {away:#x}", away)
@@ -144,3 +198,5 @@ def _shared_heard(probe: Probe, command: Command) -> None:
     for behind, unheard in seen:
         text = f"a drive with another address does not hear all that it shares: {unheard} behind {behind}"
         probe.expect(unheard or "each", equal="each", refutes=text, exchange=exchange, key="a shared address is not heard")
+    for gone, done in obeyed.items():
+        _expect_nothing(probe, gone, done, exchange)

@@ -8,6 +8,7 @@ Rules kept here:
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import partial
 
 from analyzer.catalogue import Certainty, Command, Verb
@@ -28,6 +29,8 @@ from conformance.talk.probe import MS, SECOND_NS, Probe
 _WIDTHS = (14, 15, 16)
 #: How far a position may be from what it should be, in degrees.
 _NEAR = 0.25
+#: How often a position is read that may tremble.
+_LOOKS = 2
 
 
 def named(name: str) -> Cases:
@@ -84,6 +87,42 @@ def _counts_on(probe: Probe, command: Command) -> None:
         text = "the position does not count on from what 95 set"
         seen, wanted = _position(probe) / 100, value / 100 + degrees
         probe.expect(seen, near=wanted, within=_NEAR, unit="degrees", refutes=text, exchange=exchange)
+
+
+def _run_and_stop(probe: Probe) -> None:
+    motion.run_at(probe, CALM)
+    probe.wait(_RUNS_NS)
+    motion.stand_still(probe)
+
+
+#: How a motor comes into each state in which 95 is sent, and what its place is then called.
+_STATES: Mapping[str, Callable[[Probe], object]] = {
+    "on": motion.ready_to_move,
+    "stopped": _run_and_stop,
+    "off": lambda probe: motion.switch(probe, False),
+}
+_NAMES, _RUNS_NS = (-12_345, 67_891), 200 * MS
+
+
+@_set_position(
+    refuted_by="a position that is a little off in one state",
+    at_best=Certainty.LIKELY,
+    risks=risks_by(Verb.RUN_SPEED, Verb.MOTOR_OFF),
+)
+def _to_the_digit(probe: Probe, command: Command) -> None:
+    """What 95 sets is read to its last digit, below zero and above, of a motor that is on, stopped or off."""
+    for state, bring in _STATES.items():
+        bring(probe)
+        motion.wait_standing(probe)
+        for value in _NAMES:
+            before = [_position(probe) for _ in range(_LOOKS)]
+            exchange = probe.do(command, {"position": value})
+            after = [_position(probe) for _ in range(_LOOKS)]
+            # By as much the shaft trembles, or still settles.
+            within = sum(max(seen) - min(seen) for seen in (before, after)) / 100
+            text = f"95 sets another position of a motor that is {state}"
+            probe.expect(after[0] / 100, near=value / 100, within=within, unit="degrees", refutes=text, exchange=exchange)
+    motion.switch(probe, True)
 
 
 @_set_position(refuted_by="another place", at_best=Certainty.LIKELY, first=need_room)

@@ -21,6 +21,7 @@ from conformance.claims.known_quirks import SETTLING, may_meet
 from conformance.claims.motion.motion_claim import (
     command_of,
     expect_at_rest,
+    expect_row_taken,
     expect_speed,
     expect_stays,
     expect_taken,
@@ -29,14 +30,19 @@ from conformance.claims.motion.motion_claim import (
     that_tell_their_end,
 )
 from conformance.claims.motion.stops import endless
-from conformance.motion import arriving, declared, motion
+from conformance.motion import arriving, declared, motion, ramp
 from conformance.motion.arriving import Move
 from conformance.motion.declared import GENTLE, MOVES, QUICK, takes_pulses
 from conformance.talk.exchange import Exchange
+from conformance.talk.noise import CLOCK_SHARE, TOLD_LATE_NS
 from conformance.talk.probe import MS, Probe, Until
 
 #: A way that no power of two divides, one back that is shorter, and a short one, in degrees.
 _THERE, _BACK, _SHORT = 97.2, -39.6, 41.4
+#: Many quick moves each way: how many, their speed and acceleration. Their degrees: 104 pulses, which are no whole counts, and
+#: an angle of whole counts at each width of an encoder.
+_MANY, _MANY_RPM, _STEEP = 24, 240, 255
+_EACH, _EACH_ANGLE = 11.7, 11.25
 #: How far a shaft may go beyond its target on the way, in degrees.
 _OVERSHOOT = 2.0
 #: Short moves, in units, and their way; how often each is asked for, and how long one takes.
@@ -184,6 +190,37 @@ def _again(probe: Probe, command: Command, signed: bool) -> None:
     moves = [arriving.follow(probe, command, 11.18, acceleration=QUICK) for _ in range(5)]
     whole = Move(command, moves[-1].exchange, sum(m.asked for m in moves), moves[0].start, moves[-1].end)
     _expect_way(probe, whole, signed, f"{command.name}: {len(moves)} moves do not add up", times=len(moves))
+
+
+@of_motion(each=motions(MotionKind.MOVE_BY), refuted_by="moves that each miss by a little, one way or the other")
+def _many(probe: Probe, command: Command) -> None:
+    """{command} many times one way, and as often back, goes as far as all of them together, each way by itself."""
+    motion.prepare(probe, command)
+    motion.wait_standing(probe)
+    each = _EACH_ANGLE if takes_angle(command) else _EACH
+    for way in (1, -1):
+        before = motion.position(probe)
+        every = [_one_of_many(probe, command, way * each) for _ in range(_MANY)]
+        went = abs(motion.wait_standing(probe).value - before.value)
+        one = abs(every[-1].values[declared.of(command).distance]) * 360 / declared.units_per_turn(probe.dialect, command)
+        # Whether a move was made whose reply was lost only the way tells.
+        least = sum(exchange.is_read for exchange in every)
+        made = min(max(round(went / one), least), _MANY)
+        text = f"{command.name}: {_MANY} moves do not add up"
+        probe.expect(went, near=made * one, unit="degrees", refutes=text, exchange=every[-1])
+
+
+def _one_of_many(probe: Probe, command: Command, degrees: float) -> Exchange:
+    """Make one of many moves, and wait until it is over."""
+    if probe.dialect.ramp is None:
+        return arriving.follow(probe, command, degrees).exchange
+    tells = declared.of(command).tells_end
+    until = Until.DONE if tells else Until.REPLY
+    exchange = motion.ask(probe, command, degrees, rpm=_MANY_RPM, acceleration=_STEEP, until=until, quiet_ns=0)
+    expect_row_taken(probe, exchange, f"by {degrees:g} degrees", f"{command.name} is refused")
+    if not tells:
+        probe.wait(int(ramp.move_ns(degrees / 360, _MANY_RPM, _STEEP) * (1 + CLOCK_SHARE)) + TOLD_LATE_NS)
+    return exchange
 
 
 @of_motion(each=_counted, refuted_by="a shaft that stays, or goes elsewhere", at_best=Certainty.LIKELY)

@@ -49,9 +49,17 @@ def _of_protection(
 # --- a held shaft -----------------------------------------------------------------------------------------------------
 
 
-def _prepare(probe: Probe, protection: int, move: Verb | Command = Verb.MOVE_RELATIVE_AXIS) -> None:
+def _prepare(probe: Probe, protection: int, move: Verb | Command = Verb.MOVE_RELATIVE_AXIS, mode: str = "") -> None:
+    """Make ready for a move with the protection on or off. `mode`: as `ready_to_move` takes it."""
+    if mode:
+        motion.ready_to_move(probe, mode)
     motion.prepare(probe, probe.command(move))
     probe.do(Verb.SET_PROTECTION, {"protection": protection})
+
+
+def _watching(dialect: Dialect) -> list[str]:
+    """Return the modes of the bus in which a drive goes by its encoder, by name: an open loop cannot see a locked rotor."""
+    return [mode for mode in declared.bus_modes(dialect) if "open" not in mode]
 
 
 def _held_move(probe: Probe, turns: float = _TURNS, move: Verb | Command = Verb.MOVE_RELATIVE_AXIS) -> Exchange:
@@ -141,9 +149,9 @@ def _lets_go(probe: Probe) -> None:
     "3E that reads 0", each=commands(Verb.SET_PROTECTION), more_risks=(Verb.RUN_SPEED, Verb.RELEASE_PROTECTION, Verb.ENABLE)
 )
 def _lets_go_turning(probe: Probe) -> None:
-    """With the protection on, a shaft that is held while it turns is let go, in both directions."""
-    for way in (1, -1):
-        _prepare(probe, 1)
+    """With the protection on, a shaft that is held while it turns is let go, in both directions, in each closed loop."""
+    for mode, way in product(_watching(probe.dialect), (1, -1)):
+        _prepare(probe, 1, mode=mode)
         motion.run_at(probe, way * 120, QUICK)
         probe.wait(300 * MS)
         exchange = probe.traffic[-1]
@@ -394,12 +402,14 @@ def _off_again(probe: Probe) -> None:
 
 @_without_hands("3E that reads otherwise", each=commands(Verb.RELEASE_PROTECTION), at_best=Certainty.LIKELY)
 def _limp_either_way(probe: Probe) -> None:
-    """A motor without current is protected in both directions, in each move from rest, and from a run."""
+    """A motor without current is protected both ways, in each move from rest, and from a run, in each closed loop."""
     # In the first move the first way is that of the claim above.
     moves = probe.dialect.motions(*MOVES)
     rest = [(move, (-1) ** n) for n, move in enumerate(sorted(moves, key=lambda c: c.verb is not Verb.MOVE_RELATIVE_AXIS), 1)]
+    # The last one comes in another mode where there is one.
+    another, *own = _watching(probe.dialect)
     for number, (move, way) in enumerate((*rest, (None, 1), (None, -1))):
-        _prepare(probe, 1, move or Verb.MOVE_RELATIVE_AXIS)
+        _prepare(probe, 1, move or Verb.MOVE_RELATIVE_AXIS, another if own and (move, way) == (None, -1) else "")
         if move is None:
             motion.run_at(probe, way * _LIMP_RPM, QUICK)
             probe.wait(300 * MS)

@@ -1,6 +1,6 @@
 """A kept zero (9A): the shaft goes back to it when the drive restarts or power comes on, and not to one that was cleaned.
 
-    set_zero_mode/restart                       the way that was set, and faster by a higher speed
+    set_zero_mode/restart                       the way that was set, and faster by a higher speed; what 3B says meanwhile
     set_zero_mode/clean, off                    a zero that was forgotten, and the mode that goes back to none
     set_zero_mode/near, direction-..., faster   from anywhere in the turn, at each speed: on emulated drives, whose power is cut
     read_zero_status/tells...                   what 3B says meanwhile: likewise
@@ -20,6 +20,7 @@ from itertools import combinations, pairwise
 from typing import Any, NamedTuple
 
 from analyzer.catalogue import Certainty, Command, Dialect, Risk, Verb
+from analyzer.protocols.mks_shared import ZeroStatus
 from conformance.claims import bench
 from conformance.claims.declare import Case, Cases, commands
 from conformance.claims.motion.motion_claim import of_motion, risks_by
@@ -69,13 +70,15 @@ class _Back(NamedTuple):
 class _Came(NamedTuple):
     """What came of one. `wanted`: the way that it should take; `on_way`: the speed that the shaft had, where it was seen.
 
-    `status`, `off`: what 3B said at the end, and by how many counts the shaft missed its zero.
+    `meanwhile`: what 3B said of a shaft that was seen to turn; `status`, `off`: what it said at the end, and by how many counts
+    the shaft missed its zero.
     """
 
     back: _Back
     exchange: Exchange
     wanted: int
     on_way: float | None
+    meanwhile: int | None
     status: int
     off: int
 
@@ -121,6 +124,9 @@ def _returns_to_zero(probe: Probe, command: Command) -> None:
             exchange=came.exchange,
             key="zero mode",
         )
+        if came.meanwhile is not None:
+            text = f"3B says {came.meanwhile} while the shaft goes back to its zero"
+            probe.expect(came.meanwhile, equal=ZeroStatus.GOING, refutes=text, exchange=came.exchange, key="3B meanwhile")
         if came.on_way is not None:
             text = "the shaft goes the other way back to its zero"
             right = came.on_way * came.wanted > 0
@@ -144,26 +150,34 @@ def _come_back(probe: Probe, command: Command, back: _Back, sense: int) -> _Came
     away = back.turns * (sense if by_direction else 1)
     _go_away(probe, away)
     exchange = restart(probe, arrives=False)
-    rpm = _on_its_way(probe)
+    rpm, meanwhile = _on_its_way(probe)
     motion.wait_standing(probe)
     status, now = probe.read(Verb.READ_ZERO_STATUS), probe.read(Verb.READ_ENCODER_CARRY, "encoder")
     wanted = sense * (1 if back.direction == _CW else -1) if by_direction else (-1 if away > 0 else 1)
-    return _Came(back, exchange, wanted, rpm, status, min(now, turn - now))
+    return _Came(back, exchange, wanted, rpm, meanwhile, status, min(now, turn - now))
 
 
 def _go_away(probe: Probe, turns: float) -> None:
     arriving.follow(probe, probe.command(Verb.MOVE_RELATIVE_AXIS), turns * 360, rpm=_LEAVES_RPM, acceleration=_LEAVES_RAMP)
 
 
-def _on_its_way(probe: Probe) -> float | None:
-    """Return the speed of a shaft that turns, None where it does not, or where its place jumps to zero at the end."""
+def _on_its_way(probe: Probe) -> tuple[float | None, int | None]:
+    """Return the speed of a shaft that turns and what 3B says of it, if that can be read.
+
+    Neither is told of one that does not turn, or whose place jumps to zero at the end.
+    """
     looks = [motion.position(probe)]
-    for _ in range(2):
-        probe.wait(_ON_WAY_NS)
-        looks.append(motion.position(probe))
+    probe.wait(_ON_WAY_NS)
+    looks.append(motion.position(probe))
+    # Before most of the time in which the shaft still turns, so that it is asked once.
+    told = probe.ask(Verb.READ_ZERO_STATUS, quiet_ns=0, timeout_ns=_ON_WAY_NS).reply
+    probe.wait(_ON_WAY_NS)
+    looks.append(motion.position(probe))
     (first, off), (second, off_too) = (motion.speed_between(one, other) for one, other in pairwise(looks))
     steady = abs(first - second) <= _SHARE * 3 * abs(first) + off + off_too and abs(first) > _TURNS_RPM
-    return (first + second) / 2 if steady else None
+    if not steady:
+        return None, None
+    return (first + second) / 2, told.values.get("status") if told is not None else None
 
 
 def _no_zeros(dialect: Dialect) -> Iterator[Case]:

@@ -209,6 +209,17 @@ def _held_in_new_count(old: Act, drive: LkDrive, request: Request) -> None:
         motor.go(replace(goal, angle=goal.angle + motor.origin - before))
 
 
+def _named_less(when: Callable[[LkDrive], bool]) -> Change:
+    """Call a place by a hundredth of a degree less in a condition, where that is below zero."""
+
+    def act(old: Act, drive: LkDrive, request: Request) -> None:
+        old(drive, request)
+        if when(drive) and request.physical["position"] < 0:
+            drive.motor.origin += 0.01
+
+    return replaced("set_position", act)
+
+
 CONDITIONS: Rows = {
     "within a range": (
         Row("lk-high-speed-limits-ignored", "a speed limit above 30 rpm has no effect",
@@ -236,6 +247,10 @@ CONDITIONS: Rows = {
     "new count": (
         Row("lk-held-in-new-count", "0x95 turns a shaft that holds a place to the place of that number",
             replaced("set_position", _held_in_new_count)),
+        Row("lk-named-less-while-off", "0x95 with an angle below zero sets 0.01 degrees less while the motor is off",
+            _named_less(lambda drive: not drive.motor.on)),
+        Row("lk-named-less-when-stopped", "0x95 with an angle below zero sets 0.01 degrees less behind 0x81",
+            _named_less(lambda drive: drive.motor.goal == Speed(0.0))),
     ),
     "clear errors": (
         Row("lk-short-circuit-stays", "0x9B never clears the short circuit",

@@ -47,6 +47,16 @@ def _as_relative(drive: LkDrive, request: Request) -> None:
     drive.motor.move_by(request.physical["position"], request.physical.get("max_speed"))
 
 
+def _less_by_a_digit(way: int) -> Act:
+    """Return what moves by a hundredth of a degree less one way."""
+
+    def act(drive: LkDrive, request: Request) -> None:
+        by = request.physical["position"]
+        drive.motor.move_by(by - way / 100 if by * way > 0 else by, request.physical.get("max_speed"))
+
+    return act
+
+
 def _shortest(drive: LkDrive, request: Request) -> None:
     way = (request.physical["angle"] - drive.motor.within_turn + 180.0) % 360.0 - 180.0
     drive.motor.move_by(way, request.physical.get("max_speed"))
@@ -365,6 +375,11 @@ ROWS: Rows = {
             moving((*MULTI_TURN, *SINGLE_TURN, *INCREMENTS), _land_short, after=True)),
     ),
     "move lengths": (
+        *(
+            Row(f"lk-increment-short-{name}", f"0xA7 and 0xA8 {name} end 0.01 degrees short",
+                moving(INCREMENTS, _less_by_a_digit(way)))
+            for name, way in (("up", 1), ("down", -1))
+        ),
         Row("lk-whole-turns-ignored", "0xA7 and 0xA8 by whole turns do nothing", moving(INCREMENTS, _whole_turns_ignored)),
         Row("lk-fast-moves-long", "moves above 600 deg/s end a degree beyond",
             moving((*MULTI_TURN, *INCREMENTS), _fast_long, after=True)),

@@ -573,22 +573,38 @@ def _home_silenced(silenced: Callable[[Command], bool], drive: MksCore, command:
     return silenced(command) or (command.verb is Verb.HOME and not drive.settings["respond"])
 
 
-def _locked_by_restart(drive: MksCore) -> None:
+def _started(change: Callable[[MksCore, bool], None]) -> Callable[[MksCore], None]:
+    """Return what makes a change of a drive that has started. The change is told whether it started by 41, not by its power."""
+
+    def install(drive: MksCore) -> None:
+        again, power_on, restarted = drive.behaviours[Verb.RESTART], drive.power_on, False
+
+        def act(core: MksCore, request: Request) -> Values | None:
+            nonlocal restarted
+            restarted = True
+            return again(core, request)
+
+        def started(core: MksCore) -> None:
+            nonlocal restarted
+            power_on(core)
+            change(core, restarted)
+            restarted = False
+
+        drive.behaviours[Verb.RESTART], drive.power_on = act, started
+
+    return install
+
+
+def _lock(drive: MksCore, restarted: bool) -> None:
     """Hold the shaft after a restart; when power comes on, as is set."""
-    again, power_on, restarted = drive.behaviours[Verb.RESTART], drive.power_on, False
+    drive.memory.enabled = drive.memory.enabled or restarted
+    drive.grip()
 
-    def act(core: MksCore, request: Request) -> Values | None:
-        nonlocal restarted
-        restarted = True
-        return again(core, request)
 
-    def started(core: MksCore) -> None:
-        nonlocal restarted
-        power_on(core)
-        core.memory.enabled, restarted = core.memory.enabled or restarted, False
-        core.grip()
-
-    drive.behaviours[Verb.RESTART], drive.power_on = act, started
+def _way_back_untold(drive: MksCore, restarted: bool) -> None:
+    """Tell the way back to zero that begins by a restart as one that is over."""
+    if restarted:
+        drive.memory.zero_status = mks_shared.ZeroStatus.SUCCESS
 
 
 def _let_go_ccw(drive: MksCore) -> None:
@@ -882,6 +898,8 @@ DOING: Rows = {
         Row("enable-level-forgotten", "a restart forgets the level of En", forgetful("enable_level"), SERIAL),
         Row("baud-rate-lost", "a restart loses the speed of the line", forgetful("baud_rate"), SERIAL),
         Row("dialect-lost", "a restart loses the dialect", forgetful("modbus"), NATIVE),
+        Row("way-back-told-over", "3B reads 1 on the way back to zero behind 41, and 0 when power came on",
+            tuned(_started(_way_back_untold), having(Verb.SET_ZERO_MODE))),
         Row("wide-address-lost", "a restart takes an ID above FFh for none", _after_restart(_address_unset), CAN),
         Row("save-speed-without-direction", "a kept run begins as it was sent, without what 86 says",
             _after_restart(_run_without_direction), CAN),
@@ -1003,7 +1021,7 @@ DOING: Rows = {
         Row("home-by-wall-as-stopped", "F1 says stopped while homing without a switch",
             told_when(_homes_by_wall, Verb.READ_STATUS, status=1), TELLING),
         Row("respond-silences-home", "91 is not answered with respond 0", overridden("silenced", _home_silenced, TELLING)),
-        Row("lock-by-restart", "41 holds the shaft, whatever 8F says", tuned(_locked_by_restart, CAN)),
+        Row("lock-by-restart", "41 holds the shaft, whatever 8F says", tuned(_started(_lock), CAN)),
         Row("home-told-by-all", "the end of homing is told though all drives or a group were asked",
             _told_to_all(lambda request, values: request.command.verb is Verb.HOME)),
         Row("failure-told-by-all", "a move that fails says 0 though all drives or a group were asked",

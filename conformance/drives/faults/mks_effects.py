@@ -235,15 +235,16 @@ def _last_words(change: Callable[[bytes], bytes]) -> Change:
     return tuned(tune, NATIVE)
 
 
-def _unwatched(verb: Verb) -> Change:
-    """Watch no motion of a verb for a locked rotor."""
+def _unwatched(when: Callable[[MksCore, Command], bool]) -> Change:
+    """Watch no motion for a locked rotor of which this is so."""
 
     def ask(drive: Drive, command: Command, values: Values) -> Values:
         if command.verb in MOTIONS:
-            (mks(drive).heedless.add if command.verb is verb else mks(drive).heedless.discard)("protection")
+            core = mks(drive)
+            (core.heedless.add if when(core, command) else core.heedless.discard)("protection")
         return values
 
-    return Change(lambda hooks: hooks.request.append(ask), having(verb))
+    return Change(lambda hooks: hooks.request.append(ask), having(Verb.SET_PROTECTION))
 
 
 def _far_above(drive: Drive, command: Command, values: Values) -> Values:
@@ -340,7 +341,10 @@ EFFECTS: Rows = {
         Row("protected-goes-on", "3E reads 1 and the motor turns the shaft on",
             together(overridden("protect", _going_on),
                 before((Verb.RELEASE_PROTECTION, Verb.SET_PROTECTION), lambda drive, _: drive.heedless.discard("protection")))),
-        Row("fe-unwatched", "the protection does not watch FE", _unwatched(Verb.MOVE_ABSOLUTE_PULSES)),
+        Row("fe-unwatched", "the protection does not watch FE",
+            _unwatched(lambda drive, command: command.verb is Verb.MOVE_ABSOLUTE_PULSES)),
+        Row("close-unwatched", "the protection does not watch in SR_CLOSE",
+            _unwatched(lambda drive, command: drive.mode == "sr_close"), SERIAL),
         Row("enabling-turns-back", "F3 01 turns the shaft back to where F3 00 let it go", tuned(_turning_back)),
         Row("release-needs-enabling", "behind 3D motion is refused until F3 01, though 3A reads 1", tuned(_waiting_for_enable)),
         Row("release-takes-up", "3D takes up the motion that the protection ended", tuned(_taking_up)),

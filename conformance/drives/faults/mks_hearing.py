@@ -6,14 +6,14 @@ Rules kept here:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from msgspec.structs import replace
 
 from analyzer.catalogue import Command, Verb
 from analyzer.link import WRITE_ONE
 from analyzer.records import Frame, Message
-from conformance.drives.drive import Drive, Outgoing, Request, Values
+from conformance.drives.drive import Drive, Hooks, Outgoing, Request, Values
 from conformance.drives.faults.mks_behaviour import backwards, hold, mks, overridden, tuned, turns
 from conformance.drives.faults.mks_frames import (
     Whom,
@@ -42,6 +42,7 @@ from conformance.drives.faults.places import (
     faults,
     frames,
     having,
+    keeping,
     taken,
 )
 from conformance.drives.mks.core import MOTIONS, MksCore
@@ -268,6 +269,29 @@ def _deaf_to_all_when_moved(drive: MksCore) -> None:
         begun = 0
 
 
+def _still_heard(name: str, verbs: Collection[Verb] = ()) -> Change:
+    """Obey at each address that a setting held before, without an answer: all requests, or those of some commands."""
+
+    def install(hooks: Hooks) -> None:
+        held: set[int] = set()
+
+        def store(drive: Drive, setting: str, value: int) -> tuple[str, int]:
+            if setting == name:
+                held.add(drive.settings[name])
+            return setting, value
+
+        def accept(drive: Drive, frame: Frame, message: Message, wanted: bool) -> bool:
+            core = mks(drive)
+            meant = not verbs or (message.command is not None and message.command.verb in verbs)
+            before = message.address in held - {core.settings[name], 0}
+            return wanted or (before and meant and frame.checksum_ok and core.responder.understands(message))
+
+        hooks.stored.append(store)
+        hooks.accept.append(accept)
+
+    return Change(install, keeping(name))
+
+
 def _group_unheard(group: int) -> Change:
     """Keep a group's address, and do not hear it."""
     deaf = deaf_to(lambda drive, message: to_group(drive, message) and message.address == group)
@@ -360,6 +384,13 @@ HEARING: Rows = {
     "address": (Row("sets-for-next", "settings of the next higher address are stored too",
                     hearing(lambda drive, message: to_next(drive, message) and is_setting(message))),),
     "function": (Row("run-by-06", "a write of F6 by 06h begins a run", taken(_run_by_one), MODBUS),),
+    "before": (
+        Row("old-address-obeyed", "the address before 8B is obeyed, and not answered", _still_heard("new_address")),
+        Row("old-address-moves", "moves to the address before 8B are executed, and not answered",
+            _still_heard("new_address", MOTIONS)),
+        Row("old-group-obeyed", "the group before 8D is obeyed", _still_heard("group_address")),
+        Row("old-group-sets", "92 to the group before 8D is executed", _still_heard("group_address", (Verb.SET_ZERO,))),
+    ),
     "group": (
         Row("group-without-ramp", "motion to the group has no ramp",
             _to_group(MOTIONS, lambda values: values | {"acceleration": 0})),

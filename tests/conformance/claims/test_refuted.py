@@ -20,6 +20,9 @@ REFUTES = {
     "motion/move_absolute_axis/reads-as-asked": "move-ends-beyond",
     "motion/move_relative_axis/again": "relative-as-absolute",
     "motion/move_absolute_axis/same-place": "absolute-as-relative+",
+    "motion/move_relative_axis/many": "relative-axis-short-up+ relative-axis-short-down+",
+    "motion/move_relative_pulses/many": "moves-end-a-count-short+",
+    "motion/move_increment/many": "lk-increment-short-up lk-increment-short-down",
     "motion/move_relative_axis/opposite": "negative-positions-cut",
     "motion/move_absolute_pulses/within": "overshoot",
     "motion/move_relative_axis/sign": "relative-axis-direction-wrong",
@@ -153,6 +156,7 @@ REFUTES = {
     "motion/read_single_turn/within-turn": "lk-single-turn-runs-on lk-single-turn-36000 lk-single-turn-36000-turned",
     "motion/clear_turns/drops-turns": "lk-clear-turns-ignored lk-clear-turns-upward",
     "motion/set_position/lost": "lk-set-position-kept",
+    "motion/set_position/to-the-digit": "lk-named-less-while-off lk-named-less-when-stopped",
     "motion/set_zero/at-power-up": "lk-zero-lost",
     "motion/run_open_loop/other-models": "lk-runs-open-loop",
     "motion/run_torque/crossed-stopped": "lk-stop-keeps-torque lk-off-keeps-torque lk-stop-ignored-backwards",
@@ -254,7 +258,10 @@ REFUTES = {
     "motion/set_home/end-limit-told-move_relative_pulses": "right-limit-told-complete",
     "motion/set_home/end-limit-inactive-move_relative_axis": "limit-told-aloud",
     "motion/home/holds": "lets-go-once-limited+ homing-ccw-lets-go+",
-    "motion/release_protection/limp-either-way": "current-not-put-back+ released-once+ fe-unwatched+ protected-goes-on+",
+    "motion/release_protection/limp-either-way": (
+        "current-not-put-back+ released-once+ fe-unwatched+ protected-goes-on+ close-unwatched+"
+    ),
+    "motion/set_protection/lets-go-turning": "close-unwatched+",
     "motion/run_speed/ended-by-others": "run-unstopped-by-fd+",
     "motion/run_torque/while-off": "lk-while-off-backwards",
     "motion/move_absolute_pulses/disabled": "disabled-moves-fast+",
@@ -422,7 +429,8 @@ REFUTES = {
     ),
     "read-back/save_speed/clean": "mks-modbus@1,fault=clean-ignored cleaning-stops+",
     "read-back/set_zero_mode/restart": (
-        "mks-modbus@1,fault=zero-mode-ignored way-back-slower-cw way-back-slower-ccw zero-direction-turned zero-speed-fixed"
+        "mks-modbus@1,fault=zero-mode-ignored way-back-slower-cw way-back-slower-ccw zero-direction-turned zero-speed-fixed "
+        "way-back-told-over+"
     ),
     "read-back/restore/settings": "mks-rs485@1,model=42D,fault=restore-lies current-kept",
     "read-back/restore/link": "address-kept+ dialect-kept",
@@ -581,8 +589,10 @@ REFUTES = {
     "addressing/group/write_io": "group-ports-ignored",
     "addressing/group/as-sent": "group-without-ramp",
     "addressing/set_address/shared-heard": (
-        "deaf-to-all-when-moved+ highest-group-unheard highest-group-id-unheard lowest-group-unheard"
+        "deaf-to-all-when-moved+ highest-group-unheard highest-group-id-unheard lowest-group-unheard old-group-obeyed+ "
+        "old-group-sets+"
     ),
+    "addressing/set_address/gone": "old-address-obeyed+ old-address-moves+",
     "addressing/others-asked/ends-told": "end-untold-behind-all end-untold-behind-group end-untold-behind-other",
     "modbus/function/other_reads": "exception-always-04 exception-without-bit function-03-reads",
     "modbus/register/between": "exception-always-04 exceptions-mixed-up exception-without-bit",
