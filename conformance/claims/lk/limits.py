@@ -24,6 +24,7 @@ from conformance.claims.motion.motion_claim import command_of, of_motion, risks_
 from conformance.claims.motion.moves import without_max_speed
 from conformance.model.lk_parameters import OTHER_FIRMWARE, parameter, set_parameter
 from conformance.motion import declared, motion
+from conformance.motion.attempts import damaged
 from conformance.motion.declared import CALM, FORCE, MOVES
 from conformance.talk.exchange import Exchange
 from conformance.talk.noise import CLOCK_SHARE
@@ -91,10 +92,10 @@ def limited_speeds(probe: Probe, command: Command) -> tuple[_Limited, ...]:
         for _ in range(_TRIES):
             since = len(probe.traffic)
             seen = _limited_speed(probe, command, *one)
-            damaged = any(exchange.damaged for exchange in probe.traffic[since:])
+            anew = damaged(probe, since)
             motion.stand_still(probe)
             set_parameter(probe, "speed_limit", kept or 0)
-            if not damaged:
+            if not anew:
                 break
             # While a reply is waited for that the line damaged, a move comes to its end.
         else:

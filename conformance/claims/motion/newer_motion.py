@@ -28,6 +28,7 @@ from conformance.claims.motion.motion_claim import (
 from conformance.claims.motion.moves import takes_angle, takes_counts, with_max_speed, without_max_speed
 from conformance.claims.motion.stops import expect_standing
 from conformance.motion import arriving, declared, motion
+from conformance.motion.attempts import damaged
 from conformance.motion.declared import CALM, FORCE, MOVES, QUICK, SUBDIVISION
 from conformance.talk.exchange import Exchange
 from conformance.talk.probe import MS, SECOND_NS, Probe
@@ -311,12 +312,14 @@ def _takes_over(probe: Probe, command: Command) -> None:
             for _ in range(_TRIES):
                 since = len(probe.traffic)
                 exchange, before, after = _turned_over(probe, older, command, way, sense)
-                if after == -before or not any(each.damaged for each in probe.traffic[since:]):
+                if after == -before or not damaged(probe, since):
                     break
-                # While a reply is waited for that the line damaged, a motion comes to its end.
+                # A request was lost, or a motion came to its end while a reply was waited for that the line damaged.
                 motion.stand_still(probe)
             else:
-                raise Inconclusive(f"the line damages replies while {command.name} takes over from {older.name}")
+                # What is not answered again and again is the drive's.
+                if not exchange.unanswered:
+                    raise Inconclusive(f"the line damages replies while {command.name} takes over from {older.name}")
             taken = not motion.refused(probe, exchange)
             if after != -before:
                 motion.stop(probe)
