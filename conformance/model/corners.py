@@ -30,6 +30,8 @@ _STEEP, _SEEN, _NONE = 255, 236, 0
 _SPEEDS = (3, 12, 560)
 #: Subdivisions below and above where speeds are as they are sent.
 _SUBDIVISIONS = (32, 128, 25, 67)
+#: One at which half of the fastest speed is sent for it.
+_COARSE = 8
 #: A moderate speed, one that needs no ramp, a fast one, and the fastest.
 _RPM, _AT_ONCE_RPM, _FAST_RPM, _FASTEST_RPM = 100, 60, 1600, 3000
 #: Degrees of moves: with a ramp, fast, to be replaced, without a ramp, and with pulses of more than 16 bits.
@@ -90,6 +92,10 @@ class _Corners:
             yield self._go(self.run, 1, rpm)
             yield from self._look()
         yield from self._look(*_PLACES[:3])
+        yield self._stop()
+        yield from self._set(Verb.SET_SUBDIVISION, subdivision=_COARSE)
+        yield self._go(self.run, -1, _FASTEST_RPM)
+        yield from self._look(Verb.READ_SPEED)
         yield self._stop()
         moves = cycle((self.moves[:2], self.moves[2:]))
         for subdivision in (*_SUBDIVISIONS, SUBDIVISION):

@@ -55,7 +55,7 @@ from conformance.drives.mks.state import SUBDIVISION
 
 #: Steps that are too short for a drive; updates that it takes; pulses that it loses behind a stop.
 _SHORTEST, _UPDATES, _LOST = 6, 2, 40
-_LOW_WORD, _SIGN_24 = 0xFFFF, 0x80_0000
+_BITS_11, _LOW_WORD, _SIGN_24 = 0x7FF, 0xFFFF, 0x80_0000
 _SCALED, _SAFE_RPM, _FASTEST_BACK = 32, 1200, 4
 _TO_PLACES = (Verb.MOVE_ABSOLUTE_PULSES, Verb.MOVE_ABSOLUTE_AXIS)
 #: The highest subdivision at which the speed is what is sent.
@@ -140,6 +140,11 @@ def _scaled_moves(obey: Behaviour, drive: MksCore, request: Request) -> Values |
 def _as_sent_at_odd(plain: Callable[[int], Number], drive: MksCore, speed: int) -> Number:
     """Turn at the speed as sent at odd subdivisions above 64."""
     return speed if drive.subdivision > _PLAIN_MOST and drive.subdivision % 2 else plain(speed)
+
+
+def _of_11_bits(real: Callable[[int], Number], drive: MksCore, speed: int) -> Number:
+    """Keep 11 bits of a speed that is more than was sent."""
+    return min(real(speed), max(speed, _BITS_11))
 
 
 def _few_updates(verb: Verb) -> Change:
@@ -653,6 +658,8 @@ SEQUENCES: Rows = {
         Row("axis-of-24-bits", "F5 reckons with 24 bits of the axis", request(_from_axis_of_24_bits, Verb.MOVE_ABSOLUTE_AXIS)),
         Row("as-sent-at-odd", f"at odd subdivisions above {_PLAIN_MOST} the speed is the one that is sent",
             overridden("real_speed", _as_sent_at_odd), SERIAL),
+        Row("scaled-speed-of-11-bits", f"a speed that is more than was sent is {_BITS_11} at most",
+            overridden("real_speed", _of_11_bits)),
         Row("speeds-in-whole-rpm", "speeds of other subdivisions are rounded to whole rpm",
             overridden("real_speed", lambda real, drive, speed: round(real(speed)))),
         Row("speed-0-of-moves-goes-on", "F4 with speed 0 and a distance is answered, and the shaft goes on",
