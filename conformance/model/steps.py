@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from analyzer.catalogue import Dialect, Verb
+from conformance.model.values import ROOMY
 from conformance.motion import declared
 from conformance.motion.declared import SUBDIVISION
 
@@ -78,6 +79,10 @@ def beginning(dialect: Dialect) -> list[Step]:
         (Verb.MOTOR_ON, {}),
     ]
     steps = [Step(verbs[verb].name, values) for verb, values in wanted if verb in verbs]
+    forms = verbs[Verb.WRITE_PARAMETER].request_forms if Verb.WRITE_PARAMETER in verbs else ()
+    for named in (form.layout.named for form in forms if "speed_limit" in form.layout.named):
+        roomy = {"parameter": named["parameter"].fixed or 0, "speed_limit": ROOMY["speed_limit"][0]}
+        steps.append(Step("write_parameter", roomy))
     if "set_position" in dialect.by_name:
         steps = [s for s in steps if s.name != "set_zero"] + [Step("set_position", {"position": 0})]
     return steps

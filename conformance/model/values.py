@@ -32,8 +32,8 @@ _HOME_RPM = 600
 _GROUP_LEAST = 0x11
 #: The farthest name of a place, in hundredths of a degree.
 _FAR = 100_000_000
-#: Limits with which a motor moves as it would without.
-_ROOMY = {"torque_limit": (1500, 1900), "speed_limit": (0x02_2345, 0x02_0F23), "angle_limit": (0x2134_5678, 0x1134_5678)}
+#: Limits with which a motor moves as it would without, whatever their unit is, which no manual prints.
+ROOMY = {"torque_limit": (1500, 1900), "speed_limit": (0x1F_2345, 0x1E_0F23), "angle_limit": (0x2134_5678, 0x1134_5678)}
 
 
 def setting_values(dialect: Dialect, command: Command, chance: random.Random, leeway: Leeway, *, stray: bool) -> dict[str, int]:
@@ -62,7 +62,7 @@ def parameter(form: Form, chance: random.Random) -> dict[str, int]:
     """Return values of a parameter with which a motor moves as it would without."""
     which = chance.randrange(2)
     moderate = lk_parameters.moderate(form, which)
-    return {name: _ROOMY[name][which] if name in _ROOMY else value for name, value in moderate.items()}
+    return {name: ROOMY[name][which] if name in ROOMY else value for name, value in moderate.items()}
 
 
 def forms_of(command: Command) -> list[Form]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from conformance.claim import Outcome, Refuted, Theme
 from conformance.drives import make
+from conformance.drives.drive import Fault
 from conformance.model import corners, route, story
 from conformance.model.asides import Aside, aside
 from conformance.model.steps import parse_steps, steps_text
@@ -31,6 +34,20 @@ def test_honest_drives_are_what_their_twins_are(drive, real):
     probe = walk(drive + real)
     assert probe.measured["steps"] > 10
     assert not probe.quirks
+
+
+def test_a_walk_does_not_rest_on_the_unit_of_a_speed_limit():
+    def in_whole_degrees(drive):
+        hundredths = type(drive).limits.fget
+        whole = property(lambda d: replace(hundredths(d), speed=100 * hundredths(d).speed))
+        drive.__class__ = type("Whole", (type(drive),), {"limits": whole})
+        drive.motor.limit(drive.limits)
+
+    fault = Fault("whole", ("lk-rs485",), "0x20 counts deg/s", "its unit", lambda hooks: hooks.setup.append(in_whole_degrees))
+    rig = EmulatedRig(replace(make.parse("lk-rs485@1,model=MF"), faults=(fault,)))
+    probe = rig.probe(theme_runs.claims_of(Theme.STATE, rig)[0])
+    story.check(probe, parse_steps("run_speed rpm=-600; read_state_2; stop"))
+    assert probe.measured["steps"] == 3
 
 
 @pytest.mark.parametrize("part", corners.PARTS)
