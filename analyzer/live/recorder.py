@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import gc
 import os
 import stat
@@ -47,6 +48,8 @@ RETRY_S = 0.25
 LAST_TRIES_NS = 2_000_000_000
 #: Without leash and without anything new for this long, no reader is left.
 QUIET_NS = 2_000_000_000
+#: What the system says where there is no room.
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _FILES = ("*.raw", "*.taken", "checkpoint.*", "index.*", "recording.*", DECODING, RUNNING)
 
 
@@ -202,7 +205,7 @@ class Recorder:
                 step()
                 break
             except OSError as error:
-                reason = error.strerror or str(error)
+                reason, full = error.strerror or str(error), error.errno in _FULL
                 now_ns = time.monotonic_ns()
                 if self._made_again():
                     continue
@@ -216,7 +219,7 @@ class Recorder:
                 if ending_ns is None and (self._final or self._asked()):
                     ending_ns = now_ns
                 if ending_ns is not None and now_ns - ending_ns > LAST_TRIES_NS:
-                    raise Stalled(self._stalled(reason)) from None
+                    raise Stalled(self._stalled(reason, full=full)) from None
             self._show(now_ns)
             time.sleep(RETRY_S)
         if begun_ns is not None:
@@ -247,11 +250,12 @@ class Recorder:
         locks = [Lock(self.folder, DECODING, taken=f"{self.folder}: another process decodes this recording")]
         return locks if self._final else [*locks, Lock(self.folder, RUNNING, shared=True)]
 
-    def _stalled(self, reason: str) -> str:
+    def _stalled(self, reason: str, *, full: bool) -> str:
         path = self.parts.path
         if not self.folder.is_dir():
             return f"{self.folder} is gone, and what it held is lost; servotap recover {path} repairs what {path} has"
-        return f"{path} cannot be written: {reason}. Free some space; then servotap recover {path} goes on where it stopped"
+        remedy = "Free some space" if full else f"Mend that, or move it with {self.folder.name} to another disk"
+        return f"{path} cannot be written: {reason}. {remedy}; then servotap recover {path} goes on where it stopped"
 
     # --- for viewers -----------------------------------------------------------------------------------------------
 
