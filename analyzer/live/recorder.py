@@ -37,6 +37,7 @@ from analyzer.live.snapshot import SnapshotWriter
 from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.records import Event
 from analyzer.sinks.mcap_sound import unreadable
+from analyzer.system import own_process
 
 #: Time between two looks at the spools, two flushes, two snapshots.
 LOOK_NS = 15_000_000
@@ -309,7 +310,7 @@ def remove(folder: Path) -> None:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the process; return its exit status: 0 when the log is whole, 1 when something is left to be mended."""
+    """Run the process; return its exit status: `config.WHOLE`, or 1 when something is left to be mended."""
     parser = argparse.ArgumentParser(prog="analyzer.live.recorder", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("folder", type=Path, help="the folder of the spools")
     parser.add_argument("--feed", type=int, metavar="FD", help="descriptor for snapshots")
@@ -328,8 +329,9 @@ def main(words: Sequence[str] | None = None) -> int:
     except ServotapError as error:
         print(f"servotap record: {error}", file=sys.stderr)
         return 1
-    return 0
+    return settings.WHOLE
 
 
 if __name__ == "__main__":
+    own_process.take()
     sys.exit(main())

@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 
 from analyzer.cli import main
 from analyzer.live import recorder
+from analyzer.live.config import WHOLE
 from analyzer.sources import open_source
 from tests.collect import sum8
 from tests.live.recorded import small_disk
@@ -67,7 +68,7 @@ def test_it_goes_on_when_there_is_room_again(tmp_path):
         status, rest = process.end()
     finally:
         process.process.kill()
-    assert status == 0
+    assert status == WHOLE
     assert "is written again after" in rest
     assert raw_of([spools.log], "left") == decoded_of([spools.log], "left") == spools.sent["left"]
     assert before < len(spools.sent["left"])
@@ -106,7 +107,7 @@ def test_a_disk_that_is_really_full(tmp_path):
             status, _ = process.end()
         finally:
             process.process.kill()
-        assert status == 0
+        assert status == WHOLE
         assert raw_of([spools.log], "left") == decoded_of([spools.log], "left") == spools.sent["left"]
 
 
