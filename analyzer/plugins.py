@@ -146,7 +146,12 @@ def close_bounded(name: str, close: Callable[[], object]) -> None:
             close()
 
     closing = threading.Thread(target=closed, daemon=True)
-    closing.start()
+    try:
+        closing.start()
+    except RuntimeError:
+        # The system gives no more threads.
+        closed()
+        return
     closing.join(CLOSE_SECONDS)
     if closing.is_alive():
         print(f"servotap: {printable(name)} is left open, for its driver hangs while it closes", file=sys.stderr, flush=True)

@@ -72,7 +72,9 @@ class _WatchedLine(LastingLine):
         #: What is new for each call, None between two.
         self._call: object = None
         self._is_open = True
-        threading.Thread(target=self._look, daemon=True).start()
+        # Where the system gives no more threads, it is stopped all the same.
+        with contextlib.suppress(RuntimeError):
+            threading.Thread(target=self._look, daemon=True).start()
         with self._called():
             super().__init__(endpoint, lambda: False)
 

@@ -346,6 +346,19 @@ def test_ctrl_c_in_a_driver_is_the_users(monkeypatch):
     port.close()
 
 
+def test_a_port_is_closed_also_where_no_thread_is_left(monkeypatch):
+    monkeypatch.setattr(python_can.can, "Bus", Broken)
+    port, shut = LibraryPort("virtual", "x"), []
+    monkeypatch.setattr(port._bus, "shutdown", lambda: shut.append(1))
+    monkeypatch.setattr(threading.Thread, "start", no_thread)
+    port.close()
+    assert shut == [1]
+
+
+def no_thread(thread: threading.Thread) -> None:
+    raise RuntimeError("can't start new thread")
+
+
 def test_a_driver_that_hangs_while_it_closes_is_left_behind(monkeypatch, capsys):
     monkeypatch.setattr(python_can.can, "Bus", Broken)
     monkeypatch.setattr(plugins, "CLOSE_SECONDS", 0)

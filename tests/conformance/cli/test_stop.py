@@ -293,6 +293,16 @@ def test_a_fault_of_ours_cuts_the_power(port, tmp_path, monkeypatch, capsys):
     assert "NOT STOPPED: a fault of servotap: IndexError; " in capsys.readouterr().err
 
 
+def test_a_port_is_stopped_also_where_no_thread_is_left(monkeypatch):
+    def refused(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    line = SimpleNamespace(endpoint=endpoints.parse("can:virtual:x"), anchor_ns=0, write=len)
+    monkeypatch.setattr(lasting, "open_line", lambda endpoint: line)
+    monkeypatch.setattr(threading.Thread, "start", refused)
+    assert stop._WatchedLine(line.endpoint, lambda: None).write(b"123") == 3
+
+
 @pytest.mark.parametrize("hanging", ["open", "write"])
 def test_a_driver_that_hangs_cuts_the_power_and_ends_the_command(hanging, tmp_path, monkeypatch, capsys):
     """The thread that watches it ends the process; here that lets the driver go on, to fail."""
