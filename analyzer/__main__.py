@@ -24,7 +24,7 @@ def main() -> int:
     from analyzer.cli import main as command
     from analyzer.system import own_process
 
-    own_process.is_own = True
+    own_process.take()
     signal.signal(signal.SIGINT, handler)
     try:
         return command()

@@ -10,11 +10,13 @@ import contextlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from analyzer.system import own_process
 from analyzer.values import printable
 
 if TYPE_CHECKING:
@@ -23,8 +25,10 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 #: The packages of this project: what fails in them is a fault of servotap.
 OWN = frozenset(("analyzer", "conformance", "servotap"))
-#: The groups of entry points begin so.
-PREFIX = "servotap."
+#: The groups of entry points begin so, also those of python-can's drivers.
+PREFIXES = ("servotap.", "can.")
+#: How long a driver may take to close a port.
+CLOSE_SECONDS = 5.0
 #: What finds modules in folders; and the folders, beside these, that tell of a package.
 _FOLDERS, _ABOUT = "_frozen_importlib_external", (".dist-info", "egg-info")
 
@@ -76,7 +80,7 @@ def whose(error: BaseException) -> str:
     for package in distributions() if seen - OWN else ():
         with contextlib.suppress(Exception):
             for point in package.entry_points:
-                if point.group.startswith(PREFIX) and point.module.partition(".")[0] in seen - OWN:
+                if point.group.startswith(PREFIXES) and point.module.partition(".")[0] in seen - OWN:
                     return f"{package.name} {package.version} ({point.module})"
     return ""
 
@@ -88,22 +92,13 @@ def _named(package: Distribution) -> str:
 
 @contextlib.contextmanager
 def _ending_raises() -> Iterator[None]:
-    """Have `os._exit` raise SystemExit within: it would end a command without a word, and with the status of one that did well.
-
-    Processes that the package forks end as they wish.
-    """
-    end, own = os._exit, os.getpid()
-
-    def ending(status: int) -> NoReturn:
-        if os.getpid() == own:
-            raise SystemExit(status)
-        end(status)
-
-    os._exit = ending
+    """Have `os._exit` raise Ended within, also in a process of another program."""
+    before = os._exit
+    os._exit = own_process.raising()  # type: ignore[assignment]  # the name of its parameter alone differs
     try:
         yield
     finally:
-        os._exit = end
+        os._exit = before
 
 
 def attempt(what: str, call: Callable[[], T]) -> T | None:
@@ -140,6 +135,26 @@ def passed_over() -> Iterator[None]:
     except BaseException as error:
         if not is_failure(error):
             raise
+
+
+def close_bounded(name: str, close: Callable[[], object]) -> None:
+    """Have another package close what it has opened. Where that hangs, it is left behind, which is said."""
+
+    def closed() -> None:
+        # No interrupt of the user falls into this thread.
+        with contextlib.suppress(BaseException):
+            close()
+
+    closing = threading.Thread(target=closed, daemon=True)
+    try:
+        closing.start()
+    except RuntimeError:
+        # The system gives no more threads.
+        closed()
+        return
+    closing.join(CLOSE_SECONDS)
+    if closing.is_alive():
+        print(f"servotap: {printable(name)} is left open, for its driver hangs while it closes", file=sys.stderr, flush=True)
 
 
 def reason(error: BaseException) -> str:

@@ -149,8 +149,17 @@ def test_a_package_that_ends_the_program_as_it_is_imported_is_named_and_left_out
     )
     done = servotap(site, "explain", "FA 01 32 2D")
     assert (done.returncode, "toy-rs485 (toy_drive:DIALECT)" in done.stderr) == (0, True)
-    assert done.stderr.count("failed and is left out: SystemExit: 0") == 1
+    assert done.stderr.count("failed and is left out: Ended: os._exit(0) was called") == 1
     assert done.stdout.startswith("mks-rs485  request")
+
+
+def test_a_dialect_that_ends_the_program_while_it_is_read_is_named_and_left_out(tmp_path):
+    module = MODULE.replace("reduce(lambda a, b: a ^ b, data, 0)", "__import__('os')._exit(0)")
+    site = make_site(tmp_path, "toy_drive", module, "toy-rs485")
+    (site / "toy.log").write_text("0.1 > FA 01 32 2D\n0.2 < FB 01 32 00 64 92\n0.3 > AA 01 21 8A\n")
+    shown = servotap(site, "show", "toy.log", "--dialect", "toy-rs485,mks-rs485")
+    assert "toy-rs485 of servotap.dialects failed and is left out: Ended: os._exit(0) was called" in shown.stderr
+    assert "speed=100 rpm" in shown.stdout
 
 
 class Panic(BaseException):

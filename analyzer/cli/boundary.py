@@ -143,7 +143,7 @@ class _Faults:
             threading.excepthook, sys.unraisablehook = self._before
 
     def _in_thread(self, arguments: threading.ExceptHookArgs) -> None:
-        if arguments.exc_value is not None and not isinstance(arguments.exc_value, SystemExit):
+        if arguments.exc_value is not None and _is_fault(arguments.exc_value):
             self.add(arguments.exc_value)
 
     def _unraisable(self, unraisable: Any) -> None:
@@ -171,6 +171,11 @@ class _Faults:
         whom = f"the package {package}" if package else "servotap"
         lines = f"servotap: a fault of {whom}: {what}; please report it{' to its makers' * bool(package)} with {where}\n"
         sys.stderr.write(lines + trace if shown else lines)
+
+
+def _is_fault(error: BaseException) -> bool:
+    """Say whether an error is more than the wish of the program to end."""
+    return not isinstance(error, SystemExit) or isinstance(error, own_process.Ended)
 
 
 def _interrupt_outside(hook: CodeType) -> None:
@@ -250,8 +255,11 @@ def _status(command: Callable[[list[str]], int], words: list[str], faults: _Faul
     except KeyboardInterrupt:
         print("servotap: interrupted; nothing more was written", file=sys.stderr)
         return ended_status()
-    except SystemExit:
-        raise
+    except SystemExit as error:
+        if not _is_fault(error):
+            raise
+        faults.add(error)
+        return FAULT
     # Other packages raise what derives from BaseException alone.
     except BaseException as error:
         why = refused(error)

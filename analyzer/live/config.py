@@ -21,6 +21,8 @@ COPY = "recording.copy.json"
 FILES = (NAME, COPY)
 #: Stem of the spool that holds what happened to the recording itself: marks, steps of the wall clock, the end.
 CONTROL = "0-control"
+#: Exit status of a decoding process with a whole log. A library of an added dialect can end it with 0 at any moment.
+WHOLE = 21
 
 
 class PortConfig(msgspec.Struct, frozen=True, kw_only=True):

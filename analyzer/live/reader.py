@@ -226,6 +226,6 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    own_process.is_own = True
+    own_process.take()
     with contextlib.suppress(BrokenPipeError):
         sys.exit(main())

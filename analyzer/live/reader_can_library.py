@@ -15,7 +15,7 @@ from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import BadCount, LibraryPort, Lost, Opened, Stop, Unopened, listen
 from analyzer.live.reader_store import Store
 from analyzer.live.spool import MOST_BYTES, CanFlag
-from analyzer.plugins import passed_over, reason
+from analyzer.plugins import close_bounded, is_failure, passed_over, reason
 from analyzer.system.own_process import without
 
 #: Failures to receive in a row after which the interface is taken to be gone.
@@ -62,8 +62,10 @@ class CanLibraryPort(LibraryPort):
             options["state"] = can.BusState.PASSIVE
         try:
             bus = can.Bus(**options)
-        # Each interface raises what its library raises.
-        except Exception as error:
+        # Each interface raises what its library raises, and some leave the program.
+        except BaseException as error:
+            if not is_failure(error):
+                raise
             raise Unopened(f"cannot open {self._endpoint.place}: {reason(error)}") from None
         self._receive, self._shut, self._number = bus.recv, bus.shutdown, bus.fileno
         return Opened("stamped as python-can hands a frame over; plus the delays of adapter and driver", tuple(notes))
@@ -81,7 +83,9 @@ class CanLibraryPort(LibraryPort):
                 if not last_ns and time.monotonic_ns() - from_ns < _PAUSE_S * 1e9:
                     stop.wait(_PAUSE_S)
             # Garbage on an adapter's port raises from deep inside its driver.
-            except Exception as error:
+            except BaseException as error:
+                if not is_failure(error):
+                    raise
                 failures += 1
                 bad.count += 1
                 bad.reason = reason(error)
@@ -98,7 +102,6 @@ class CanLibraryPort(LibraryPort):
             with passed_over():
                 self._take(store, 0.0)
         finally:
-            # A driver can end the program; what it gave until then is stored.
             store.flush()
 
     def _take(self, store: Store, wait_s: float) -> int:
@@ -119,8 +122,7 @@ class CanLibraryPort(LibraryPort):
     def close(self) -> None:
         shut, self._shut, self._receive, self._number = self._shut, None, None, None
         if shut is not None:
-            with passed_over():
-                shut()
+            close_bounded(self._endpoint.place, shut)
 
 
 def keep(store: Store, t_ns: int, message: Any) -> None:

@@ -8,7 +8,6 @@ returns, so the times are as good as the system wakes a waiting program: mostly 
 
 from __future__ import annotations
 
-import contextlib
 import time
 from typing import Any
 
@@ -16,6 +15,7 @@ from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import IDLE_NS, LibraryPort, Lost, Opened, Stop, Unopened, find_adapter, listen
 from analyzer.live.reader_store import Store
 from analyzer.live.reader_stream import LAST_READS_NS, settle
+from analyzer.plugins import close_bounded
 
 #: The longest wait for a byte: how late the wish to end is noticed.
 _WAIT_S = 0.02
@@ -84,6 +84,4 @@ class PlainPort(LibraryPort):
     def close(self) -> None:
         close, self._close, self._read, self._waiting = self._close, None, None, None
         if close is not None:
-            # An adapter that is gone cannot be asked to close.
-            with contextlib.suppress(OSError):
-                close()
+            close_bounded(self._endpoint.place, close)

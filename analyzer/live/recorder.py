@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import gc
 import os
 import stat
@@ -36,6 +37,7 @@ from analyzer.live.snapshot import SnapshotWriter
 from analyzer.live.snapshot_sink import SnapshotSink
 from analyzer.records import Event
 from analyzer.sinks.mcap_sound import unreadable
+from analyzer.system import own_process
 
 #: Time between two looks at the spools, two flushes, two snapshots.
 LOOK_NS = 15_000_000
@@ -47,6 +49,8 @@ RETRY_S = 0.25
 LAST_TRIES_NS = 2_000_000_000
 #: Without leash and without anything new for this long, no reader is left.
 QUIET_NS = 2_000_000_000
+#: What the system says where there is no room.
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _FILES = ("*.raw", "*.taken", "checkpoint.*", "index.*", "recording.*", DECODING, RUNNING)
 
 
@@ -202,7 +206,7 @@ class Recorder:
                 step()
                 break
             except OSError as error:
-                reason = error.strerror or str(error)
+                reason, full = error.strerror or str(error), error.errno in _FULL
                 now_ns = time.monotonic_ns()
                 if self._made_again():
                     continue
@@ -216,7 +220,7 @@ class Recorder:
                 if ending_ns is None and (self._final or self._asked()):
                     ending_ns = now_ns
                 if ending_ns is not None and now_ns - ending_ns > LAST_TRIES_NS:
-                    raise Stalled(self._stalled(reason)) from None
+                    raise Stalled(self._stalled(reason, full=full)) from None
             self._show(now_ns)
             time.sleep(RETRY_S)
         if begun_ns is not None:
@@ -247,11 +251,12 @@ class Recorder:
         locks = [Lock(self.folder, DECODING, taken=f"{self.folder}: another process decodes this recording")]
         return locks if self._final else [*locks, Lock(self.folder, RUNNING, shared=True)]
 
-    def _stalled(self, reason: str) -> str:
+    def _stalled(self, reason: str, *, full: bool) -> str:
         path = self.parts.path
         if not self.folder.is_dir():
             return f"{self.folder} is gone, and what it held is lost; servotap recover {path} repairs what {path} has"
-        return f"{path} cannot be written: {reason}. Free some space; then servotap recover {path} goes on where it stopped"
+        remedy = "Free some space" if full else f"Mend that, or move it with {self.folder.name} to another disk"
+        return f"{path} cannot be written: {reason}. {remedy}; then servotap recover {path} goes on where it stopped"
 
     # --- for viewers -----------------------------------------------------------------------------------------------
 
@@ -305,7 +310,7 @@ def remove(folder: Path) -> None:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the process; return its exit status: 0 when the log is whole, 1 when something is left to be mended."""
+    """Run the process; return its exit status: `config.WHOLE`, or 1 when something is left to be mended."""
     parser = argparse.ArgumentParser(prog="analyzer.live.recorder", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("folder", type=Path, help="the folder of the spools")
     parser.add_argument("--feed", type=int, metavar="FD", help="descriptor for snapshots")
@@ -324,8 +329,9 @@ def main(words: Sequence[str] | None = None) -> int:
     except ServotapError as error:
         print(f"servotap record: {error}", file=sys.stderr)
         return 1
-    return 0
+    return settings.WHOLE
 
 
 if __name__ == "__main__":
+    own_process.take()
     sys.exit(main())

@@ -24,7 +24,7 @@ from analyzer import __version__
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import clock
 from analyzer.live.children import SAYS, Child, DecoderChild, MessageQueue, ReaderChild
-from analyzer.live.config import CONTROL, FILES, RecordingConfig
+from analyzer.live.config import CONTROL, FILES, WHOLE, RecordingConfig
 from analyzer.live.lock import RUNNING, Lock
 from analyzer.live.port_status import PortStatus, take
 from analyzer.live.reader_store import Store
@@ -304,7 +304,7 @@ class Supervisor:
             self._gone.add(name)
             return
         if not reader and self.phase == "finishing":
-            self._decoded = status == 0
+            self._decoded = status == WHOLE
             if self._decoded or self._given_up:
                 return
             if self._decoder.last_words().startswith(SAYS):
@@ -348,12 +348,22 @@ class Supervisor:
             self._on_note(self.tallies[name].bus, f"the reader process did not end within {END_S:.0f} s and was killed")
             self._readers[name].kill()
             self._readers[name].wait(1.0)
+        for port in self.tallies.values():
+            if port.state == "listening":
+                self._lose(port)
         self._finish()
         for child in (*self._readers.values(), self._decoder):
             child.close()
         if self._lock is not None:
             self._lock.close()
         self.phase = "over"
+
+    def _lose(self, port: PortStatus) -> None:
+        """Note that the reader of a port has not told its end: what it held is lost."""
+        reason = "its reader process died and did not tell its end"
+        take(port, {"event": "lost", "t_ns": self.ended_ns, "reason": reason})
+        self._note_event("lost", reason=f"{port.bus}: {reason}")
+        self._on_note(port.bus, f"{reason}: what it held is lost")
 
     def _finish(self) -> None:
         """Say the end, and wait for the decoding process to have finished the log."""

@@ -7,6 +7,7 @@ another was killed reads that file. Both hold MCAP records in their final form.
 
 from __future__ import annotations
 
+import errno
 import os
 import struct
 import zlib
@@ -16,6 +17,8 @@ from typing import IO, Protocol
 
 _HEAD = struct.Struct("<BQ")
 _BLOCK = 1 << 16
+#: What a medium without fsync says: some folders of networks and of other programs have none.
+_NO_SYNC = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP}
 
 
 class Index(Protocol):
@@ -130,12 +133,21 @@ def write_whole(stream: IO[bytes], at: int, data: bytes) -> None:
         while view:
             written = stream.write(view)
             if not written:
-                raise OSError(28, "No space left on device")
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             view = view[written:]
     except OSError:
         stream.truncate(at)
         stream.seek(at)
         raise
+
+
+def sync(stream: IO[bytes]) -> None:
+    """Bring a file onto the disk, where its medium has such a step."""
+    try:
+        os.fsync(stream.fileno())
+    except OSError as error:
+        if error.errno not in _NO_SYNC:
+            raise
 
 
 class WholeWrites:
@@ -194,7 +206,7 @@ class WholeWrites:
         return os.fstat(self._stream.fileno())
 
     def sync(self) -> None:
-        os.fsync(self._stream.fileno())
+        sync(self._stream)
 
     def close(self) -> None:
         self._stream.close()

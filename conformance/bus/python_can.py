@@ -22,7 +22,7 @@ from analyzer.errors import ServotapError, UsageError
 from analyzer.live.reader_can_library import flags_of
 from analyzer.live.reader_can_socket import dissect_kernel, with_room
 from analyzer.live.spool import MOST_BYTES
-from analyzer.plugins import is_failure, passed_over, reason
+from analyzer.plugins import close_bounded, is_failure, passed_over, reason
 from analyzer.records import CanFrame
 from analyzer.system.own_process import without
 from analyzer.values import quote
@@ -159,8 +159,7 @@ class LibraryPort(CanPort):
 
     def close(self) -> None:
         super().close()
-        with passed_over():
-            self._bus.shutdown()
+        close_bounded(self.name, self._bus.shutdown)
 
 
 class SocketCanPort(LibraryPort):

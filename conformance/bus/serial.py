@@ -23,6 +23,7 @@ from serial.tools import list_ports
 from analyzer.errors import UsageError
 from analyzer.live.endpoint import Endpoint
 from analyzer.live.reader_port import Unopened, find_adapter
+from analyzer.plugins import close_bounded
 from conformance.bus.stream import StreamLine, read_some
 
 try:
@@ -120,9 +121,7 @@ class SerialLine(StreamLine):
         # A pseudo-terminal keeps it when it is closed.
         with contextlib.suppress(OSError, ValueError, serial.SerialException):
             self._take(False)
-        # A port that has gone cannot be closed any more.
-        with contextlib.suppress(OSError, serial.SerialException):
-            self._port.close()
+        close_bounded(self.path, self._port.close)
 
 
 def _path_of(number: str) -> str:

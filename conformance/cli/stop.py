@@ -5,7 +5,8 @@ Where none is named, all are told to stop before any is looked for: by the addre
 where there is none. Drives that are found are told once more, and the proofs come last. Where none is found, others may drown
 what is sent and what is answered: then every address gets every stop, again and again, and drives are looked for in between.
 
-A port that goes meanwhile is opened anew, and all begins once more, for some seconds from the first time that it went.
+A port that goes meanwhile is opened anew, and all begins once more, for some seconds from the first time that it went. A driver
+that hangs ends the command, for nothing can be sent through it.
 
 Exit status: 0 all stand, 2 wrong use, 20 a drive is not seen standing, none answers, or the port cannot be opened.
 """
@@ -13,8 +14,12 @@ Exit status: 0 all stand, 2 wrong use, 20 a drive is not seen standing, none ans
 from __future__ import annotations
 
 import argparse
+import contextlib
+import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 from analyzer.catalogue import Dialect
@@ -24,9 +29,12 @@ from analyzer.dialects import drive_name
 from analyzer.errors import ServotapError, UsageError
 from analyzer.live import endpoint as endpoints
 from analyzer.live import profile
+from analyzer.live.endpoint import Endpoint
+from analyzer.system import own_process
 from analyzer.values import addresses as addresses_of
+from analyzer.values import printable
 from conformance.bus.lasting import BACK_SECONDS, LastingLine
-from conformance.bus.line import LineLost
+from conformance.bus.line import Line, LineLost
 from conformance.claim import Inconclusive, NotStopped
 from conformance.cli.endpoint import at_own_rate, gate_to
 from conformance.cli.scan import DEFAULT_ADDRESSES, dialects_on, rates_of, showing_progress
@@ -42,6 +50,8 @@ from conformance.talk.scan import Found, scan
 _ROUNDS = 2
 #: How long a port that goes is tried anew, from the first time on, and the pause between two tries.
 _LOST_NS, _AGAIN_SECONDS = int(BACK_SECONDS * 1e9), 0.2
+#: After so many looks at the same call of a driver it hangs. They are counted, for this process may be suspended meanwhile.
+_LOOKS, _LOOK_SECONDS = 30, 1.0
 #: So many bytes a frame of another sender on CAN is taken to have.
 _CAN_BYTES = 8
 EXAMPLES = """\
@@ -52,6 +62,54 @@ examples:
   servotap stop can:socketcan:can0 mks-can@1 --cut-power 'usbrelay OFF_1=1'
   servotap stop arm                                                a drive or a bus of a profile, servotap.toml
 """
+
+
+class _WatchedLine(LastingLine):
+    """A line of which a thread watches each call into the driver; `hangs` is called where one does not return."""
+
+    def __init__(self, endpoint: Endpoint, hangs: Callable[[], None]) -> None:
+        self._hangs = hangs
+        #: What is new for each call, None between two.
+        self._call: object = None
+        self._is_open = True
+        # Where the system gives no more threads, it is stopped all the same.
+        with contextlib.suppress(RuntimeError):
+            threading.Thread(target=self._look, daemon=True).start()
+        with self._called():
+            super().__init__(endpoint, lambda: False)
+
+    @contextlib.contextmanager
+    def _called(self) -> Iterator[None]:
+        self._call = object()
+        try:
+            yield
+        finally:
+            self._call = None
+
+    @contextlib.contextmanager
+    def _there(self) -> Iterator[Line]:
+        with self._called(), super()._there() as line:
+            yield line
+
+    def _look(self) -> None:
+        seen, looks = self._call, 0
+        while self._is_open and looks < _LOOKS:
+            time.sleep(_LOOK_SECONDS)
+            looks = looks + 1 if seen is not None and self._call is seen else 0
+            seen = self._call
+        if self._is_open:
+            self._hangs()
+
+    def close(self) -> None:
+        self._is_open = False
+        super().close()
+
+
+def _end_hung(endpoint: str, cut_power: str) -> None:
+    """Cut the power and end this process: its main thread is in a driver that hangs."""
+    power = stopping.cut_power(cut_power)
+    print(f"servotap stop: NOT STOPPED: {printable(endpoint)}: its driver hangs; {power}", file=sys.stderr, flush=True)
+    own_process.end(NotStopped.exit_status)
 
 
 class _Drive(NamedTuple):
@@ -95,7 +153,8 @@ def run(arguments: argparse.Namespace) -> int:
     failures: list[str] = []
     # Each try waits for the port by itself, for all of them have one deadline.
     try:
-        with as_interrupt(), gate_to(endpoint, Allowance(), opened=lambda at: LastingLine(at, lambda: False)) as gate:
+        hangs = partial(_end_hung, arguments.endpoint, arguments.cut_power)
+        with as_interrupt(), gate_to(endpoint, Allowance(), opened=lambda at: _WatchedLine(at, hangs)) as gate:
             drives = [_Drive(*each, gate.line.endpoint.bits_per_second) for each in named]
             # On a full bus, frames of others must not make replies late. Orders to all are read: they may move what is stopped.
             everyone = [dialect.broadcast for dialect in dialects if dialect.broadcast is not None]

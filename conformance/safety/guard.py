@@ -7,7 +7,7 @@ the suite (an error, kill -9, a closed terminal) ends the pipe. The guard then s
 the settings in the journal, and closes the port. A run without an end is stopped after a time even while the suite lives.
 A suite that asks nothing for a while is suspended (Ctrl-Z), hangs, or waits for a terminal that takes no more: then the guard
 stops what may be moving, too. A port that goes and comes back is opened anew, so that a motor can be stopped after all.
-Its own exit status is 0, or 20 where a motor could not be stopped.
+Its own exit status, where the suite has gone, is 21 when all stands, and 20 where a motor could not be stopped.
 
 The permissions of the start hold until the end, also against a faulty suite. Only stops and the journal's old settings pass
 in addition.
@@ -307,7 +307,7 @@ def _watch(reader: threading.Thread, guard: Guard) -> None:
     if guard.cut_what_turns():
         # What was said is written first.
         sys.stderr.close()
-        os._exit(NotStopped.exit_status)
+        own_process.end(NotStopped.exit_status)
 
 
 class Aside(io.TextIOBase):
@@ -473,7 +473,7 @@ def _finish_alone(guard: Guard) -> int:
         guard.put_back()
     except Exception as error:
         print(f"servotap: not all settings were put back: {error}", file=sys.stderr, flush=True)
-    return 0
+    return say.STANDS
 
 
 def _answer(stream: IO[bytes], answer: say.Answer) -> bool:
@@ -486,6 +486,8 @@ def _answer(stream: IO[bytes], answer: say.Answer) -> bool:
 
 
 if __name__ == "__main__":
-    own_process.is_own = True
+    own_process.take()
     # It writes to the terminal of the suite.
-    sys.exit(bounded(lambda words: main(), sys.argv[1:]))
+    status = bounded(lambda words: main(), sys.argv[1:])
+    # A thread of a driver would hold it up.
+    own_process.end(status)

@@ -208,7 +208,7 @@ class GuardedLine(Line):
             self._leave()
 
     def abandon(self) -> int | None:
-        """Leave without a word, so that the guard stops and puts back by itself; return its exit status.
+        """Leave without a word, so that the guard stops and puts back by itself; return its exit status, as `guard` has it.
 
         None: it did not end, and was killed.
         """

@@ -7,6 +7,7 @@ the sent values say where the drive may be now.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import time
@@ -141,8 +142,14 @@ def _parsed(path: Path) -> tuple[list[Entry], int]:
 
 
 def _is_torn(line: bytes) -> bool:
-    """Say whether a line is the beginning of one that was being written; a disk that lost its power leaves zeros after it."""
+    """Say whether a line is the beginning of one that was being written; a disk that lost its power leaves zeros after it.
+
+    A whole line that is none of these is of another version, or of no run: it may say what is to be put back.
+    """
     begun = line.rstrip(b"\0")
+    with contextlib.suppress(*UNDECODABLE):
+        msgspec.json.decode(begun)
+        return False
     return begun.startswith(_BEGIN) or _BEGIN.startswith(begun)
 
 

@@ -13,6 +13,8 @@ from conformance.gate.permissions import Allowance
 _LIMIT = 64 << 20
 #: A time that does not end.
 NO_END_NS = 1 << 62
+#: Exit status of a guard that has seen alone to it that all stands. A library of a driver can end it with 0 at any moment.
+STANDS = 21
 
 
 class Wire(msgspec.Struct, frozen=True, array_like=True):

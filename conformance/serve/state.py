@@ -46,6 +46,11 @@ def _drives(whole: Any) -> dict[str, Settings]:
     if whole["servotap"] != _KIND or whole["version"] != _VERSION:
         raise ValueError(f"expected servotap {_KIND!r} of version {_VERSION}")
     drives: dict[str, Settings] = {name: drive["settings"] for name, drive in whole["drives"].items()}
+    # What another version keeps there, too, would go when the file is written.
+    inside = {key for drive in whole["drives"].values() for key in drive}
+    unknown = (whole.keys() - {"servotap", "version", "drives"}) | (inside - {"settings"})
+    if unknown:
+        raise ValueError(f"{', '.join(sorted(unknown))}: not known to this version of servotap")
     for name, settings in drives.items():
         for setting, value in settings.items():
             if type(value) is not int:

@@ -28,6 +28,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from analyzer.catalogue import Certainty, Risk
+from analyzer.plugins import is_failure, reason
 from conformance import claims as registry
 from conformance.claim import Claim, Inconclusive, NotRun, NotStopped, Observed, Outcome, Refuted, RigFault, Theme, Verdict
 from conformance.claims.known_quirks import LATE
@@ -127,9 +128,12 @@ def _judge(claim: Claim, probe: Probe) -> Verdict:
     except (NotStopped, RigFault):
         raise
     # A claim is code too, perhaps of another package, and a drive may answer what it was not written for.
-    except Exception as error:
+    except BaseException as error:
+        # A run that a claim ends would have no verdict, and perhaps the status of one that did well.
+        if isinstance(error, KeyboardInterrupt) or not is_failure(error):
+            raise
         place = traceback.extract_tb(error.__traceback__)[-1]
-        failure = f"a fault of the claim itself: {type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
+        failure = f"a fault of the claim itself: {reason(error)} ({Path(place.filename).name}:{place.lineno})"
         return _verdict(claim, probe, Outcome.INCONCLUSIVE, failure)
     confirmed = _verdict(claim, probe, Outcome.CONFIRMED, "")
     return _of_quirks(confirmed, probe.rig, probe.quirks) if probe.quirks else confirmed

@@ -1,7 +1,8 @@
 """Checks before the first claim: the drive answers, it is the named one, and it is alone if the user says so.
 
 Reads alone find a drive that is missing, has another speed or address, or speaks another dialect. One message reports it.
-A drive that answers wrongly is let through: the claims say what is wrong with it.
+A drive that answers wrongly is let through: the claims say what is wrong with it. One whose replies all come one question late
+is not, for no claim could tell what answers what.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from analyzer import dialects as registry
-from analyzer.catalogue import Dialect
+from analyzer.catalogue import Command, Dialect
 from analyzer.diagnosis.diagnose import lines
 from analyzer.encoder import assemble
 from analyzer.errors import UsageError
@@ -21,7 +22,7 @@ from conformance.gate.gate import Gate
 from conformance.gate.permissions import Allowance
 from conformance.safety.stopping import flood
 from conformance.talk.dialogue import MS, Dialogue
-from conformance.talk.scan import LISTEN_NS, PATIENCE_NS, Finder, Found, Report, scan, search_read
+from conformance.talk.scan import LISTEN_NS, PATIENCE_NS, Finder, Found, Report, scan, search_read, search_reads
 
 #: Addresses at which a drive that is not there is looked for.
 _NEAR = range(1, 33)
@@ -36,6 +37,8 @@ _CAN_BITS = 135
 #: A drive that moves was seen to take 0.7 s for an answer.
 _PATIENT_NS = 1000 * MS
 _ATTEMPTS = 3
+#: How long an answer may take where it is looked at what it answers.
+_BEHIND_NS = 300 * MS
 _SECOND_NS = 1_000_000_000
 #: Places that a message lists.
 _LISTED = 8
@@ -67,6 +70,11 @@ def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool, spoken: fr
     search = find_drive(gate, dialect, address)
     if search.found is None and (search.elsewhere or not any(s.data for s in search.report.strays)):
         raise DriveNotFound(search.text)
+    if _is_behind(gate, dialect, address):
+        raise RigFault(
+            f"{registry.drive_name(dialect, address)} answers each question with its reply to the one before: nothing can "
+            "be judged. Start it anew, and what stands between (adapter, gateway, converter); one of them holds a reply back"
+        )
     if alone:
         same_bus = [d for d in registry.every() if d.bus == dialect.bus]
         looked_for = [d for d in same_bus if spoken is None or d.name in spoken or d.name == dialect.name]
@@ -79,6 +87,28 @@ def check(gate: Gate, dialect: Dialect, address: int, *, alone: bool, spoken: fr
                 "drive of another dialect (--spoken names those of this bus); nothing was sent but reads"
             )
     return search.found.identity if search.found is not None else ""
+
+
+def _is_behind(gate: Gate, dialect: Dialect, address: int) -> bool:
+    """Say whether the replies to two reads, which differ in length, all come one question late. Raises LineLost."""
+    own = gate.under(Allowance())
+    reads = [c for c in search_reads(dialect) if not own.objections(assemble(dialect, c, address).item())]
+    lengths = [{form.layout.byte_length for form in c.reply_forms} for c in reads]
+    other = next((c for c, found in zip(reads, lengths, strict=True) if not found & lengths[0]), None)
+    if other is None:
+        return False
+    dialogue = Dialogue(own, [dialect])
+
+    def length(command: Command) -> int:
+        return len(dialogue.ask(assemble(dialect, command, address).item(), _BEHIND_NS).received)
+
+    length(reads[0])
+    first = length(reads[0])
+    # A drive that is not behind answers otherwise here, and is asked no more.
+    if not first or length(other) != first:
+        return False
+    late = length(other)
+    return late not in (0, first) and length(reads[0]) == late and length(other) == first
 
 
 def _full(gate: Gate, dialect: Dialect) -> str:

@@ -423,11 +423,19 @@ class RealRig(ClaimRig):
                         self._line.close()
                     else:
                         # Something went wrong here, so the guard does it alone.
-                        self._line.abandon()
+                        self._believe(self._line.abandon())
                 finally:
                     self._end_journal(done=done and not failure)
         if failure and not self._not_stopped:
             raise RigFault(failure)
+
+    def _believe(self, status: int | None) -> None:
+        """Take the exit status of a guard that was to stop the drive alone. Raises NotStopped where it does not say so."""
+        if status == NotStopped.exit_status:
+            raise NotStopped(f"NOT STOPPED: {self.name}: the process that owns the port could not stop it")
+        if self._may_move and status != say.STANDS:
+            failure = f"the process that owns the port was to stop it, and ended with {status}"
+            raise not_stopped(self.dialect, self.address, failure, self._plan.cut_power)
 
     def _last(self) -> str:
         """Settle for the last time; return what could not be put back. Where the guard has died, by a new one."""

@@ -21,6 +21,7 @@ from analyzer.cli import COMMANDS, boundary, main
 from analyzer.cli import show as show_module
 from analyzer.cli.boundary import FOLDER, READER_GONE, _clean_streams, bounded
 from analyzer.cli.console import Console
+from analyzer.system import own_process
 from tests import CAPTURES, ROOT
 
 HOSTILE = "\x1b[2J\x9b31m\x7f\x00\r\b\u202etxt\udcff\u2066é"
@@ -291,6 +292,17 @@ def test_the_streams_are_left_as_they_were():
     before = sys.stdout, sys.stderr, threading.excepthook, sys.unraisablehook
     assert main(["--version"]) == 0
     assert (sys.stdout, sys.stderr, threading.excepthook, sys.unraisablehook) == before
+
+
+def test_a_package_that_ends_the_process_is_a_fault(monkeypatch, faults, capsys):
+    import analyzer.cli as cli
+
+    monkeypatch.setattr(os, "_exit", own_process.raising())
+    broken = SimpleNamespace(__doc__="", add_arguments=lambda parser: None, run=lambda arguments: os._exit(0))
+    monkeypatch.setattr(cli, "import_module", lambda name: broken)
+    assert main(["show"]) == 70
+    assert len(faults()) == 1
+    assert "os._exit(0) was called" in capsys.readouterr().err
 
 
 def test_every_command_stands_in_the_boundary(monkeypatch, faults, capsys):

@@ -412,8 +412,10 @@ def test_what_a_driver_gave_before_it_ends_the_program_is_stored(end, tmp_path, 
     def then():
         raise end
 
+    monkeypatch.setattr(signal, "getsignal", lambda number: signal.SIG_IGN)
+    monkeypatch.setattr(stop, "wait", lambda seconds: False)
     port = opened_with(Scripted(map(message, range(3)), then), monkeypatch, stop)
-    with pytest.raises(end):
+    with pytest.raises(Lost, match=end.__name__):
         port.listen(store, stop)
     assert [r.can[2][-1] for r in stored(tmp_path)] == [0, 1, 2]
 
@@ -452,9 +454,10 @@ def test_frames_without_end_are_stored_as_they_come(store, monkeypatch):
     assert 3 <= store.count <= 6
 
 
-def test_an_interface_that_cannot_be_opened_says_why(stop, monkeypatch):
+@pytest.mark.parametrize("error", [can.CanInitializationError, SystemExit])
+def test_an_interface_that_cannot_be_opened_says_why(error, stop, monkeypatch):
     def refuse(**options):
-        raise can.CanInitializationError("no such adapter")
+        raise error("no such adapter")
 
     monkeypatch.setattr(can, "Bus", refuse)
     with pytest.raises(Unopened, match="no such adapter"):

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 
 from analyzer.cli import main
 from analyzer.devices import read as read_files
-from analyzer.live.config import CONTROL
+from analyzer.live.config import CONTROL, WHOLE
 from analyzer.live.spool import CanFlag
 from tests import CAPTURES
 from tests.collect import crc, sum8
@@ -333,7 +333,7 @@ def test_the_supervisor_died(tmp_path):
     spools.event("1-left", 30, "closed", reason="the supervisor has gone")
     process = subprocess.Popen([sys.executable, "-m", "analyzer.live.recorder", str(spools.folder)], stdin=subprocess.PIPE)
     process.stdin.close()
-    assert process.wait(30) == 0
+    assert process.wait(30) == WHOLE
     assert not spools.folder.exists()
     assert "died" in metadata(spools.log)["ended"]
     assert raw_of([spools.log], "left") == spools.sent["left"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import resource
 import subprocess
 import sys
@@ -11,6 +13,8 @@ import pytest
 from mcap.reader import make_reader
 
 from analyzer.cli import main
+from analyzer.live import recorder
+from analyzer.live.config import WHOLE
 from analyzer.sources import open_source
 from tests.collect import sum8
 from tests.live.recorded import small_disk
@@ -64,7 +68,7 @@ def test_it_goes_on_when_there_is_room_again(tmp_path):
         status, rest = process.end()
     finally:
         process.process.kill()
-    assert status == 0
+    assert status == WHOLE
     assert "is written again after" in rest
     assert raw_of([spools.log], "left") == decoded_of([spools.log], "left") == spools.sent["left"]
     assert before < len(spools.sent["left"])
@@ -103,7 +107,7 @@ def test_a_disk_that_is_really_full(tmp_path):
             status, _ = process.end()
         finally:
             process.process.kill()
-        assert status == 0
+        assert status == WHOLE
         assert raw_of([spools.log], "left") == decoded_of([spools.log], "left") == spools.sent["left"]
 
 
@@ -155,3 +159,22 @@ def test_every_write_may_fail_once(tmp_path, monkeypatch, rotating):
     for path in paths:
         make_reader(path.open("rb"), validate_crcs=True).get_summary()
     assert raw_of(paths, "left") == decoded_of(paths, "left") == spools.sent["left"]
+
+
+@pytest.mark.parametrize("code", [errno.EINVAL, errno.ENOTSUP, errno.EIO, errno.ENOSPC])
+def test_a_medium_without_fsync_is_none_that_is_full_or_broken(tmp_path, monkeypatch, code):
+    def refused(descriptor):
+        raise OSError(code, os.strerror(code))
+
+    spools = Spools(tmp_path, port("1-left", "left"))
+    fill(spools, count=5)
+    monkeypatch.setattr(os, "fsync", refused)
+    monkeypatch.setattr(recorder, "LAST_TRIES_NS", 0)
+    monkeypatch.setattr(recorder, "RETRY_S", 0)
+    if code in (errno.EINVAL, errno.ENOTSUP):
+        assert spools.record(final=True) == []
+        assert raw_of([spools.log], "left") == spools.sent["left"]
+    else:
+        advice = "Free some space;" if code == errno.ENOSPC else "Mend that, or move it with out.mcap.spool to another disk;"
+        with pytest.raises(recorder.Stalled, match=f"{os.strerror(code)}. {advice} then servotap recover"):
+            spools.record(final=True)

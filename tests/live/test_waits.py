@@ -20,6 +20,7 @@ import pytest
 from analyzer.cli import main
 from analyzer.cli.record import record
 from analyzer.live import recorder, supervisor
+from analyzer.live.config import WHOLE
 from analyzer.live.recorder import LAST_TRIES_NS, QUIET_NS, Recorder, Stalled
 from analyzer.live.recording import Recording
 from analyzer.live.supervisor import END_S, SILENT_S, Supervisor, Taken
@@ -218,6 +219,30 @@ def test_a_reader_that_dies_at_the_end_is_not_started_again(phase, tmp_path):
     watched._hear_exit("1-left", -signal.SIGKILL)
     assert watched._gone == {"1-left"}
     assert said == []
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_reader_that_did_not_tell_its_end_has_lost_what_it_held(told, tmp_path):
+    said, noted = [], []
+    spools = spooled(tmp_path)
+    watched = Supervisor(spools.config, readers=lambda folder, heard: {}, on_note=lambda *note: said.append(note))
+    watched._control = SimpleNamespace(event=lambda event, **about: noted.append(event), finish=lambda: True)
+    watched._decoded = True
+    for event in ["open"] + ["closed"] * told:
+        watched._hear_event("1-left", {"event": event})
+    watched._end()
+    assert watched.tallies["1-left"].lost is not told
+    assert noted == ["lost"] * (not told) + ["end"]
+    assert said == [("left", "its reader process died and did not tell its end: what it held is lost")] * (not told)
+
+
+@pytest.mark.parametrize(("status", "whole"), [(0, False), (WHOLE, True)])
+def test_a_decoding_process_that_a_library_ends_with_0_has_no_whole_log(status, whole, tmp_path):
+    watched = Supervisor(spooled(tmp_path).config, readers=lambda folder, heard: {})
+    watched.phase = "finishing"
+    watched._hear_exit("decoding", status)
+    assert watched._decoded is whole
+    assert watched.decoder_restarts == (not whole)
 
 
 # --- the command ----------------------------------------------------------------------------------------------------------

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import socket
 import struct
+import threading
 import uuid
 from collections.abc import Iterator
 from contextlib import closing
-from functools import partial
 from typing import Any
 
 import can
 import pytest
 
-from analyzer import dialects
+from analyzer import dialects, plugins
 from analyzer.catalogue import Role
 from analyzer.encoder import build
 from analyzer.errors import ServotapError, UsageError
@@ -341,6 +341,30 @@ def test_ctrl_c_in_a_driver_is_the_users(monkeypatch):
     monkeypatch.setattr(python_can.can, "Bus", Broken)
     port = LibraryPort("virtual", "x")
     monkeypatch.setattr(Broken, "does", KeyboardInterrupt())
-    for call in (partial(port.receive, 0), port.close):
-        with pytest.raises(KeyboardInterrupt):
-            call()
+    with pytest.raises(KeyboardInterrupt):
+        port.receive(0)
+    port.close()
+
+
+def test_a_port_is_closed_also_where_no_thread_is_left(monkeypatch):
+    monkeypatch.setattr(python_can.can, "Bus", Broken)
+    port, shut = LibraryPort("virtual", "x"), []
+    monkeypatch.setattr(port._bus, "shutdown", lambda: shut.append(1))
+    monkeypatch.setattr(threading.Thread, "start", no_thread)
+    port.close()
+    assert shut == [1]
+
+
+def no_thread(thread: threading.Thread) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+def test_a_driver_that_hangs_while_it_closes_is_left_behind(monkeypatch, capsys):
+    monkeypatch.setattr(python_can.can, "Bus", Broken)
+    monkeypatch.setattr(plugins, "CLOSE_SECONDS", 0)
+    hung = threading.Event()
+    port = LibraryPort("virtual", "x")
+    monkeypatch.setattr(port._bus, "shutdown", hung.wait)
+    port.close()
+    hung.set()
+    assert capsys.readouterr().err == "servotap: virtual:x is left open, for its driver hangs while it closes\n"

@@ -10,10 +10,12 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import uuid
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 
@@ -21,8 +23,10 @@ from analyzer import cli as analyzer_cli
 from analyzer import dialects
 from analyzer.cli import boundary
 from analyzer.encoder import build
-from analyzer.errors import ServotapError
+from analyzer.errors import ServotapError, UsageError
+from analyzer.live import endpoint as endpoints
 from analyzer.records import CanFrame
+from conformance.bus import lasting
 from conformance.bus.can_socket import MulticastPort
 from conformance.cli import stop
 from conformance.drives.can_bus import CanBus
@@ -287,3 +291,38 @@ def test_a_fault_of_ours_cuts_the_power(port, tmp_path, monkeypatch, capsys):
     assert boundary.bounded(lambda words: run(*words), words) == boundary.FAULT
     assert (tmp_path / "cut").exists()
     assert "NOT STOPPED: a fault of servotap: IndexError; " in capsys.readouterr().err
+
+
+def test_a_port_is_stopped_also_where_no_thread_is_left(monkeypatch):
+    def refused(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    line = SimpleNamespace(endpoint=endpoints.parse("can:virtual:x"), anchor_ns=0, write=len)
+    monkeypatch.setattr(lasting, "open_line", lambda endpoint: line)
+    monkeypatch.setattr(threading.Thread, "start", refused)
+    assert stop._WatchedLine(line.endpoint, lambda: None).write(b"123") == 3
+
+
+@pytest.mark.parametrize("hanging", ["open", "write"])
+def test_a_driver_that_hangs_cuts_the_power_and_ends_the_command(hanging, tmp_path, monkeypatch, capsys):
+    """The thread that watches it ends the process; here that lets the driver go on, to fail."""
+    freed, ended = threading.Event(), []
+
+    def hang(*_: object) -> None:
+        freed.wait()
+        raise UsageError("it hung")
+
+    def end(status: int) -> None:
+        ended.append(status)
+        freed.set()
+
+    monkeypatch.setattr(stop, "_LOOK_SECONDS", 0.0)
+    monkeypatch.setattr(stop.own_process, "end", end)
+    line = SimpleNamespace(endpoint=endpoints.parse("can:virtual:x"), anchor_ns=0, write=hang, close=lambda: None)
+    monkeypatch.setattr(lasting, "open_line", hang if hanging == "open" else lambda endpoint: line)
+    cut = tmp_path / "cut"
+    with pytest.raises(UsageError, match="it hung"):
+        stop._WatchedLine(line.endpoint, lambda: stop._end_hung("can:virtual:x", f"echo >> {cut}")).write(b"")
+    assert ended == [20]
+    assert cut.read_text() == "\n"
+    assert "NOT STOPPED: can:virtual:x: its driver hangs; --cut-power" in capsys.readouterr().err

@@ -292,6 +292,13 @@ def test_a_state_that_does_not_fit_is_told(capsys: pytest.CaptureFixture[str], t
         told = refused(capsys, "mks-rs485@1", "--pty", "--state", str(state))
         assert "does not hold the state of drives" in told
         assert "Error" not in told, "no name of Python's"
+    kept: dict[str, object] = {"settings": {}}
+    for top, drive in (({"by": "newer"}, kept), ({}, kept | {"motor": 3})):
+        state.write_text(json.dumps({"servotap": "drives", "version": 1, "drives": {"mks-rs485@9": drive}} | top))
+        before = state.read_bytes()
+        told = refused(capsys, "mks-rs485@1", "--pty", "--state", str(state))
+        assert told.endswith(": not known to this version of servotap\n")
+        assert state.read_bytes() == before
     for value in ("1", 1.0, True, None, [], float("nan")):
         whole = {"servotap": "drives", "version": 1, "drives": {"mks-rs485@1": {"settings": {"saved_run": value}}}}
         state.write_text(json.dumps(whole))

@@ -154,7 +154,12 @@ def test_a_killed_guard_leaves_a_journal_for_restore(tmp_path):
         assert not enabled
 
 
-@pytest.mark.parametrize("text", [b"\xff{", b"[]", b"[" * 200_000, b"notes of mine", b'{"at":"', b'{"event":"end"}\n[]'])
+NEWER = b'{"event":"change","target":"mks-can@1","command":"set_current","values":{"current":800},"why":"newer"}'
+
+
+@pytest.mark.parametrize(
+    "text", [b"\xff{", b"[]", b"[" * 200_000, b"notes of mine", b'{"at":"', b'{"event":"end"}\n[]', NEWER, b'{"event":"pause"}']
+)
 def test_what_is_no_journal_is_not_taken_for_a_torn_line(text, tmp_path):
     """Else restoring it would say that nothing is left to be put back."""
     path = tmp_path / "run.journal"

@@ -20,6 +20,7 @@ import pytest
 from analyzer.encoder import build
 from analyzer.errors import UsageError
 from analyzer.live import endpoint as endpoints
+from analyzer.system import own_process
 from conformance.bus import open_line
 from conformance.bus.line import LineLost
 from conformance.claim import Claim, Inconclusive, NotStopped, Outcome, RigFault, Theme
@@ -211,6 +212,25 @@ def test_where_nothing_stops_the_motor_the_guard_cuts_the_power_by_itself(tmp_pa
         rig.close()
 
 
+@pytest.mark.parametrize("status", [0, None, 20, say.STANDS])
+def test_a_guard_left_alone_is_believed_by_its_own_status_alone(status, tmp_path, monkeypatch):
+    cut = tmp_path / "cut"
+    with on_pty("mks-rs485@1") as path:
+        rig = open_rig(path, tmp_path, cut_power=f"touch {cut}")
+        rig._moved = True
+        monkeypatch.setattr(rig, "_last", fails)
+        left, rig._line.abandon = rig._line.abandon, lambda: status
+        with pytest.raises(ZeroDivisionError if status == say.STANDS else NotStopped):
+            rig.close()
+        left()
+    # One that says itself that it could not has cut the power.
+    assert cut.exists() is (status in (0, None))
+
+
+def fails():
+    raise ZeroDivisionError
+
+
 def test_a_drive_that_does_not_tell_its_position_is_not_stopped(tmp_path, monkeypatch):
     """Unplugged while it may be moving: a stop cannot be proved."""
     with on_pty("mks-rs485@1") as path:
@@ -386,7 +406,7 @@ def test_a_guard_that_hangs_in_its_driver_and_cannot_be_killed_holds_nothing_up(
 def test_where_the_suite_has_gone_and_the_port_hangs_the_power_is_cut(tmp_path, capsys, monkeypatch, moving):
     ended = []
     monkeypatch.setattr(guard_process, "_ALONE_SECONDS", 0)
-    monkeypatch.setattr(guard_process.os, "_exit", ended.append)
+    monkeypatch.setattr(own_process, "end", ended.append)
     monkeypatch.setattr(sys, "stderr", io.StringIO())
     monkeypatch.setattr(sys.stderr, "close", lambda: None)
     gone = threading.Thread()

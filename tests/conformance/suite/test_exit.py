@@ -5,12 +5,15 @@ from __future__ import annotations
 import pytest
 from mcap.writer import Writer
 
+from analyzer.system.own_process import Ended
 from benchmarks.gate import READS, sound
 from conformance.claim import NotStopped, Outcome, RigFault, Verdict, worst
+from conformance.suite import engine
 from conformance.suite import plan as suite
 from conformance.suite.record import doubt_about, most_inconclusive
 from tests.conformance.cli.test_stop import GoneReader
 from tests.conformance.drives.served import on_logged_pty, on_pty
+from tests.conformance.safety.test_keeper import EmulatedPort, claim
 from tests.conformance.suite.test_suite import main
 
 ALL = ("--allow", "setting,motion,torque,unbounded,unknown", "--subdivision", "16", "--max-speed", "300")
@@ -157,3 +160,32 @@ def test_a_stored_failure_that_no_run_wrote(changed, told, tmp_path, cli):
         writer.add_metadata("servotap.claim", about)
         writer.finish()
     assert told in cli("rerun", tmp_path / "f.mcap", status=2).err
+
+
+class Wordless(BaseException):
+    def __str__(self) -> str:
+        raise ValueError
+
+
+@pytest.mark.parametrize(
+    "error", [SystemExit(0), Ended("os._exit(0) was called"), GeneratorExit(), Wordless(), ZeroDivisionError()]
+)
+def test_a_claim_that_ends_the_program_is_at_fault_and_ends_no_run(error, tmp_path):
+    def leaves(probe):
+        raise error
+
+    rig = EmulatedPort("mks-can@1", tmp_path)
+    verdict = engine.run_claim(claim(rig, leaves), rig)
+    assert verdict.outcome is Outcome.INCONCLUSIVE
+    assert verdict.reason.startswith(f"a fault of the claim itself: {type(error).__name__}")
+    rig.close()
+
+
+def test_ctrl_c_in_a_claim_ends_the_run(tmp_path):
+    def waits(probe):
+        raise KeyboardInterrupt
+
+    rig = EmulatedPort("mks-can@1", tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        engine.run_claim(claim(rig, waits), rig)
+    rig.close()

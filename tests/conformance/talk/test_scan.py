@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import pytest
 
 from analyzer import cli as analyzer_cli
@@ -21,6 +22,7 @@ from analyzer.live.endpoint import parse
 from analyzer.records import CanFrame, Chunk
 from analyzer.values import addresses as addresses_of
 from conformance.bus.emulated import EmulatedLine
+from conformance.claim import RigFault
 from conformance.cli import scan as command
 from conformance.drives import make
 from conformance.drives.serial_bus import SerialBus
@@ -449,3 +451,28 @@ def test_bytes_that_are_no_answer_are_diagnosed(capsys: pytest.CaptureFixture[st
     command.show(report, line.endpoint)
     assert "(inverted_lines," in capsys.readouterr().out
     assert heard().diagnosis is None
+
+
+class Behind(EmulatedLine):
+    """A line that keeps each reply until the next one comes."""
+
+    kept: Chunk | CanFrame | None = None
+
+    def receive(self, timeout_ns: int) -> Chunk | CanFrame | None:
+        got = super().receive(timeout_ns)
+        if got is None:
+            return None
+        kept, self.kept = self.kept, got
+        return kept and msgspec.structs.replace(kept, t_ns=got.t_ns)
+
+
+@pytest.mark.parametrize("line", [EmulatedLine, Behind])
+@pytest.mark.parametrize("dialect", dialects.every(), ids=lambda d: d.name)
+def test_a_drive_that_is_always_one_reply_behind_is_told_at_once(dialect, line):
+    own = Gate(line([make.make(make.parse(f"{dialect.name}@1"))]), Allowance())
+    if line is EmulatedLine:
+        check(own, dialect, 1, alone=False)
+        return
+    with pytest.raises(RigFault, match="answers each question with its reply to the one before: nothing can be judged"):
+        check(own, dialect, 1, alone=False)
+    assert own.now_ns() < 10_000_000_000
