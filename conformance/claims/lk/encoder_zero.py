@@ -118,8 +118,8 @@ def _to_the_digit(probe: Probe, command: Command) -> None:
             before = [_position(probe) for _ in range(_LOOKS)]
             exchange = probe.do(command, {"position": value})
             after = [_position(probe) for _ in range(_LOOKS)]
-            # By as much the shaft trembles, or still settles.
-            within = sum(max(seen) - min(seen) for seen in (before, after)) / 100
+            # By as much the shaft trembles, still settles, or rests beside its target.
+            within = max(probe.noise.place, sum(max(seen) - min(seen) for seen in (before, after)) / 100)
             text = f"95 sets another position of a motor that is {state}"
             probe.expect(after[0] / 100, near=value / 100, within=within, unit="degrees", refutes=text, exchange=exchange)
     motion.switch(probe, True)
