@@ -114,14 +114,18 @@ def _to_the_digit(probe: Probe, command: Command) -> None:
     for state, bring in _STATES.items():
         bring(probe)
         motion.wait_standing(probe)
+        offs, trembles = [], probe.noise.place
+        text = f"95 sets another position of a motor that is {state}"
         for value in _NAMES:
             before = [_position(probe) for _ in range(_LOOKS)]
             exchange = probe.do(command, {"position": value})
             after = [_position(probe) for _ in range(_LOOKS)]
-            # By as much the shaft trembles, still settles, or rests beside its target.
-            within = max(probe.noise.place, sum(max(seen) - min(seen) for seen in (before, after)) / 100)
-            text = f"95 sets another position of a motor that is {state}"
-            probe.expect(after[0] / 100, near=value / 100, within=within, unit="degrees", refutes=text, exchange=exchange)
+            trembles += sum(max(seen) - min(seen) for seen in (before, after)) / 100
+            # It may rest beside its target, by as much whatever its place is called.
+            offs.append((after[0] - value) / 100)
+            probe.expect(after[0] / 100, near=value / 100, unit="degrees", refutes=text, exchange=exchange)
+        below, above = offs
+        probe.expect(below, near=above, within=trembles, unit="degrees", refutes=f"{text}: below zero and above")
     motion.switch(probe, True)
 
 
