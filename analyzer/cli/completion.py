@@ -45,6 +45,7 @@ def complete(commands: Mapping[str, tuple[str, str]]) -> None:
     import argcomplete
 
     from analyzer.errors import UsageError
+    from analyzer.system import own_process
     from analyzer.values import quote
 
     for name in ("COMP_POINT", "COMP_TYPE", "_ARGCOMPLETE"):
@@ -59,7 +60,7 @@ def complete(commands: Mapping[str, tuple[str, str]]) -> None:
         if name == (words[1] if len(words) > 1 else ""):
             import_module(module).add_arguments(of_command)
             _teach(of_command)
-    argcomplete.autocomplete(parser)
+    argcomplete.autocomplete(parser, exit_method=own_process.end)
 
 
 def _teach(parser: argparse.ArgumentParser) -> None:
