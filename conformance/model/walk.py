@@ -184,7 +184,9 @@ class Walk:
         if kind in _TURNING:
             if not turning:
                 course.begun_ns, course.pace = self.pair.twin_ns(self._probe.gate.now_ns()), 0.0
-            course.pace = max(course.pace, 6.0 * abs(given.get("rpm") or self._home_rpm))
+            # A speed as sent may be beyond the fastest.
+            sent = declared.field_of(command, command.motion.speed).high if command.motion.speed in given else 0
+            course.pace = max(course.pace, 6.0 * abs(given.get("rpm") or sent or self._home_rpm))
 
     @property
     def _home_rpm(self) -> float:
