@@ -192,3 +192,12 @@ def test_numbers_that_are_no_times(numbers: str) -> None:
     one, other = numbers.split()
     found = read_text(f"[{one}] TX: FA 01 3A 35\n[{other}] RX: FB 01 3A 01 37\n").traffic
     assert [each.t_ns for each in found] == [None, None]
+
+
+@pytest.mark.parametrize(("column", "firm"), [("   ................", False), ("", True)])
+def test_rows_with_their_characters_are_a_stream(column: str, firm: bool) -> None:
+    stream = bytes.fromhex("1E 95 AC 08 08 B4 1E 3A A4 D6 1E D7 EC F8 AC 08") * 4
+    rows = "".join(f"{stream[at : at + 16].hex(' ').upper()}{column}\n" for at in range(0, len(stream), 16))
+    found = [each for each in read_text(rows.replace("1E 95", "EC F8", 1) + "EC F8   ..\n").traffic if isinstance(each, Chunk)]
+    assert b"".join(each.data for each in found)[16:] == stream[16:] + b"\xec\xf8"
+    assert {each.burst for each in found} == {firm}
