@@ -347,7 +347,12 @@ def _onto_reply(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion
 def _onto_late_reply(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     """Suspect a host that sends by a clock of its own: what comes damaged came late, and what came soon is whole."""
     whole = [came[0].t_ns - p.t_ns for p in scene.requests if (came := scene.replies.get(p.sequence)) and came[0].sound]
-    late = [each.stretch.t_ns - each.asked.t_ns for each in spoiled if each.asked is not None]
+    late = [
+        each.stretch.t_ns - each.asked.t_ns
+        for each in spoiled
+        if each.asked is not None
+        and any(abs(reply.size - len(each.stretch.data)) <= _LENGTHS for reply in replies_to(each.asked))
+    ]
     if not scene.timed or min(len(late), len(whole)) < _NOISE or len(late) < len(spoiled):
         return
     if min(late) < _LATER * max(whole):

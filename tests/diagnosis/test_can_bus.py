@@ -248,3 +248,10 @@ def test_words_of_firmware_that_is_off_the_bus(said, causes_of):
     )
     assert causes_of(f"{asked}W (2353) TWAI: alert: ERROR_PASSIVE tx_err 136 rx_err 0\n{said}\n") == ["can_bus_off"]
     assert "can_bus_off" not in causes_of(f"{asked}if (state == TWAI_STATE_BUS_OFF)\n case TWAI_STATE_BUS_OFF:\n")
+
+
+@pytest.mark.parametrize(
+    "said", ["TWAI status: bus_off=0 tx_err=0", "TWAI: bus_off: 0", "state: bus_off: no", "twai: state = 1"]
+)
+def test_words_of_firmware_that_is_on_the_bus(said):
+    assert can_state.score(f"I (2354) {said}\n".encode() * 3) == 0
