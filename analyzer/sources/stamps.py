@@ -24,7 +24,7 @@ _MONTH = r"(?:Jan|Feb|Mar|Apr|May|Jun|Jul|Aug|Sep|Oct|Nov|Dec)"
 #: Times by kind, each a pattern; the first that fits wins.
 STAMPS: dict[str, str] = {
     "date": rf"\d{{4}}[-/.]\d{{1,2}}[-/.]\d{{1,2}}(?:[T_,]|\s){{1,2}}{_DAYTIME}(?:\s?Z\b|\s?[+-]\d\d:?\d\d\b)?",
-    "dmy": rf"\d{{1,2}}\.\d{{1,2}}\.(?:\d\d)?\d\d(?:[T_,]|\s){{1,2}}{_DAYTIME}",
+    "dmy": rf"(?:\d{{1,2}}\.\d{{1,2}}\.\d{{4}}|(?:0[1-9]|[12]\d|3[01])\.(?:0[1-9]|1[0-2])\.\d\d)(?:[T_,]|\s){{1,2}}{_DAYTIME}",
     "slashed": rf"\d{{1,2}}/\d{{1,2}}/\d{{4}}(?:[T_,]|\s){{1,2}}{_DAYTIME}",
     "month": rf"(?:{_MONTH}\s+\d{{1,2}}|\d{{1,2}}\s+{_MONTH})\s+{_DAYTIME}",
     "clock": _DAYTIME,
