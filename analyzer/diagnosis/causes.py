@@ -94,7 +94,7 @@ CAUSES = {
         Cause(
             "wrong_parity",
             "One side uses a parity, with 7 or 8 data bits, the other 8 without.",
-            "Bit 7 is 0 in every byte, or the parity of the others. Or all bytes of one parity are misframed, or read as 00.",
+            "Bit 7 is 0 in each byte, or the parity. Or all bytes of one parity are misframed, marked by an analyzer, or 00.",
             "A port was opened as 7E1, usual for Modbus-ASCII, or as 8E1, the default of Modbus-RTU.",
             "Open the port as 8N1.",
             "7A 01 30 2B for FA 01 30 2B",
@@ -110,7 +110,7 @@ CAUSES = {
         Cause(
             "collision",
             "Two senders are on the line at once.",
-            "Replies are damaged after a request that came too early; or their start is spoiled and their end is right.",
+            "Replies are damaged after a request that came too early, or if they are late; or their start alone is spoiled.",
             "The host does not wait for a reply, or its driver stays on; or the end of a motion is reported meanwhile.",
             "Wait for the reply before sending; switch the driver off as soon as the transmitter is empty.",
             "> FA 01 30 2B    > FA 01 32 2D    < 9B 00 04 72",
@@ -126,7 +126,7 @@ CAUSES = {
         Cause(
             "duplicate_address",
             "Two drives have one address and answer at once.",
-            "Replies of one address are damaged, often with a right head; those of the others are clean.",
+            "Replies of one address are damaged, often with a right head; others are clean, or say the same each time.",
             "Drives leave the factory with the same address.",
             "Disconnect all but one drive, give it another address, and go on with the next.",
             "FA 01 30 2B answered FB 01 30 00 00 00 00 00 00 00, while FA 02 30 2C is answered well",
@@ -158,7 +158,7 @@ CAUSES = {
         Cause(
             "late_reply",
             "Each reply answers an earlier request.",
-            "Replies are sound, and each fits the request before.",
+            "Replies are sound, and each fits the request before, or comes behind the timeout that a log tells.",
             "The host gave a slow reply up and sent on; from then on it reads one reply behind.",
             "Wait longer; clear the input before a request; compare the code of the reply with that of the request.",
             "> FA 01 31 2C    > FA 01 32 2D    < FB 01 31 00 00 00 00 00 00 2D",

@@ -15,8 +15,8 @@ from analyzer.values import counted
 
 #: Commands behind which a drive is away for a while.
 _RESTARTS = frozenset((Verb.RESTART, Verb.RESTORE, Verb.CALIBRATE))
-#: Requests from which on it is no chance.
-_OFTEN = 2
+#: Requests from which on it is no chance; those of the shortest row.
+_OFTEN = _PAIR = 2
 #: How many requests that are sent alone may come to one that is answered.
 _MOSTLY = 1.2
 #: A pause before a request that any drive stands; and one that only a drive that stores a setting needs.
@@ -91,7 +91,8 @@ def _some_of_row(scene: Scene) -> Iterator[Suspicion]:
         if len(asked) == 1 and not own:
             # One that is sent alone is not answered, either.
             return
-        soon = scene.timed and asked[-1].t_ns - asked[0].t_ns < _SOON_NS
+        # Who gives a request up, and sends on, gets no reply to it behind the others.
+        soon = scene.timed and (asked[-1].t_ns - asked[0].t_ns < _SOON_NS or (len(asked) > _PAIR and own[:1] == asked[:1]))
         waited &= own[-1:] == asked[-1:]
         few = len(own) == 1 or len({_asked_for(piece.message)[0] for piece in asked}) == 1
         if few and len(own) == len(replies) < len(asked) and (soon or not scene.timed):
@@ -126,6 +127,11 @@ def _some_of_row(scene: Scene) -> Iterator[Suspicion]:
         "Send one request, wait for its reply or the timeout, then send the next, also to another address",
         tuple(Shown(piece.offset, whole(piece)) for piece in failing),
     )  # fmt: skip
+
+
+def _sets(message: Message | None) -> bool:
+    command = message.command if message is not None else None
+    return command is not None and Risk.SETTING in command.all_risks and command.motion is None
 
 
 def _reads(piece: Piece) -> bool:
@@ -178,7 +184,8 @@ def _too_fast(scene: Scene) -> Iterator[Suspicion]:
     if len(failing) < _OFTEN or len(good) < _OFTEN:
         return
     longest = max(pause for pause, _ in failing)
-    same = all(_asked_for(request.message) in known for _, request in failing)
+    # A drive answers each setting: no other setting silences that.
+    same = all(_asked_for(request.message) in known or _sets(request.message) for _, request in failing)
     if min(good) <= longest or min(good) < 2 * longest or longest > (_LONG_NS if same else _SHORT_NS):
         return
     pause, request = failing[0]

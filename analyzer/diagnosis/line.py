@@ -30,7 +30,7 @@ from analyzer.diagnosis.rendered import (
     of_what_was_sent,
     read_otherwise,
 )
-from analyzer.diagnosis.scene import SILENT, Confidence, Scene, Shown, Stretch, Suspicion, shown, whole
+from analyzer.diagnosis.scene import SILENT, Confidence, Scene, Shown, Stretch, Suspicion, Trouble, shown, whole
 from analyzer.diagnosis.seven_bits import all_of_seven, of_seven
 from analyzer.diagnosis.ways import ALMOST_ALL, FEWEST, LEAST, LINES, MOST_READ, MOST_STRETCHES, Fit, Garbled, Way
 from analyzer.link import FUNCTIONS, ModbusLink
@@ -96,6 +96,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect the line, where no frame explains the bytes."""
     yield from _of_one_parity(scene)
     yield from _of_format(scene)
+    yield from _of_analyzer(scene)
     sides: dict[Role, list[Garbled]] = defaultdict(list)
     for trouble in scene.of("damaged"):
         stretch = trouble.stretch
@@ -178,6 +179,19 @@ def _of_format(scene: Scene) -> Iterator[Suspicion]:
         f"{counted(len(silent), 'request')} unanswered",
         _WORDS["wrong_parity"].next, tuple(Shown(t.offset, whole(t.piece)) for t in silent),
     )  # fmt: skip
+
+
+def _of_analyzer(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect the analyzer's parity where it marks each byte as wrong whose ninth bit would be low: that is the stop bit."""
+    for word in scene.uarts:
+        line, _, setting = word.partition(" read as ")
+        if setting and scene.pieces:
+            yield Suspicion(
+                "wrong_parity", Confidence.CERTAIN, scene.damaged or [Trouble("wrong_parity", scene.pieces[0].offset)],
+                f"The analyzer is set to {setting}, and the line has {line}: its errors are none of the line.",
+                f"a parity error stands at each byte whose ninth bit would be low by {setting}, and at no other",
+                f"Set the analyzer to {line}, and decode the recording again",
+            )  # fmt: skip
 
 
 def _of_one_parity(scene: Scene) -> Iterator[Suspicion]:

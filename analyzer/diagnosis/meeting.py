@@ -62,10 +62,11 @@ def _awaited(scene: Scene, offset: int) -> Iterator[bytes]:
     """Yield the reports that drives still owe at a place on the bus: of the last motion of each."""
     before = bisect_left(scene.requests, offset, key=lambda piece: piece.offset)
     near = scene.requests[max(0, before - _NEAR) : before]
-    last = {piece.message.address: piece for piece in near if piece.message is not None}
-    for piece in last.values():
-        command = piece.message.command if piece.message is not None else None
-        if command is None or not lacks_end(scene, piece):
+    # A host reads while they run.
+    moved = [(p, p.message, p.message.command) for p in near if p.message is not None and p.message.command is not None]
+    last = {message.address: (piece, command) for piece, message, command in moved if command.motion is not None}
+    for piece, command in last.values():
+        if not lacks_end(scene, piece):
             continue
         for reply in replies_to(piece):
             for status in command.replies.final:

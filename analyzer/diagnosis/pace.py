@@ -10,7 +10,7 @@ from analyzer.catalogue import Role
 from analyzer.diagnosis.exchanges import Exchange, Placed, Turn, awaited, chains, placed
 from analyzer.diagnosis.scene import Confidence, Piece, Read, Scene, Shown, Suspicion, Trouble, shown, whole
 from analyzer.link import READS
-from analyzer.values import counted
+from analyzer.values import SECOND_NS, counted
 
 #: Replies to an earlier request from which on it is no chance.
 _LATE = 3
@@ -31,6 +31,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     """Suspect when the host writes and reads."""
     yield from _across(scene)
     yield from _in_parts(scene)
+    yield from _given_up(scene)
     if not chains(scene):
         yield from _late_on_can(scene)
         return
@@ -61,6 +62,32 @@ def _late(scene: Scene) -> Iterator[Suspicion]:
         "Wait longer for each reply (adapters hold bytes back up to 16 ms), and clear the input once before the next request",
         tuple(Shown(p.read.offset, shown(p.read.data)) for p in late),
     )  # fmt: skip
+
+
+def _given_up(scene: Scene) -> Iterator[Suspicion]:
+    """Suspect a timeout that is too short, where a log says it time after time, and replies come a little later."""
+    said = [found for words in scene.words for found in _TIMEOUT.finditer(words)]
+    limit_ns = max((int(float(found[1]) * SECOND_NS / (1000 if found[2].lower() == "ms" else 1)) for found in said), default=0)
+    replies = [(request, scene.replies[request.sequence][0]) for request in scene.requests if request.sequence in scene.replies]
+    late = [(request, reply) for request, reply in replies if limit_ns < reply.t_ns - request.t_ns] if scene.timed else []
+    if len(said) < _GIVEN_UP or not _GIVEN_UP <= len(late) <= len(said) or 2 * len(late) <= len(said):
+        return
+    request, reply = late[0]
+    latest = max(reply.t_ns - request.t_ns for request, reply in late)
+    yield Suspicion(
+        "late_reply", Confidence.CERTAIN,
+        scene.of(*_OUT_OF_STEP) or [Trouble("late_reply", r.offset, None, r) for _, r in late],
+        "The host gives each reply up before it comes: its timeout is too short.",
+        f"{whole(reply)} at byte {reply.offset} comes {(reply.t_ns - request.t_ns) / 1e6:.3g} ms after {whole(request)}, "
+        f"behind {said[0][0]!r}; {counted(len(late), 'time')}",
+        f"Wait longer: the slowest of these replies took {latest / 1e6:.3g} ms; an adapter's buffer may delay it",
+        tuple(Shown(r.offset, whole(r)) for _, r in late),
+    )  # fmt: skip
+
+
+#: What a log says when a host gives up, and how often it is no chance.
+_TIMEOUT = re.compile(r"\btim(?:e|ed)[ -]?out (?:after|at) (\d+(?:\.\d+)?) ?(ms|s)\b", re.IGNORECASE)
+_GIVEN_UP = 2
 
 
 def _late_on_can(scene: Scene) -> Iterator[Suspicion]:
@@ -163,11 +190,8 @@ def _misaligned(scene: Scene) -> Iterator[Suspicion]:
     begins = bool(crosses) and not crosses[0].shift and not _whole_before(scene, crosses[0].read)
     # Who reads so many bytes each time is out of step from the first on; who reads what is there gets more or fewer.
     behind = [(exchange, turn) for chain in chains(scene) for exchange in chain[1:] for turn in exchange.received]
-    counts = (
-        begins
-        and shifted > _SHIFTED
-        and (len({len(turn.data) for _, turn in behind}) == 1 or all(_is_counted(exchange, turn) for exchange, turn in behind))
-    )
+    alike = len({len(turn.data) for _, turn in behind}) == 1 and len(behind) > _SHIFTED
+    counts = begins and (alike or (shifted > _SHIFTED and all(_is_counted(exchange, turn) for exchange, turn in behind)))
     if begins:
         yield Suspicion(
             "reply_cut", Confidence.POSSIBLE if counts else Confidence.CERTAIN, troubles or [Trouble("damaged", turn.offset)],

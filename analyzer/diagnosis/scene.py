@@ -166,8 +166,8 @@ class Scene:
 
     `frames`: all that came by, kept or not. `timed`: the capture has times. `noted`: the bytes stand among words, and these
     neither ask nor say that anything is wrong. `words`: the first of them. `lost`: findings that are left out, since the reader
-    of the capture has lost bytes there. `uarts`: how bytes stand on the line, as `8E1`, where levels tell. `explained`: the
-    troubles that are suspected so far; `certain`: how many of them one cause explains that is certain.
+    of the capture has lost bytes there. `uarts`: how bytes stand on the line, as `8E1` or `8N1 read as 8E1`, where
+    levels tell. `explained`: the troubles that are suspected so far; `certain`: how many of them a certain cause explains.
     """
 
     bus: str

@@ -55,7 +55,7 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     spoiled = [each for each in spoiled if each.trouble not in scene.explained]
     if not found and spoiled:
         found = [*_reports_meet(scene, spoiled)] or [*_report_meets(scene, spoiled)]
-        found = found or [*_onto_reply(scene, spoiled)]
+        found = found or [*_onto_reply(scene, spoiled)] or [*_onto_late_reply(scene, spoiled)]
         found = found or [*_two_drives(scene, spoiled), *_too_early(scene, spoiled), *_late_driver(scene, spoiled)]
     yield from found or _noise(scene, spoiled)
 
@@ -228,23 +228,44 @@ def _two_drives(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion
     share = len(own) / (len(own) + good)
     heads = sum(_head_is_right(each) for each in own)
     alone = others >= _OTHERS and len(own) >= _REPLIES and share >= _SHARE
-    if not alone and not (heads == len(own) >= _HEADS and share >= _MOST_OF):
+    values = not alone and heads == len(own) and _differ_in_value(scene, own)
+    if not alone and not (heads == len(own) >= _HEADS and share >= _MOST_OF) and not values:
         return
     troubles, frames = _of(own)
     first = own[0]
     assert first.asked is not None  # kept with its request
     # A second drive answers each request: one that is answered well as often as not may collide with something else.
     sure = _sure(min(len(own), others)) if alone and good < len(own) else Confidence.POSSIBLE
+    sure = Confidence.LIKELY if values else sure
     yield Suspicion(
         "duplicate_address", sure, troubles,
         f"Two drives have the address {address} and answer at once.",
         f"{shown(first.stretch.data)} at byte {first.stretch.offset} answers {shown(first.asked.data)}; "
         f"{len(own)} of {len(own) + good} replies of address {address} damaged"
-        + (f", none of {others} of others" if others else ", all with sound heads"),
+        + (f", none of {others} of others" if others else ", all with sound heads")
+        + (", and none of those that say the same each time" if values else ""),
         f"Disconnect one drive after the other and ask address {address} again; give each drive its own address. "
         "If only one has it, look at its wire and its connector",
         frames,
     )  # fmt: skip
+
+
+def _differ_in_value(scene: Scene, spoiled: Sequence[_Spoiled]) -> bool:
+    """Say whether some requests get replies of the right length with damage, and all others always the same whole reply.
+
+    Two drives that answer at once are read as one where they say the same. Noise would hit those replies, too.
+    """
+    whole: dict[bytes, list[bytes]] = defaultdict(list)
+    for request in scene.requests:
+        whole[request.data] += [reply.data for reply in scene.replies.get(request.sequence, ()) if reply.sound]
+    damaged: dict[bytes, int] = defaultdict(int)
+    for each in spoiled:
+        if not any(len(each.stretch.data) == reply.size for reply in replies_to(each.asked)) or each.asked is None:
+            return False
+        damaged[each.asked.data] += 1
+    same = [replies for data, replies in whole.items() if data not in damaged and len(replies) > 1]
+    often = all(count >= _HEADS and count > len(whole[data]) for data, count in damaged.items())
+    return often and all(len(set(replies)) == 1 for replies in same) and sum(map(len, same)) >= max(len(spoiled), 2 * _HEADS)
 
 
 def _all_doubled(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
@@ -321,6 +342,34 @@ def _onto_reply(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion
         "Wait for the reply, or for the timeout, before sending again",
         frames,
     )  # fmt: skip
+
+
+def _onto_late_reply(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
+    """Suspect a host that sends by a clock of its own: what comes damaged came late, and what came soon is whole."""
+    whole = [came[0].t_ns - p.t_ns for p in scene.requests if (came := scene.replies.get(p.sequence)) and came[0].sound]
+    late = [
+        each.stretch.t_ns - each.asked.t_ns
+        for each in spoiled
+        if each.asked is not None
+        and any(abs(reply.size - len(each.stretch.data)) <= _LENGTHS for reply in replies_to(each.asked))
+    ]
+    if not scene.timed or min(len(late), len(whole)) < _NOISE or len(late) < len(spoiled):
+        return
+    if min(late) < _LATER * max(whole):
+        return
+    troubles, frames = _of(spoiled)
+    yield Suspicion(
+        "collision", Confidence.LIKELY, troubles,
+        "The host sends its next request while a late reply is coming: they collide.",
+        f"{frames[0].data} at byte {spoiled[0].stretch.offset} is damaged and comes after {late[0] / 1e6:.3g} ms, and all "
+        f"whole replies come within {max(whole) / 1e6:.3g} ms; {counted(len(late), 'time')}",
+        "Wait for the reply, or for the timeout, before sending again, also to another address",
+        frames,
+    )  # fmt: skip
+
+
+#: By so much a reply is later than all others.
+_LATER = 2
 
 
 def _late_driver(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
@@ -421,6 +470,9 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     # Of what was sent itself all bytes are known.
     yield from _high_bits([(each, frame) for each, frame in alike if each.asked is not None and each.asked.data == frame])
     first, frame = alike[0]
+    like = (
+        f"resembles {shown(frame)}" if frame != first.stretch.data else "begins as its reply does, and its check does not fit"
+    )
     troubles, frames = _of(spoiled)
     places = (
         "one frame is damaged"
@@ -430,7 +482,7 @@ def _noise(scene: Scene, spoiled: Sequence[_Spoiled]) -> Iterator[Suspicion]:
     yield Suspicion(
         "noise", Confidence.LIKELY if len(spoiled) >= _NOISE else Confidence.POSSIBLE, troubles,
         f"Noise on the line: {places}.",
-        f"{shown(first.stretch.data)} at byte {first.stretch.offset} resembles {shown(frame)}; "
+        f"{shown(first.stretch.data)} at byte {first.stretch.offset} {like}; "
         f"{counted(len(spoiled), 'time')}, {counted(len(sound), 'frame')} near them sound",
         "Check the ground between host and drives, the termination (120 Ohm at both ends only) and the bias; lay the bus away "
         "from motor cables, shield it, and repeat what fails",

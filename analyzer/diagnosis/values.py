@@ -109,7 +109,11 @@ def look(scene: Scene) -> Iterator[Suspicion]:
     written = [(p, m, word, number) for p, m, word in worded if (number := _by_digits(m, word)) is not None]
     beyond = {_key(m): number for _, m, word, number in written if not word.allowed(m.data[word.start : word.stop])}
     digits = {_key(m): _as_written(p, m, word, n) for p, m, word, n in written if _key(m) in beyond.keys() | swapped.keys()}
-    if (len(beyond) > 1 or not said.isdisjoint(map(str, beyond.values()))) and digits.keys() >= swapped.keys():
+    # 1600 is a round number, and 22, which its bytes are the other way round, is none.
+    turned = [word.value(m.data[word.start : word.stop][::-1]) for _, m, word in rounder if word.size in sizes]
+    rather = bool(beyond and turned) and all(number % 10 for number in turned)
+    named = not said.isdisjoint(map(str, beyond.values()))
+    if (len(beyond) > 1 or named or rather) and digits.keys() >= swapped.keys():
         swapped = {}
     else:
         digits = {}

@@ -30,16 +30,21 @@ _IP = re.compile(
 )
 _COUNTS = re.compile(r"\s*re-started\s+bus-errors\s+arbit-lost\s+error-warn\s+error-pass\s+bus-off\s*")
 _SIX = re.compile(r"(?:\s*\d+){5}\s+(\d+)\s*")
+#: A state that is not said to be none: `bus_off: 0`.
+_OFF = r"(?<![^\W_])bus[- _]?off\b(?!\s?[=:]\s?(?:0|no|false)\b)(?!.*(?:recover|restart))"
 #: The name of an interface with what a driver says of it; the first that fits counts. What ESP-IDF logs is no program.
-_DRIVER = r"(?:\b(?:sl)?can\d+:?\s.*|^(?!.*(?:[;{}=&#]|//|\bif\b)).*\btwai\w*\b.*)"
+_DRIVER = r"(?:\b(?:sl)?can\d+:?\s.*|^(?!.*(?:[;{}&#]|=(?!\d)|=0\b|//|\b(?:if|case)\b)).*\btwai\w*\b.*)"
 _FLAGS = r"\b(?:FLT_CONF|(?:ACK|CRC|STF|STUFF|FRM|FORM|BIT[01])_?ERR(?:OR)?)\b"
 #: A line that tells a state by flags, and is none of a program.
 _STATED, _NO_CODE = r"^(?=.*\b(?:state|status|flags?|errors?|FLT_CONF)\b)[^;{}()=&#]*", r"\b[^;{}()=&#]*$"
 _SAID: tuple[tuple[re.Pattern[str], int, str], ...] = tuple(
     (re.compile(pattern, re.IGNORECASE), number, data)
     for pattern, number, data in (
-        (rf"{_DRIVER}\bbus[- ]?off\b(?!.*(?:recover|restart))", _BUS_OFF, ""),
-        (rf"{_DRIVER}\berror[-_ ]passive\b(?!\s*->)", _CONTROLLER, "00 30"),
+        (rf"{_DRIVER}{_OFF}", _BUS_OFF, ""),
+        # The number of ESP-IDF's state, and what firmware alerts.
+        (r"^(?!.*[;{}&#]).*\btwai\w*\b.*\bstate\s?[=:]\s?2\b", _BUS_OFF, ""),
+        (rf"^(?!.*[;{{}}&#\"'])(?!.*\b(?:if|case)\b).*\b(?:alerts?|state|status)\s?[=:]\s*(?:\w+_)?{_OFF}", _BUS_OFF, ""),
+        (rf"{_DRIVER}(?<![^\W_])error[-_ ]passive\b(?!\s*->)", _CONTROLLER, "00 30"),
         (rf"{_DRIVER}\berror[-_ ]warning\b(?!\s*->)", _CONTROLLER, "00 0C"),
         (rf"{_DRIVER}\bbit ?1 error\b", _PROTOCOL | _BUS_ERROR, "00 00 10"),
         (rf"{_DRIVER}\bbit ?0 error\b", _PROTOCOL | _BUS_ERROR, "00 00 08"),

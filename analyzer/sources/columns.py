@@ -59,6 +59,8 @@ _UNIT = re.compile(r"(?:time|timestamp|t)?(ms|us|ns|millis|micros|seconds)$")
 _UNITS = {"ms": SECOND_NS // 1000, "us": SECOND_NS // 1_000_000, "ns": 1}
 _UNITS |= {"millis": _UNITS["ms"], "micros": _UNITS["us"], "seconds": SECOND_NS}
 _TRUE = ("true", "1", "yes", "x", "扩展帧", "远程帧")
+#: What a cell tells by its own words: programs of ZLG put them below either heading.
+_TOLD = {"标准帧": "extended", "扩展帧": "extended", "数据帧": "remote", "远程帧": "remote"}
 _CLEAN = re.compile(r"^\d+:|[\W_]+")
 _RULE = re.compile(r"[\s|:-]+")
 #: A buffer of Node.js, and a name of its objects.
@@ -217,6 +219,7 @@ def _named(cells: Iterable[tuple[str, Any]]) -> Row:
         if (sender := _SENT.fullmatch(name)) is not None:
             row.setdefault("sides", []).append((value, role_of_name(sender[1])))
         what = next((what for what, names in _NAMES.items() if name in names), None)
+        what = _TOLD.get(str(value), what) if what in _TOLD.values() else what
         if what is not None and what not in row:
             row[what] = value
             if what == "time":

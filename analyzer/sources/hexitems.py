@@ -89,6 +89,8 @@ ITEMS: tuple[tuple[When, str, re.Pattern[str]], ...] = tuple(
             ".",
             rf"\s*(?:[A-Za-z_]\w*\.)+(?P<call>{WORDS_PATTERN})(?:all|_?{CONTENT})?(?:\(\))?(?:\s*[:=]\s*|\s+){_BYTES}",
         ),
+        # `on('data') <Buffer fb>`: an event of Node.js, whatever number of bytes it brings.
+        (When.UNMARKED, "on(", rf"\s*(?:[A-Za-z_]\w*\.)*on\(['\"](?P<drive>data)['\"]\){DECORATION}"),
         # `read(8) -> b'\\xfb'`: a call with what it returned.
         (When.ANY, "(", rf"\s*(?:[A-Za-z_]\w*\.)*(?P<call>{WORDS_PATTERN}){_RETURNED}"),
         # Who sends to whom, as analyzers of USB name the ends.

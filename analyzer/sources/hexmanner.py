@@ -224,14 +224,18 @@ def _is_quoted(lines: Sequence[str]) -> bool:
     return any(p.shape is Shape.COMMENT or p.marked or p.stamp.kind for p in inner)
 
 
-def _wrapped(traffic: Sequence[HexLine]) -> int:
-    """Return how many bytes each line of a dump has but the last; 0 where lines can be frames: those begin alike."""
+def _wrapped(lines: Sequence[str], traffic: Sequence[HexLine]) -> int:
+    """Return how many bytes each line of a dump has but the last; 0 where lines can be frames: those begin alike.
+
+    Frames that have their characters behind them all begin alike.
+    """
     sizes = {len(p.data) for p in traffic[:-1]}
     bare = not any(p.marked or p.stamp.kind or p.number is not None for p in traffic)
     size = sizes.pop() if len(sizes) == 1 and len(traffic) > _DUMP_LINES else 0
     heads = Counter(p.data[0] for p in traffic)
     full = bare and size >= _DUMP_WIDTH and size >= len(traffic[-1].data)
-    return size if full and 2 * max(heads.values()) <= len(traffic) else 0
+    alike = len(heads) == 1 if all(map(_WITH_CHARACTERS.match, lines)) else 2 * max(heads.values(), default=0) > len(traffic)
+    return size if full and not alike else 0
 
 
 def _answer(lines: Sequence[str], parts: Sequence[HexLine]) -> str:
@@ -249,6 +253,8 @@ def _answer(lines: Sequence[str], parts: Sequence[HexLine]) -> str:
     return next((word for word, count in words.most_common(1) if count >= _ANSWERS), "")
 
 
+#: A row of a dump, with its bytes as characters behind them.
+_WITH_CHARACTERS = re.compile(r"\s*(?:[0-9A-Fa-f]{2} ){1,32} +\S")
 #: Lines of a dump and bytes of each, at least; and lines of what came back.
 _DUMP_LINES, _DUMP_WIDTH, _ANSWERS = 3, 16, 2
 #: A word that says what follows is bytes, and not who sent them.
@@ -339,7 +345,7 @@ class Manner(NamedTuple):
             deaf=_is_deaf(traffic, roles),
             turned=_is_turned(traffic),
             asker=_asker(traffic),
-            wrapped=_wrapped(traffic),
+            wrapped=_wrapped(lines, traffic),
             answer=_answer(lines, parts),
             prose=prose,
             fields=prose and has_fields(lines),

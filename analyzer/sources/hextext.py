@@ -39,6 +39,8 @@ from analyzer.values import counted
 
 #: What a program notes beside bytes whose check failed.
 _JUDGED = re.compile(r"\berr(?:or)?\s*[=:]\s*\w*(?:crc|checksum)\w*", re.IGNORECASE)
+#: A call with a number, which tells what the bytes behind it are to say.
+_CALLED = re.compile(r"\b[A-Za-z_]\w*\(\d{2,}\)\s*$")
 #: Lines of a head that are looked at to find the format.
 _SAMPLE_LINES = 400
 #: Traffic lines, as a share of all, below which a text is no log.
@@ -237,7 +239,7 @@ class _Reader:
                 yield source.comment(t_ns, text)
             elif line.shape is Shape.TRAFFIC:
                 self._check_count(line)
-                if line.passed and self._lines.number <= _SAMPLE_LINES and speaks(line.passed):
+                if line.passed and self._lines.number <= _SAMPLE_LINES and (_CALLED.search(line.passed) or speaks(line.passed)):
                     yield source.comment(t_ns, line.passed)
                 elif self._lines.number <= _SAMPLE_LINES and (judged := _JUDGED.search(text)) is not None:
                     yield source.comment(t_ns, judged[0])

@@ -6,11 +6,11 @@
     "TX","data",0.0006025,2.375e-05,0xFA,
     Time [s],Analyzer Name,Decoded Protocol Result               Logic 1, all analyzers
 
-Rules: a time is the end of the byte: its start, and its duration where the file or the line speed gives it. Each byte
-is a chunk. Names of analyzers that mean sent or received say who sent, once something was sent; other names are
-ports. Bytes with a parity or framing error are given on and counted; where these are all bytes of one parity and no others,
-the line has a parity that the analyzer took for a stop bit. In a post the header stands among words, which are comments, and
-strokes can part the cells.
+Rules: a time is the end of the byte: its start, and its duration where the file or the line speed gives it. Each byte is a
+chunk. Names of analyzers that mean sent or received say who sent, once something was sent; other names are ports. Bytes with a
+parity or framing error are given on and counted; where these are all bytes of one parity and no others, the line has a parity
+that the analyzer took for a stop bit, or the analyzer took the stop bit for a parity. In a post the header stands among words,
+which are comments, and strokes can part the cells.
 """
 
 from __future__ import annotations
@@ -155,7 +155,8 @@ def _records(source: Source, table: _Table) -> Iterator[Chunk | Comment]:
     heard = ReceivedMarks()
     directions: dict[str, Role] = {}
     byte_ns = _BITS_PER_BYTE * SECOND_NS // source.baud if source.baud else 0
-    values: dict[bool, set[bytes]] = {False: set(), True: set()}
+    misframed: dict[bool, set[bytes]] = {False: set(), True: set()}
+    unpaired: dict[bool, set[bytes]] = {False: set(), True: set()}
     errors = shift_ns = 0
     first = True
     for line in rows:
@@ -184,7 +185,9 @@ def _records(source: Source, table: _Table) -> Iterator[Chunk | Comment]:
             if shift_ns:
                 source.note(f"times before the trigger: all are moved by {shift_ns / SECOND_NS:g} s")
         wrong = [what for what in ("error", "parity", "framing") if table.cell(row, what).lower() not in _WITHOUT_ERROR]
-        values[bool(wrong) and wrong != ["parity"]].add(value)
+        of_parity = "parity" in (*wrong, *table.cell(row, "error").lower().split())
+        unpaired[of_parity].add(value)
+        misframed[bool(wrong) and not of_parity].add(value)
         errors += bool(wrong)
         name = table.cell(row, "name")
         direction = directions.get(name)
@@ -194,16 +197,16 @@ def _records(source: Source, table: _Table) -> Iterator[Chunk | Comment]:
         yield Chunk(t_ns + shift_ns, port, value, heard(direction))
     if errors:
         source.note(f"{counted(errors, 'byte')} with a parity or framing error")
-        source.uarts |= _uarts(values[True], values[False])
+        source.uarts |= _uarts(misframed) | {f"8N1 read as {word}" for word in _uarts(unpaired)}
 
 
-def _uarts(misframed: set[bytes], others: set[bytes]) -> set[str]:
-    """Return how bytes stand on the line, where each byte is misframed whose parity bit is low, and no other.
+def _uarts(values: dict[bool, set[bytes]]) -> set[str]:
+    """Return the parity by which each byte has an error whose parity bit is low, and no other byte has one.
 
-    An analyzer without parity takes that bit for the stop bit.
+    An analyzer without parity takes that bit for the stop bit; one with a parity takes the stop bit, which is high, for it.
     """
-    sums = [{value[0].bit_count() & 1 for value in values} for values in (misframed, others)]
-    told = sums[0].isdisjoint(sums[1]) and all(sums) and len(misframed | others) >= _DIFFERENT
+    sums = [{value[0].bit_count() & 1 for value in values[wrong]} for wrong in (True, False)]
+    told = sums[0].isdisjoint(sums[1]) and all(sums) and len(values[True] | values[False]) >= _DIFFERENT
     return {"8O1" if sums[0] == {1} else "8E1"} if told else set()
 
 

@@ -1,7 +1,7 @@
 """Printed times in front of a line or in a column of their own: one table of patterns, and what they mean in their order.
 
-    2024-03-05 12:00:00.120   2024-03-05T12:00:00Z   05.03.2024 12:00:00   3/5/2024 12:00:00   Mar  5 12:00:00
-    12:00:00.120   12:00:00:120   +0.012   0.012   12.5 ms   1500us   1709640000120
+    2024-03-05 12:00:00.120   2024-03-05T12:00:00Z   05.03.2024 12:00:00   05.03.24 12:00:00   3/5/2024 12:00:00
+    Mar  5 12:00:00   12:00:00.120   12:00:00:120   +0.012   0.012   12.5 ms   1500us   1709640000120
 
 Rules: exact to their digits. Without a date they count from zero, and a time of day that passes midnight goes on. `+0.012`
 counts from the start, or from the line before where the values go back. `3/5/2024` has the month first, unless a day above 12
@@ -24,7 +24,7 @@ _MONTH = r"(?:Jan|Feb|Mar|Apr|May|Jun|Jul|Aug|Sep|Oct|Nov|Dec)"
 #: Times by kind, each a pattern; the first that fits wins.
 STAMPS: dict[str, str] = {
     "date": rf"\d{{4}}[-/.]\d{{1,2}}[-/.]\d{{1,2}}(?:[T_,]|\s){{1,2}}{_DAYTIME}(?:\s?Z\b|\s?[+-]\d\d:?\d\d\b)?",
-    "dmy": rf"\d{{1,2}}\.\d{{1,2}}\.\d{{4}}(?:[T_,]|\s){{1,2}}{_DAYTIME}",
+    "dmy": rf"(?:\d{{1,2}}\.\d{{1,2}}\.\d{{4}}|(?:0[1-9]|[12]\d|3[01])\.(?:0[1-9]|1[0-2])\.\d\d)(?:[T_,]|\s){{1,2}}{_DAYTIME}",
     "slashed": rf"\d{{1,2}}/\d{{1,2}}/\d{{4}}(?:[T_,]|\s){{1,2}}{_DAYTIME}",
     "month": rf"(?:{_MONTH}\s+\d{{1,2}}|\d{{1,2}}\s+{_MONTH})\s+{_DAYTIME}",
     "clock": _DAYTIME,
@@ -133,7 +133,7 @@ class StampClock:
         if found is None:
             raise ValueError(f"expected a date, got {text!r}")
         first, month, last, hour, minute, second, fraction, half, zone = found.groups()
-        year, day = (first, last) if len(first) == 4 else (last, first)
+        year, day = (first, last) if len(first) == 4 else (last if len(last) > 2 else f"20{last}", first)
         if "/" in text and len(first) != 4 and not self._day_first:
             month, day = day, month
         ns = day_ns(int(year), int(month), int(day)) + clock_ns(_hour(hour, half), minute, second, fraction)

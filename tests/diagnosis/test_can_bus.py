@@ -230,3 +230,28 @@ def test_no_pace_is_blamed_where_error_frames_come():
     assert first(*rows) == "can_bit_errors"
     assert "too_fast" not in {each.cause for each in causes(can(*rows))}
     assert "too_fast" in {each.cause for each in causes(can(*(row for row in rows if row != STUFF)))}
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "E (2354) TWAI: alert: BUS_OFF state=2 tx_err 256 rx_err 0 bus_error_count 41",
+        "E (2354) servo: alert: BUS_OFF",
+        "I (2354) twai: state = 2",
+        "W (2354) servo: twai TWAI_STATE_BUS_OFF",
+    ],
+)
+def test_words_of_firmware_that_is_off_the_bus(said, causes_of):
+    asked = (
+        "I (1330) servo: TX ID: 0x001 DLC: 2 Data: 31 32\nI (1334) servo: RX ID: 0x001 DLC: 8 Data: 31 00 00 00 00 40 00 72\n"
+        "I (2350) servo: TX ID: 0x001 DLC: 5 Data: F6 01 2C C8 EC\n"
+    )
+    assert causes_of(f"{asked}W (2353) TWAI: alert: ERROR_PASSIVE tx_err 136 rx_err 0\n{said}\n") == ["can_bus_off"]
+    assert "can_bus_off" not in causes_of(f"{asked}if (state == TWAI_STATE_BUS_OFF)\n case TWAI_STATE_BUS_OFF:\n")
+
+
+@pytest.mark.parametrize(
+    "said", ["TWAI status: bus_off=0 tx_err=0", "TWAI: bus_off: 0", "state: bus_off: no", "twai: state = 1"]
+)
+def test_words_of_firmware_that_is_on_the_bus(said):
+    assert can_state.score(f"I (2354) {said}\n".encode() * 3) == 0

@@ -504,3 +504,15 @@ def test_levels_with_a_parity_that_no_drive_answers(even, cause, tmp_path, capsy
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
     main(["diagnose", "--json", str(path)])
     assert [each["cause"] for each in json.loads(capsys.readouterr().out)["causes"]] == [cause]
+
+
+@pytest.mark.parametrize("marked", [True, False])
+def test_an_analyzer_with_a_parity_on_a_line_without(marked, tmp_path, capsys):
+    sent = bytes.fromhex("01 04 00 31 00 03 E1 C4 01 04 06 00 00 00 00 00 00 60 93")
+    rows = [f"{0.1 + n / 800 + n // 8 / 50:.6f},0x{b:02X},{'Error' if marked and not b.bit_count() & 1 else ''},\n"
+            for n, b in enumerate(sent)]  # fmt: skip
+    path = tmp_path / "export.csv"
+    path.write_text("Time [s],Value,Parity Error,Framing Error\n" + "".join(rows))
+    assert main(["diagnose", str(path), "--json"]) == marked
+    found = json.loads(capsys.readouterr().out)
+    assert [each["cause"] for each in found["causes"]] == ["wrong_parity"] * marked

@@ -50,11 +50,27 @@ def test_a_number_that_is_sent_with_its_decimal_digits_as_hexadecimal_ones(words
     assert causes_of(text) == found
 
 
-@pytest.mark.parametrize(("words", "cause"), [("set 1600 mA", "decimal_as_hex"), ("set the current", "wrong_byte_order")])
-def test_digits_of_the_words_are_more_than_a_swap_that_is_as_round(words, cause, causes_of):
-    rows = [(native(f"FA 02 83 {sent} 00"), native("FB 02 83 00")) for sent in ("16", "12", "16")]
+@pytest.mark.parametrize(
+    ("words", "sent", "cause"),
+    [
+        ("set 1600 mA", "16", "decimal_as_hex"),
+        # Nobody means 22 mA, and 20 somebody may.
+        ("set the current", "16", "decimal_as_hex"),
+        ("set the current", "14", "wrong_byte_order"),
+    ],
+)
+def test_digits_of_the_words_are_more_than_a_swap_that_is_as_round(words, sent, cause, causes_of):
+    rows = [(native(f"FA 02 83 {each} 00"), native("FB 02 83 00")) for each in (sent, "12", sent)]
     log = "".join(f"10:00:0{n}.000 TX: {a}\n10:00:0{n}.010 RX: {b}\n" for n, (a, b) in enumerate(rows))
     assert causes_of(f"{words}\n{log}") == [cause]
+
+
+def test_a_call_with_the_number_that_is_meant_stands_before_the_frame(causes_of):
+    sent = native("FA 02 83 16 00")
+    refused = f"      rx {native('FB 02 83 00')}\n"
+    assert causes_of(f"set_current(1600)  tx {sent}\n{refused}" * 2) == ["decimal_as_hex"]
+    swapped = native("FA 02 83 28 00")
+    assert causes_of(f"set_current(40)  tx {swapped}\n{refused}" * 2) == ["wrong_byte_order"]
 
 
 @pytest.mark.parametrize(

@@ -292,3 +292,19 @@ def test_reads_out_of_step_below_the_program_that_asks(causes_of):
     assert causes_of('while True: ser.write(bytes.fromhex("FA01312C")); print(ser.read(10).hex(" "))\n\n' + rows) == [
         "read_misaligned"
     ]
+
+
+@pytest.mark.parametrize(
+    ("said", "cause"), [("timeout after 200 ms", "late_reply"), ("timeout after 0.5 s", None), ("wait", None)]
+)
+def test_replies_that_come_behind_the_words_that_give_them_up(said, cause, causes_of):
+    asked = (
+        ("FA 01 31 2C", "FB 01 31 00 00 00 00 00 00 2D"),
+        ("FA 01 F1 EC", "FB 01 F1 01 EE"),
+        ("FA 01 3A 35", "FB 01 3A 01 37"),
+    )
+    log = "".join(
+        f"05.11.26 17:45:0{n}.000;TX;{sent}\n05.11.26 17:45:0{n}.200;--;{said}\n05.11.26 17:45:0{n}.243;RX;{came}\n"
+        for n, (sent, came) in enumerate(asked)
+    )
+    assert causes_of(log) == ([cause] if cause else [])

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.diagnosis.test_healthy import verdict
+from tests.diagnosis.test_layouts import native as frame
+from tests.diagnosis.test_layouts import reply
 from tests.diagnosis.test_pastes import checked, diagnosed
 
 
@@ -135,13 +137,17 @@ def test_a_report_that_meets_the_request(lost, cause, causes_of):
     assert causes_of(log) == cause
 
 
-def ends(came, rounds=3):
-    """Return motions of drives 5 and 8, with what comes at their end, and one round in which both ends come."""
+def ends(came, rounds=3, reads=False):
+    """Return motions of drives 5 and 8, with what comes at their end, and one round in which both ends come.
+
+    `reads`: the host reads the speed while they run.
+    """
     log = ""
     good = [native("FB 05 FE 02"), native("FB 08 FE 02")]
     for n, tail in enumerate([*rounds * [[came]], good]):
         rows = [row for who in ("05", "08") for row in (
             ("TX", native(f"FA {who} FE 00 78 05 00 00 20 {n:02X}")), ("RX", native(f"FB {who} FE 01")))]  # fmt: skip
+        rows += [("TX", native("FA 05 32")), ("RX", native(f"FB 05 32 00 {n:02X}"))] if reads else []
         rows += [("RX", frame) for frame in tail]
         log += "".join(f"{3 * n + at / 10:.2f} {mark} {data}\n" for at, (mark, data) in enumerate(rows))
     return log
@@ -161,6 +167,7 @@ def ends(came, rounds=3):
 )
 def test_two_reports_that_meet(came, collides, causes_of):
     assert ("collision" in causes_of(ends(came))) is collides
+    assert ("collision" in causes_of(ends(came, reads=True))) is collides
 
 
 def test_what_begins_as_one_report_and_ends_as_another_once_is_no_collision(causes_of):
@@ -288,16 +295,17 @@ def test_replies_of_one_command_have_the_sum_without_their_head(causes_of):
 @pytest.mark.parametrize(
     ("sent", "cause"),
     [
-        # 1200, 2400 and 900 mA, as they are read; and sent low byte first.
-        (("12 00", "24 00", "09 00"), "value_out_of_range"),
+        # 1200, 2400 and 900 mA, of which one is out of range and none is a round number the other way round.
+        (("12 00", "24 00", "09 00"), "decimal_as_hex"),
+        # 20 and 40 mA may be meant; and what is sent low byte first.
+        (("14 00", "28 00"), "wrong_byte_order"),
         (("24 00", "28 00", "30 00"), "decimal_as_hex"),
         (("B0 04", "60 09", "84 03"), "wrong_byte_order"),
     ],
 )
 def test_decimal_digits_that_are_sent_as_hexadecimal(sent, cause, causes_of):
     log = "".join(f"TX {native(f'FA 02 83 {value}')}\nRX {native('FB 02 83 00')}\n" for value in sent)
-    assert causes_of(log)[:1] == ([cause] if cause != "value_out_of_range" else causes_of(log)[:1])
-    assert (cause == "decimal_as_hex") == ("decimal_as_hex" in causes_of(log))
+    assert causes_of(log) == [cause]
 
 
 def test_a_device_refuses_values_whose_bytes_are_swapped(causes_of):
@@ -328,3 +336,72 @@ def test_an_address_that_is_moved_alone_may_be_a_group(sent, found, tmp_path, ca
     rows = [*((">", frame) for frame in sent), *answered]
     text = "".join(f"[10:21:0{n}.000][D][uart_debug:114]: {mark * 3} {frame}\n" for n, (mark, frame) in enumerate(rows))
     assert verdict(text, tmp_path, capsys)[0] == found
+
+
+@pytest.mark.parametrize("spoiled", ["no value", "a reply that is the same each time"])
+def test_two_drives_are_read_as_one_where_they_say_the_same(spoiled, causes_of):
+    rows = []
+    for n in range(8):
+        # The bits that are high in both replies.
+        one, other = (reply(2, 0x30, 0, 0, 0, position + n, 2, 0x10) for position in (0x51, 0x33))
+        state = reply(2, 0xF1, 1)
+        state = state[:-1] + b"\x01" if spoiled.startswith("a reply") and n in (2, 5) else state
+        both = bytes(a & b for a, b in zip(one, other, strict=True))
+        rows += [(frame(2, 0x30), both), (frame(2, 0xF1), state), (frame(2, 0x32), reply(2, 0x32, 0, 0))]
+    log = "".join(f"TX: {sent.hex(' ')}\nRX: {came.hex(' ')}\n" for sent, came in rows)
+    assert causes_of(log)[:1] == (["duplicate_address"] if spoiled == "no value" else ["noise"])
+
+
+def test_noise_does_not_resemble_itself():
+    asked, good, bad = "FA 02 30 2C", "FB 02 30 00 00 00 01 20 00 4E", "FB 02 30 00 00 00 01 20 00 0E"
+    log = "".join(f"TX: {asked}\nRX: {came}\nTX: FA 02 32 2E\nRX: FB 02 32 00 00 2F\n" for came in (good, bad, good, bad, bad))
+    found = diagnosed(log).causes[0].suspicion
+    assert found.cause == "noise"
+    assert f"{bad} at byte" in found.evidence
+    assert f"resembles {bad}" not in found.evidence
+
+
+def test_requests_of_a_row_whose_first_reply_comes_behind_it(causes_of):
+    asked = [frame(2, code) for code in (0x31, 0x32, 0x39, 0xF1)]
+    log = "".join(
+        "".join(f"[{12000 + 20 * n + at}.000] >> {each.hex(' ')}\n" for at, each in enumerate(asked))
+        + f"[{12005 + 20 * n}.200] << {reply(2, 0x31, 0, 0, 0, 0, n, 7).hex(' ')}\n"
+        + f"[{12007 + 20 * n}.800] << {reply(2, 0xF1, 4).hex(' ')}\n" * (n % 3 == 1)
+        for n in range(6)
+    )
+    assert causes_of(log) == ["too_fast"]
+
+
+def test_reads_of_one_size_that_no_reply_has(causes_of):
+    code = {0x9A: "3E 9A 01 07 E0 1E 60 09 04 00 00 00 8B", 0x9C: "3E 9C 01 07 E2 1E 00 00 00 00 00 00 1E"}
+    asked = {0x9A: "3E 9A 01 00 D9", 0x9C: "3E 9C 01 00 DB"}
+    order = [0x9A, 0x9C, 0x9A, 0x9C, 0x9A]
+    stream = bytes.fromhex("".join(code[each] for each in order))
+    log = "".join(f"tx {asked[each]}\nrx {stream[8 * n : 8 * n + 8].hex(' ')}\n" for n, each in enumerate(order))
+    assert causes_of(log)[:2] == ["read_misaligned", "reply_cut"]
+
+
+@pytest.mark.parametrize(("gap_ms", "cause"), [(24, "too_fast"), (400, "no_reply")])
+def test_settings_that_come_while_the_drive_stores_one(gap_ms, cause, causes_of):
+    answered = [((0x31,), (0x31, 0, 0, 0, 0, 0, 0)), ((0x82, 5), (0x82, 1))]
+    silent = [((code, *value), None) for code, *value in ((0x83, 3, 32), (0x84, 32), (0x88, 1), (0x9B, 4), (0x8F, 1))]
+    log, at = "", 0
+    for asked, came in (*answered, *silent, answered[0]):
+        at += 400 if came is not None and asked[0] == 0x31 else 100 if came is not None else gap_ms
+        log += f"10:02:{at // 1000:02}.{at % 1000:03} > {frame(2, *asked).hex(' ')}\n"
+        at += 4
+        log += f"10:02:{at // 1000:02}.{at % 1000:03} < {reply(2, *came).hex(' ')}\n" if came is not None else ""
+    assert causes_of(log)[:1] == [cause]
+
+
+@pytest.mark.parametrize(("late_ms", "cause"), [(20, "collision"), (4, "duplicate_address")])
+def test_a_clock_that_sends_onto_late_replies(late_ms, cause, causes_of):
+    log = "time_s,bytes\n"
+    for n in range(8):
+        spoiled = n % 2
+        came = bytes.fromhex(f"FB 01 30 00 00 00 00 14 {n:02X} 66") if spoiled else reply(1, 0x31, 0, 0, 0, 0, 0x14, n)
+        rows = [(0, frame(1, 0x31)), (late_ms if spoiled else 4, came)]
+        # What meets the reply is not read as a request.
+        rows += [] if spoiled else [(20, frame(2, 0x31)), (24, reply(2, 0x31, 0, 0, 0, 1, 0x11, n))]
+        log += "".join(f"{n / 10 + at / 1000:.6f},{data.hex(' ')}\n" for at, data in rows)
+    assert causes_of(log) == [cause]

@@ -64,8 +64,9 @@ def test_bytes_of_one_parity_that_are_misframed_tell_how_they_stand_on_the_line(
     text = LOGIC_1 + "".join(f"{n}.0,0x{byte:02X},,{error}\n" for n, (byte, error) in enumerate(rows))
     assert read(tmp_path, text)[0].uarts == {uart}
     # One byte that came both ways is noise, and a parity that the analyzer awaits is its own setting.
-    for other in (text + "20.0,0xFA,,\n21.0,0xFA,,Error\n", text.replace(",,Error", ",Error,")):
-        assert read(tmp_path, other)[0].uarts == set()
+    assert read(tmp_path, text + "20.0,0xFA,,\n21.0,0xFA,,Error\n")[0].uarts == set()
+    assert read(tmp_path, text.replace(",,Error", ",Error,"))[0].uarts == {f"8N1 read as {uart}"}
+    assert read(tmp_path, text.replace(",,Error", ",Error,") + "20.0,0xFA,,\n21.0,0xFA,Error,\n")[0].uarts == set()
 
 
 def test_times_before_the_trigger_are_moved(tmp_path: Path) -> None:

@@ -146,6 +146,11 @@ CAN = {
         "0\t发送\t14:01:05.250\t0x00000001\t数据帧\t标准帧\t0x02\t3A 3B\n"
         "1\t接收\t14:01:05.251\t0x00000001\t数据帧\t标准帧\t0x03\t3A 01 3C"
     ),
+    "CANTest, the kind of identifier below the other heading": (
+        "序号,传输方向,时间标识,名称,帧ID,帧格式,帧类型,数据长度,数据(HEX)\n"
+        "0,发送,14:01:05.250,,0x00000001,数据帧,扩展帧,2,3A 3B\n"
+        "1,接收,14:01:05.251,,0x00000001,数据帧,标准帧,3,3A 01 3C"
+    ),
     "CANalyzer": (
         "Time\tChn\tID\tName\tDir\tEvent Type\tDLC\tData\n"
         "65.25\tCAN 1\t1\t\tTx\tCAN Frame\t2\t3A 3B\n65.26\tCAN 1\t1\t\tRx\tCAN Frame\t3\t3A 01 3C"
@@ -163,10 +168,23 @@ def test_a_request_and_its_reply(form: str) -> None:
     assert form in UNTIMED or all(each.t_ns is not None for each in found)
 
 
+@pytest.mark.parametrize("size", [1, 2, 4])
+def test_an_event_of_node_brings_any_number_of_bytes(size: int) -> None:
+    reply = bytes.fromhex(REPLY)
+    parts = [reply[:size], reply[size:]]
+    text = f"[ 303.8 ms] write <Buffer {REQUEST.lower()}>\n" + "".join(
+        f"[ 3{n}4.4 ms] on('data') <Buffer {part.hex(' ')}>\n" for n, part in enumerate(parts, 1)
+    )
+    found = [each for each in read_text(text * 2).traffic if isinstance(each, Chunk)]
+    assert [each.data for each in found if each.direction is Role.REPLY] == parts * 2
+    assert all(each.t_ns is not None for each in found)
+
+
 @pytest.mark.parametrize("form", CAN)
 def test_can_frames(form: str) -> None:
     found = [each for each in read_text(CAN[form]).traffic if isinstance(each, CanFrame)]
     assert [(each.id, each.data.hex()) for each in found[:2]] == [(1, "3a3b"), (1, "3a013c")]
+    assert [each.extended for each in found[:2]] == ["扩展帧" in CAN[form], False]
 
 
 @pytest.mark.parametrize("numbers", ["4711 4711", "1001 1002", "2000 1000"])
@@ -174,3 +192,12 @@ def test_numbers_that_are_no_times(numbers: str) -> None:
     one, other = numbers.split()
     found = read_text(f"[{one}] TX: FA 01 3A 35\n[{other}] RX: FB 01 3A 01 37\n").traffic
     assert [each.t_ns for each in found] == [None, None]
+
+
+@pytest.mark.parametrize(("column", "firm"), [("   ................", False), ("", True)])
+def test_rows_with_their_characters_are_a_stream(column: str, firm: bool) -> None:
+    stream = bytes.fromhex("1E 95 AC 08 08 B4 1E 3A A4 D6 1E D7 EC F8 AC 08") * 4
+    rows = "".join(f"{stream[at : at + 16].hex(' ').upper()}{column}\n" for at in range(0, len(stream), 16))
+    found = [each for each in read_text(rows.replace("1E 95", "EC F8", 1) + "EC F8   ..\n").traffic if isinstance(each, Chunk)]
+    assert b"".join(each.data for each in found)[16:] == stream[16:] + b"\xec\xf8"
+    assert {each.burst for each in found} == {firm}
