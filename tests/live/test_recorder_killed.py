@@ -13,6 +13,7 @@ import pytest
 
 from analyzer.cli import main
 from analyzer.live import checkpoint, recorder
+from analyzer.live.config import WHOLE
 from analyzer.records import Chunk
 from analyzer.sources import open_source
 from tests.collect import sum8
@@ -169,7 +170,7 @@ def test_a_real_process_killed_at_random_moments(tmp_path):
     assert main(["show", str(spools.log), "--limit", "3"]) == 0
     spools.event("0-control", 6002, "end", reason="test")
     process = start(spools.folder)
-    assert process.wait(60) == 0
+    assert process.wait(60) == WHOLE
     assert process.stderr.read() == b""
     process.stderr.close()
     assert raw_of([spools.log], "left") == decoded_of([spools.log], "left") == spools.sent["left"]

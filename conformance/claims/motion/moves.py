@@ -42,7 +42,7 @@ _THERE, _BACK, _SHORT = 97.2, -39.6, 41.4
 #: Many quick moves each way: how many, their speed and acceleration. Their degrees: 104 pulses, which are no whole counts, and
 #: an angle of whole counts at each width of an encoder.
 _MANY, _MANY_RPM, _STEEP = 24, 240, 255
-_EACH, _EACH_ANGLE = 11.7, 11.25
+_EACH, _EACH_ANGLE = 11.7, 22.5
 #: How far a shaft may go beyond its target on the way, in degrees.
 _OVERSHOOT = 2.0
 #: Short moves, in units, and their way; how often each is asked for, and how long one takes.

@@ -274,6 +274,7 @@ REFUTES = {
     "motion/set_zero_mode/faster": "zero-speed-4-as-3",
     "motion/enable/on-holds-here": "enabling-turns-back+",
     "motion/run_speed/at-each-subdivision": "as-sent-at-odd",
+    "state/corners/speeds": "scaled-speed-of-11-bits+",
     "motion/set_respond/0-silences-refusals": "refused-aloud refusals-need-active",
     "motion/move_absolute_axis/again-and-again": "newer-keeps-faster+ third-target-lost+",
     "motion/run_speed/again-and-again": "protected-behind-motions+",
