@@ -143,7 +143,9 @@ class Comparing:
             # The twin's shaft is where the position says, which each drive counts from where it was when it was named.
             spare += self._probe.noise.place
         gone_ns = twin.now_ns - self._course.begun_ns if twin.turning else 0
-        spare += self._course.pace * gone_ns / 1e9 * CLOCK_SHARE
+        # When a drive hears a request, and looks, the line does not tell to less than a reply takes.
+        unsure_ns = self._probe.noise.latency_ns if twin.turning else 0
+        spare += self._course.pace * (gone_ns * CLOCK_SHARE + unsure_ns) / 1e9
         return abs(away) <= self._probe.within("degrees") + degrees + spare + self.pulse_degrees
 
 
