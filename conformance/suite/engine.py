@@ -6,7 +6,7 @@ manual has it, and one with each known fault. Where the steps refute one of them
 which costs no motion. What is left is confirmed on the real drive.
 
 A line may damage what it carries, and what a claim then takes for the drive's doing. So a claim that comes to nothing is tried
-again, and one that refutes while something came damaged or was not answered, also on an emulated drive. It counts
+again. So is one that refutes while something came damaged or was not answered, also on an emulated drive: its refutation counts
 where it comes again without damage, or each time alike. Once a line has been seen to lose something, each refutation has to
 come alike as often: nothing tells whether a request to all drives came.
 
